@@ -26,6 +26,7 @@ class Wanted(NamedTuple):
     negative: bool = False
 
 
+# Of every machine in rotor coordinates.
 MACHINE = {
     "pole_pairs": Wanted("", "4"),
     "r_s": Wanted("Ohm", "0.5", zero=True),
@@ -35,16 +36,12 @@ MACHINE = {
     "omega_m_max": Wanted("rad/s", "300.0", optional=True),
 }
 
-"""Of every machine in rotor coordinates."""
-
 
 def check_numbers(owner: object, wanted: Mapping[str, Wanted]) -> None:
     """Refuse a field of an object that is no finite number, of the wrong sign, or not whole.
 
-    Raises
-    ------
-    InputError
-        Names the field, what is wrong, and what to write.
+    Raises:
+        InputError: Names the field, what is wrong, and what to write.
     """
     for name, one in wanted.items():
         value = getattr(owner, name)

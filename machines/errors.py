@@ -6,15 +6,11 @@ from __future__ import annotations
 class DqforgeError(Exception):
     """Base of all errors that are reported as one line, without a traceback.
 
-    Parameters
-    ----------
-    message:
-        What is wrong, what was expected, what to write; on a key of a
-        design it begins with the key.
-    source:
-        File name as the user gave it, or None when there is no file.
-    line, column:
-        One-based position in the file, or None.
+    Args:
+        message: What is wrong, what was expected, what to write; on a key of a design it begins
+            with the key.
+        source: File name as the user gave it, or None when there is no file.
+        line, column: One-based position in the file, or None.
 
     ``section`` is the dotted key that the error is about where the message names none
     (`dqforge.machines.places`).

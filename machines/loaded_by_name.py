@@ -13,10 +13,8 @@ V = TypeVar("V")
 class LoadedByName(Mapping[K, V]):
     """Records by name.
 
-    Parameters
-    ----------
-    places:
-        By name, module and attribute of the record: ``dqforge.room.module:RECORD``.
+    Args:
+        places: By name, module and attribute of the record: ``dqforge.room.module:RECORD``.
     """
 
     def __init__(self, places: Mapping[K, str]) -> None:

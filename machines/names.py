@@ -7,16 +7,9 @@ from __future__ import annotations
 from typing import Literal, get_args
 
 FORMAT_VERSION = 1
-
-
 Strategy = Literal["mtpa", "id0"]
-
-
 MachineModel = Literal["linear", "flux-map", "saturation", "waveform"]
-
-
 OpenPhase = Literal["a", "b", "c"]
-
 
 Topology = Literal[
     "three-wire",
@@ -27,77 +20,40 @@ Topology = Literal[
     "six-leg-isolated",
 ]
 
-
+# Where the references of a phase machine are constant and its integrators live: in dq0 with
+# sinusoidal references (``dq``), in dqx or dqy of paper 002, or in dq0 with references from a table
+# of the back-EMF over the angle (``table``).
 CurrentFrame = Literal["dq", "dqx", "dqy", "table"]
 
-"""Where the references of a phase machine are constant and its integrators live: in dq0 with
-sinusoidal references (``dq``), in dqx or dqy of paper 002, or in dq0 with references from a table
-of the back-EMF over the angle (``table``)."""
-
-
+# What a current controller of a phase machine adds to its PI: the whole voltage of the references,
+# the back-EMF alone, the back-EMF and the coupling of measured currents, or nothing.
 Feedforward = Literal["references", "emf", "measured", "none"]
 
-"""What a current controller of a phase machine adds to its PI: the whole voltage of the
-references, the back-EMF alone, the back-EMF and the coupling of measured currents, or nothing."""
-
-
+# Whether each axis has gains for its own inductance, or all axes those of d and q.
 AxisGainRule = Literal["own", "one"]
-
-"""Whether each axis has gains for its own inductance, or all axes those of d and q."""
-
-
 WaveformForm = Literal["cheapest", "table", "harmonics"]
-
-
 FluxAxes = Literal["magnet-d", "reluctance"]
-
-
 FluxScaling = Literal["peak", "rms", "power-invariant"]
-
-
 FluxTorque = Literal["air-gap", "shaft", "per-pole-pair", "ignore"]
-
-
 FluxFitName = Literal["interpolate", "smooth", "auto"]
-
-
 FluxSymmetry = Literal["average", "keep", "positive", "negative"]
-
-
 FitMethod = Literal["lagrange", "least-squares", "minimax"]
-
-
 FitForm = Literal["polynomial", "even-odd", "torque-exact", "closed-form"]
-
-
 NumberFormat = Literal["float32", "q15", "q31"]
-
-
 Core = Literal["cortex-m0plus", "cortex-m3", "cortex-m4", "cortex-m7", "cortex-m33"]
-
-
 BreakpointMode = Literal["shared", "own"]
 
-
+# Rules of vendors' own tools for the gains of current loops.
 VendorMethod = Literal["nxp-mcat", "st-mcsdk", "vesc", "ti", "infineon", "moteus"]
 
-"""Rules of vendors' own tools for the gains of current loops."""
-
-
+# The same for the speed loop; the others have none.
 VendorSpeedMethod = Literal["nxp-mcat", "ti", "infineon"]
 
-"""The same for the speed loop; the others have none."""
-
-
+# Current-feedback PWM by a rule that a microcontroller evaluates at each sample.
 SampledRuleName = Literal["look-up-table", "circle", "predictive"]
 
-"""Current-feedback PWM by a rule that a microcontroller evaluates at each sample."""
-
-
+# Current loops that switch the bridge themselves, without a modulator in between.
 FeedbackMethod = Literal["hysteresis", "ramp-comparison", "trajectory", SampledRuleName]
-
-"""Current loops that switch the bridge themselves, without a modulator in between."""
-
 
 CurrentLoopMethod = Literal[
     "bandwidth",
@@ -110,11 +66,9 @@ CurrentLoopMethod = Literal[
     FeedbackMethod,
 ]
 
-
 SpeedLoopMethod = Literal[
     "bandwidth", "damping", "symmetrical-optimum", "optimised", "given", VendorSpeedMethod
 ]
-
 
 ObserverMethodName = Literal[
     "reduced-order",
@@ -134,33 +88,22 @@ ObserverMethodName = Literal[
     "emf-integration",
 ]
 
-
+# Methods that make the drive a six-step drive: blocks of 120 degrees, commutated by the voltage of
+# the phase that floats.
 SixStepMethod = Literal["zero-crossing", "emf-integration"]
 
-"""Methods that make the drive a six-step drive: blocks of 120 degrees, commutated by the voltage of
-the phase that floats."""
-
-
+# The one that observes the speed behind an encoder; all others observe the position.
 SIX_STEP_METHODS: tuple[str, ...] = get_args(SixStepMethod)
-
-
 SPEED_OBSERVER: ObserverMethodName = "reduced-order"
-
-"""The one that observes the speed behind an encoder; all others observe the position."""
-
-
 _FLUX_KEYS = ("bandwidth", "pll_bandwidth", "damping", "speed_gain")
-
-
 _CORRECTION_KEYS = ("correction_filter", "correction_limit")
 
-
+# How the speed comes from the edges of an encoder: their number in a speed period, the time between
+# two of them, or their number over the time that they took.
 SpeedMeasurementName = Literal["counts", "capture", "mixed"]
 
-"""How the speed comes from the edges of an encoder: their number in a speed period, the time
-between two of them, or their number over the time that they took."""
-
-
+# Those that inject a voltage or are told more than voltage and current; they are trackers
+# (`dqforge.optimizer.estimators`).
 TRACKER_NAMES: tuple[ObserverMethodName, ...] = (
     "injection",
     "inform",
@@ -168,13 +111,9 @@ TRACKER_NAMES: tuple[ObserverMethodName, ...] = (
     "third-harmonic",
 )
 
-"""Those that inject a voltage or are told more than voltage and current; they are trackers
-(`dqforge.optimizer.estimators`)."""
-
-
 InjectionWave = Literal["square", "sine", "rotating"]
 
-
+# The keys of ``control.observer`` that a method takes beside ``method`` and ``tuning``.
 OBSERVER_KEYS: dict[str, tuple[str, ...]] = {
     "reduced-order": ("pole",),
     "extended-emf": ("bandwidth", "pll_bandwidth", "damping"),
@@ -193,39 +132,22 @@ OBSERVER_KEYS: dict[str, tuple[str, ...]] = {
     "emf-integration": (),
 }
 
-"""The keys of ``control.observer`` that a method takes beside ``method`` and ``tuning``."""
-
-
+# Those that correct the flux observer by what they have learned: in single precision alone.
 LEARNED_OBSERVERS: tuple[ObserverMethodName, ...] = ("neuro-fuzzy", "neural")
 
-"""Those that correct the flux observer by what they have learned: in single precision alone."""
-
-
+# How a drive without encoder leaves standstill: a current or a voltage that turns, the observer
+# from zero speed on, or the rotor found by its saliency; ``auto`` chooses.
 ObserverTuningName = Literal["named", "optimised"]
-
-
 StartUpMethodName = Literal["auto", "i-f", "v-f", "direct", "saliency"]
 
-"""How a drive without encoder leaves standstill: a current or a voltage that turns, the observer
-from zero speed on, or the rotor found by its saliency; ``auto`` chooses."""
-
-
+# How the rotor is brought to a known angle: by a regulated current at once or from a quarter turn
+# away, or by a voltage.
 AlignmentName = Literal["none", "one-step", "two-step", "voltage"]
 
-"""How the rotor is brought to a known angle: by a regulated current at once or from a quarter turn
-away, or by a voltage."""
-
-
+# What the load does at rest: it resists motion, or turns the shaft by itself (a hoist).
 StartLoadName = Literal["friction", "active"]
-
-"""What the load does at rest: it resists motion, or turns the shaft by itself (a hoist)."""
-
-
 QFormats = tuple[int, int] | Literal["auto"]
-
-
 OvermodulationName = Literal["none", "least-phase-error", "least-magnitude-error"]
-
 
 ModulationName = Literal[
     "spwm",
@@ -242,12 +164,6 @@ ModulationName = Literal[
     "ddt-gdpwm",
 ]
 
-
+# Firmware of others whose configuration files are written and read, and whose loops are judged.
 Firmware = Literal["vesc", "simplefoc", "moteus", "odrive", "nxp", "st", "ti", "infineon"]
-
-"""Firmware of others whose configuration files are written and read, and whose loops are judged."""
-
-
-Application = Literal["skeleton"]
-
-"""The program that is written around the emitted functions."""
+Application = Literal["skeleton"]  # The program that is written around the emitted functions.

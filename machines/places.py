@@ -102,17 +102,12 @@ def behind_option(message: str, path: KeyPath) -> str:
 class Places:
     """Positions of the keys of a design file.
 
-    Parameters
-    ----------
-    source:
-        File name as the user gave it.
-    keys, values:
-        Where each key and its value begin, by path. List entries have the
-        position of their value in both.
-    sections:
-        Keys that a design may have at its top level.
-    options:
-        For parts that an option of the command line set: that option.
+    Args:
+        source: File name as the user gave it.
+        keys, values: Where each key and its value begin, by path. List entries have the position of
+            their value in both.
+        sections: Keys that a design may have at its top level.
+        options: For parts that an option of the command line set: that option.
     """
 
     source: str
@@ -124,13 +119,10 @@ class Places:
     def locate(self, error: DqforgeError, section: str = "") -> None:
         """Give file, line, column and key to an error on this design that has none.
 
-        Parameters
-        ----------
-        error:
-            Left as it is where it has a position, where it is about another file or an option of
-            the command line, about compiled C or about what is written.
-        section:
-            The dotted key to name where the message names none.
+        Args:
+            error: Left as it is where it has a position, where it is about another file or an
+                option of the command line, about compiled C or about what is written.
+            section: The dotted key to name where the message names none.
         """
         option = error.message.startswith("--")
         if (

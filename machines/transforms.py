@@ -18,27 +18,15 @@ from numpy.typing import NDArray
 from dqforge.machines.records import dataclass
 
 N = TypeVar("N")
-
-
 C = TypeVar("C")
+Reals = NDArray[Any]  # float64 or float32, any shape.
 
-
-Reals = NDArray[Any]
-
-"""float64 or float32, any shape."""
-
-
+# Electrical angles of the axes of the phases a, b, c in rad, shape (3,).
 PHASE_AXES = np.array([0.0, 2.0, -2.0]) * (math.pi / 3.0)
 
-"""Electrical angles of the axes of the phases a, b, c in rad, shape (3,)."""
-
-
+# Power-invariant over amplitude-invariant quantity on the alpha, beta, d and q axes; sqrt 3 on the
+# 0 axis.
 POWER_INVARIANT = math.sqrt(1.5)
-
-"""Power-invariant over amplitude-invariant quantity on the alpha, beta, d and q axes;
-sqrt 3 on the 0 axis."""
-
-
 _HALF_ROOT_3 = math.sqrt(0.75)
 
 
@@ -177,9 +165,7 @@ class Floats:
         return np.where(condition, a, b)
 
 
-DOUBLES = Floats(np.float64)
-
-"""Double precision."""
+DOUBLES = Floats(np.float64)  # Double precision.
 
 
 def clarke(o: Numbers[N, Any], phase: Triple[N]) -> Pair[N]:
@@ -189,12 +175,9 @@ def clarke(o: Numbers[N, Any], phase: Triple[N]) -> Pair[N]:
 
         alpha = (2 a - b - c) / 3      beta = (b - c) / sqrt 3
 
-    Parameters
-    ----------
-    o:
-        The arithmetic.
-    phase:
-        Values of the phases in any unit, any shape.
+    Args:
+        o: The arithmetic.
+        phase: Values of the phases in any unit, any shape.
     """
     if o.halves:
         rest = o.part("clarke: (b + c)/2", o.total("clarke: b + c", phase.b, phase.c), 0.5)
@@ -214,12 +197,9 @@ def clarke_inverse(o: Numbers[N, Any], vector: tuple[N, N]) -> Triple[N]:
     """Stationary coordinates to phases whose sum is zero: a = alpha, b and c =
     -alpha/2 +- sqrt(3)/2 beta.
 
-    Parameters
-    ----------
-    o:
-        The arithmetic.
-    vector:
-        Alpha and beta in any unit, any shape.
+    Args:
+        o: The arithmetic.
+        vector: Alpha and beta in any unit, any shape.
     """
     half = o.part("clarke inverse: alpha/2", vector[0], 0.5)
     side = o.part("clarke inverse: beta", vector[1], _HALF_ROOT_3)
@@ -233,14 +213,10 @@ def clarke_inverse(o: Numbers[N, Any], vector: tuple[N, N]) -> Triple[N]:
 def park(o: Numbers[N, Any], vector: tuple[N, N], turn: tuple[N, N]) -> Pair[N]:
     """Coordinates turned by an angle: d = alpha cos + beta sin, q = beta cos - alpha sin.
 
-    Parameters
-    ----------
-    o:
-        The arithmetic.
-    vector:
-        Alpha and beta in any unit, any shape.
-    turn:
-        Cosine and sine of the angle, any shape that fits.
+    Args:
+        o: The arithmetic.
+        vector: Alpha and beta in any unit, any shape.
+        turn: Cosine and sine of the angle, any shape that fits.
     """
     cosine, sine = turn
     d = o.total(
@@ -254,14 +230,10 @@ def park(o: Numbers[N, Any], vector: tuple[N, N], turn: tuple[N, N]) -> Pair[N]:
 def park_inverse(o: Numbers[N, Any], vector: tuple[N, N], turn: tuple[N, N]) -> Pair[N]:
     """Turned coordinates back: alpha = d cos - q sin, beta = d sin + q cos.
 
-    Parameters
-    ----------
-    o:
-        The arithmetic.
-    vector:
-        Coordinates d and q in any unit, any shape.
-    turn:
-        Cosine and sine of the angle, any shape that fits.
+    Args:
+        o: The arithmetic.
+        vector: Coordinates d and q in any unit, any shape.
+        turn: Cosine and sine of the angle, any shape that fits.
     """
     return park(o, vector, (turn[0], o.negative(turn[1])))
 
@@ -270,12 +242,9 @@ def dq_to_phases(x_d: Reals, x_q: Reals, theta_e: Reals) -> NDArray[np.float64]:
     """Phase values (..., 3) of rotor coordinates, in double precision: what the axis of each
     phase sees of the vector.
 
-    Parameters
-    ----------
-    x_d, x_q:
-        Amplitude-invariant values on the d and q axes in any unit, shape (...).
-    theta_e:
-        Electrical angle of the d axis from phase a in rad, shape (...).
+    Args:
+        x_d, x_q: Amplitude-invariant values on the d and q axes in any unit, shape (...).
+        theta_e: Electrical angle of the d axis from phase a in rad, shape (...).
     """
     angle = np.asarray(theta_e)[..., None] - PHASE_AXES
     vector = np.asarray(x_d)[..., None], np.asarray(x_q)[..., None]
@@ -287,10 +256,8 @@ def dq_to_phases(x_d: Reals, x_q: Reals, theta_e: Reals) -> NDArray[np.float64]:
 def rotor_axes(theta_e: Reals) -> NDArray[np.float64]:
     """Matrices (..., 2, 3) from phases to rotor coordinates d and q, in double precision.
 
-    Parameters
-    ----------
-    theta_e:
-        Electrical angle of the d axis from phase a in rad, shape (...).
+    Args:
+        theta_e: Electrical angle of the d axis from phase a in rad, shape (...).
     """
     angle = np.asarray(theta_e)[..., None] - PHASE_AXES
     seen = park(DOUBLES, (np.ones(3), np.zeros(3)), (np.cos(angle), np.sin(angle)))
@@ -302,12 +269,9 @@ def phases_to_dq(phases: Reals, theta_e: Reals) -> Pair[NDArray[np.float64]]:
 
     The inverse of `dq_to_phases`.
 
-    Parameters
-    ----------
-    phases:
-        Phase values in any unit, shape (..., 3).
-    theta_e:
-        Electrical angle of the d axis from phase a in rad, shape (...).
+    Args:
+        phases: Phase values in any unit, shape (..., 3).
+        theta_e: Electrical angle of the d axis from phase a in rad, shape (...).
     """
     d, q = np.moveaxis(
         np.sum(rotor_axes(theta_e) * np.asarray(phases)[..., None, :], axis=-1), -1, 0
@@ -318,11 +282,10 @@ def phases_to_dq(phases: Reals, theta_e: Reals) -> Pair[NDArray[np.float64]]:
 def clarke_matrix(*, power_invariant: bool = False) -> NDArray[np.float64]:
     """Matrix (3, 3) from phases to alpha, beta and 0, in double precision.
 
-    Parameters
-    ----------
-    power_invariant:
-        Whether the matrix is orthogonal, as in paper 002 (2.13). Else alpha and beta have the peak
-        of a phase, 0 is the mean of the phases, and the inverse is not the transpose.
+    Args:
+        power_invariant: Whether the matrix is orthogonal, as in paper 002 (2.13). Else alpha and
+            beta have the peak of a phase, 0 is the mean of the phases, and the inverse is not the
+            transpose.
     """
     rows = np.stack([*clarke(DOUBLES, Triple(*np.eye(3))), np.full(3, 1.0 / 3.0)])
     return np.asarray(

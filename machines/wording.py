@@ -8,9 +8,8 @@ import difflib
 import re
 from collections.abc import Iterable
 
+# Numbers of wires and legs, which names spell out.
 _NUMERALS = {"3": "three", "4": "four", "6": "six"}
-
-"""Numbers of wires and legs, which names spell out."""
 
 
 def shown(value: object, longest: int = 40) -> str:

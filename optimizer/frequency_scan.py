@@ -4,12 +4,11 @@ A scan needs thousands of solutions of (zI - A) x = b with one A. With A = Q T Q
 triangular (Schur), each of them is a back substitution, and n of these serve all frequencies at
 once. Q is unitary: the digits are those of a solution by elimination.
 
-References
-----------
-A. J. Laub, "Efficient multivariable frequency response computations", IEEE Trans. Automatic
-Control 26, 1981 (with Hessenberg matrices; the triangular ones here take fewer operations).
-T. R. Chandrupatla, "A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear
-function without using derivatives", Advances in Engineering Software 28, 1997.
+References:
+    A. J. Laub, "Efficient multivariable frequency response computations", IEEE Trans. Automatic
+    Control 26, 1981 (with Hessenberg matrices; the triangular ones here take fewer operations). T.
+    R. Chandrupatla, "A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear
+    function without using derivatives", Advances in Engineering Software 28, 1997.
 """
 
 from __future__ import annotations
@@ -20,12 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
-
 ComplexArray = NDArray[np.complex128]
-
-_MOST_STEPS = 100
-"""Chandrupatla's method takes some eight; a function of pure noise ends here."""
-
+_MOST_STEPS = 100  # Chandrupatla's method takes some eight; a function of pure noise ends here.
 _SPACING = float(np.finfo(np.float64).eps)
 
 
@@ -34,16 +29,11 @@ def scanned_response(
 ) -> ComplexArray:
     """C (zI - A)^-1 b + d at many points, (F,) -> (F,).
 
-    Parameters
-    ----------
-    a:
-        Transition matrix, shape (n, n).
-    b, c:
-        Input column and output row, shape (n,).
-    d:
-        Direct part.
-    z:
-        Points that are no eigenvalues of A.
+    Args:
+        a: Transition matrix, shape (n, n).
+        b, c: Input column and output row, shape (n,).
+        d: Direct part.
+        z: Points that are no eigenvalues of A.
     """
     from scipy.linalg import matrix_balance, schur
 
@@ -66,12 +56,9 @@ def bracketed_roots(
     By Chandrupatla's method: inverse quadratic interpolation where that is safe, else bisection,
     until each bracket is as wide as the spacing of doubles.
 
-    Parameters
-    ----------
-    function:
-        Takes one argument per bracket; of different signs at both ends of each.
-    low, high:
-        Ends of the brackets.
+    Args:
+        function: Takes one argument per bracket; of different signs at both ends of each.
+        low, high: Ends of the brackets.
     """
     if len(low) == 0:
         return low

@@ -9,25 +9,16 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
 
+# In the order of the attempts; the last one with the other choice of presolve.
 _METHODS = "highs-ds", "highs-ipm", "highs-ds"
 
-"""In the order of the attempts; the last one with the other choice of presolve."""
-
-
+# Largest violation of a scaled row or bound, and largest gap between the cost and its bound by the
+# multipliers over 1 plus the cost, with limits of about 1; HiGHS aims at 1e-7.
 _CLOSE = 1e-6
 
-"""Largest violation of a scaled row or bound, and largest gap between the cost and its bound by
-the multipliers over 1 plus the cost, with limits of about 1; HiGHS aims at 1e-7."""
-
-
+# Share of the largest coefficient below which a whole row is what rounding left of zeros.
 _NOISE = 1e-12
-
-"""Share of the largest coefficient below which a whole row is what rounding left of zeros."""
-
-
-_NONE = 2, 3
-
-"""Status of a programme that nothing fulfils, or that has no least cost."""
+_NONE = 2, 3  # Status of a programme that nothing fulfils, or that has no least cost.
 
 
 def least_cost(
@@ -43,22 +34,15 @@ def least_cost(
     """X of least ``cost`` x with ``rows`` x <= ``most`` and ``equal`` x = 0; None where nothing
     fulfils that or nothing is the least.
 
-    Parameters
-    ----------
-    cost, rows, most, equal:
-        Shapes (N,), (M, N), (M,) and (K, N); ``rows`` dense or sparse.
-    bounds:
-        Least and largest x, shape (N, 2) or one pair for all.
-    orthogonal:
-        Solve in an orthonormal basis of the columns: for dense columns that nearly depend on each
-        other, as powers do, and unknowns without bounds.
-    presolve:
-        Whether the solver first looks for what can be removed.
+    Args:
+        cost, rows, most, equal: Shapes (N,), (M, N), (M,) and (K, N); ``rows`` dense or sparse.
+        bounds: Least and largest x, shape (N, 2) or one pair for all.
+        orthogonal: Solve in an orthonormal basis of the columns: for dense columns that nearly
+            depend on each other, as powers do, and unknowns without bounds.
+        presolve: Whether the solver first looks for what can be removed.
 
-    Raises
-    ------
-    NoSolutionError
-        No method ends with an answer that fulfils the rows.
+    Raises:
+        NoSolutionError: No method ends with an answer that fulfils the rows.
     """
     from scipy.optimize import linprog
 

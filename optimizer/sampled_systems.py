@@ -4,10 +4,9 @@ margins and poles.
 The one home of these formulas; the loops of the drive are built from them in
 `dqforge.optimizer.loops.plants`.
 
-References
-----------
-K. J. Astroem, B. Wittenmark, "Computer-Controlled Systems", 3rd edition, 1997: chapter 2
-(zero-order hold, systems with time delay) and chapter 3 (margins).
+References:
+    K. J. Astroem, B. Wittenmark, "Computer-Controlled Systems", 3rd edition, 1997: chapter 2
+    (zero-order hold, systems with time delay) and chapter 3 (margins).
 """
 
 from __future__ import annotations
@@ -22,22 +21,10 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.frequency_scan import bracketed_roots, scanned_response
 
 FloatArray = NDArray[np.float64]
-
-
 ComplexArray = NDArray[np.complex128]
-
-
 POINTS_PER_DECADE = 200
-
-
-LEAST_SHARE = 1e-7
-
-"""Share of the Nyquist frequency below which no crossing is looked for."""
-
-
+LEAST_SHARE = 1e-7  # Share of the Nyquist frequency below which no crossing is looked for.
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
-
-
 GOLDEN_STEPS = 45  # narrows a bracket by 4e-10; the error of a maximum is the square of that
 
 
@@ -88,23 +75,19 @@ class SampledSystem:
 class LoopMargins:
     """How far a stable loop is from instability.
 
-    Parameters
-    ----------
-    crossovers:
-        All frequencies in rad/s at which the loop gain is one, ascending, shape (crossings,).
-    crossover:
-        The one of them with the smallest phase margin, in rad/s; nan if there is none.
-    phase_margin:
-        Smallest angle in rad between the loop and -1 on the unit circle,
-        negative if the loop lags by more than pi.
-    gain_margin:
-        Smallest factor above one on the loop gain that reaches -1; inf if there is none.
-    gain_reduction:
-        Largest factor below one that reaches -1; 0 if there is none.
-    delay_margin:
-        Smallest dead time in s whose phase lag reaches -1 at a crossover (exact for whole samples).
-    max_sensitivity:
-        Largest modulus M_s of the sensitivity 1/(1 + L) up to the Nyquist frequency.
+    Args:
+        crossovers: All frequencies in rad/s at which the loop gain is one, ascending, shape
+            (crossings,).
+        crossover: The one of them with the smallest phase margin, in rad/s; nan if there is none.
+        phase_margin: Smallest angle in rad between the loop and -1 on the unit circle, negative if
+            the loop lags by more than pi.
+        gain_margin: Smallest factor above one on the loop gain that reaches -1; inf if there is
+            none.
+        gain_reduction: Largest factor below one that reaches -1; 0 if there is none.
+        delay_margin: Smallest dead time in s whose phase lag reaches -1 at a crossover (exact for
+            whole samples).
+        max_sensitivity: Largest modulus M_s of the sensitivity 1/(1 + L) up to the Nyquist
+            frequency.
     """
 
     crossovers: FloatArray
@@ -143,18 +126,13 @@ def discretise(a: FloatArray, b: FloatArray, t_s: float, tau: float = 0.0) -> He
         gamma0 = integral of exp(A s) B over 0 .. t_s - tau'
         gamma1 = exp(A (t_s - tau')) times the integral of exp(A s) B over 0 .. tau'
 
-    Parameters
-    ----------
-    a, b:
-        Continuous-time matrices, shapes (n, n) and (n, inputs).
-    t_s:
-        Sampling period in s.
-    tau:
-        Input delay in s, zero or more, of any fraction of the period.
+    Args:
+        a, b: Continuous-time matrices, shapes (n, n) and (n, inputs).
+        t_s: Sampling period in s.
+        tau: Input delay in s, zero or more, of any fraction of the period.
 
-    References
-    ----------
-    Astroem and Wittenmark, chapter 2.
+    References:
+        Astroem and Wittenmark, chapter 2.
     """
     if not t_s > 0.0 or not tau >= 0.0:
         raise InputError(
@@ -311,15 +289,12 @@ def _falling(loop: SampledSystem, omega: FloatArray) -> FloatArray:
 def grid_crossings(values: ComplexArray) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
     """Where an open loop over a grid of frequencies crosses the gain of one, by interpolation.
 
-    Parameters
-    ----------
-    values:
-        Open loop at rising frequencies, shape (F,).
+    Args:
+        values: Open loop at rising frequencies, shape (F,).
 
-    Returns
-    -------
-    Indices of the points before the crossings, the shares of the way to the next point, and the
-    phase margins in rad, not wrapped, all of shape (C,).
+    Returns:
+        Indices of the points before the crossings, the shares of the way to the next point, and the
+        phase margins in rad, not wrapped, all of shape (C,).
     """
     size = np.log(np.abs(values))
     at = np.flatnonzero(np.sign(size[:-1]) * np.sign(size[1:]) < 0)

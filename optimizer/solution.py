@@ -115,10 +115,8 @@ class Solution:
     def gains(self) -> GainSet:
         """The gains, for what needs them.
 
-        Raises
-        ------
-        InputError
-            There are none.
+        Raises:
+            InputError: There are none.
         """
         if self.loops is None:
             raise InputError(f"this needs gains, and there are none: {self.gains_left_out}")
@@ -244,10 +242,9 @@ def _application(design: Design) -> ApplicationPlan | None:
 def solve(design: Design) -> Solution:
     """Solve everything that the design asks for.
 
-    Raises
-    ------
-    InputError, NoSolutionError
-        As the single steps do; the message names the section of the design.
+    Raises:
+        InputError, NoSolutionError: As the single steps do; the message names the section of the
+            design.
     """
     positive = signed_designs(design)[0]
     chosen = solve_fit(positive)

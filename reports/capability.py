@@ -81,14 +81,11 @@ Value = float | str | None
 class Quantity:
     """One quantity that ``compare`` sets side by side.
 
-    Parameters
-    ----------
-    section, label, unit:
-        Heading, name and unit of its row (`format_quantity`); numbers are in SI.
-    path:
-        Keys of ``result.json`` that lead to it.
-    derived:
-        What the row shows for what stands there, where that is not the entry itself.
+    Args:
+        section, label, unit: Heading, name and unit of its row (`format_quantity`); numbers are in
+            SI.
+        path: Keys of ``result.json`` that lead to it.
+        derived: What the row shows for what stands there, where that is not the entry itself.
     """
 
     section: str
@@ -138,42 +135,25 @@ def _no_files(_solution: Solution, _found: Any) -> dict[str, bytes]:
 class Capability(Generic[R]):
     """One thing that a design can ask for.
 
-    Parameters
-    ----------
-    name:
-        Key of its result in ``result.json``.
-    title:
-        What it is, in a few words.
-    of:
-        Its result; None where the design does not ask for it.
-    plain:
-        What stands under ``name``; None for a capability that only adds headers.
-    always:
-        Whether ``name`` and the keys of its headers stand in ``result.json`` with null where the
-        design does not ask for it; else they are left out.
-    flashed:
-        What stands first in terminal and report: the numbers to flash.
-    watched:
-        What to look out for, a sentence each; it stands behind them.
-    summary:
-        Rows of evidence for the summary of a run on the terminal: label and text.
-    tables:
-        Tables for the terminal.
-    sentences, tiles:
-        What the first paragraph of the report says of it, and its key numbers.
-    figures:
-        Figures of its parts of the report, by name; each is drawn when it is called.
-    parts:
-        Its parts of the report.
-    headers:
-        Kinds of headers that it emits.
-    files:
-        Files that a run writes beside headers, result and report.
-    emitted:
-        Files that a run and an export write beside the headers, and that verification computes
-        again.
-    quantities:
-        What ``compare`` sets side by side.
+    Args:
+        name: Key of its result in ``result.json``.
+        title: What it is, in a few words.
+        of: Its result; None where the design does not ask for it.
+        plain: What stands under ``name``; None for a capability that only adds headers.
+        always: Whether ``name`` and the keys of its headers stand in ``result.json`` with null
+            where the design does not ask for it; else they are left out.
+        flashed: What stands first in terminal and report: the numbers to flash.
+        watched: What to look out for, a sentence each; it stands behind them.
+        summary: Rows of evidence for the summary of a run on the terminal: label and text.
+        tables: Tables for the terminal.
+        sentences, tiles: What the first paragraph of the report says of it, and its key numbers.
+        figures: Figures of its parts of the report, by name; each is drawn when it is called.
+        parts: Its parts of the report.
+        headers: Kinds of headers that it emits.
+        files: Files that a run writes beside headers, result and report.
+        emitted: Files that a run and an export write beside the headers, and that verification
+            computes again.
+        quantities: What ``compare`` sets side by side.
     """
 
     name: str

@@ -19,10 +19,8 @@ _VELOCITY_FORM = "d[k] = d[k\u22121] + kp (e[k] \u2212 e[k\u22121]) + ki T e[k]"
 def convention_lines(solution: Solution) -> list[Markup]:
     """Conventions of the numbers of a report, and what its model of the machine leaves out.
 
-    Parameters
-    ----------
-    solution:
-        Of a design.
+    Args:
+        solution: Of a design.
     """
     from markupsafe import Markup
 
@@ -56,10 +54,8 @@ def _axis_words(design: Design) -> str:
 def machine_lines(design: Design) -> list[str]:
     """What the model of a machine holds, and what it leaves out.
 
-    Parameters
-    ----------
-    design:
-        Says what is known of the machine.
+    Args:
+        design: Says what is known of the machine.
     """
     lines = [_inductance_words(design)]
     if design.phase_machine is not None:

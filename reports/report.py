@@ -38,9 +38,7 @@ if TYPE_CHECKING:
     from dqforge.reports.verification.host import Verification
 
 Found = Sequence[tuple[Capability[Any], Any]]
-
-FILES = "What this run wrote beside this page"
-"""Caption of the table of files."""
+FILES = "What this run wrote beside this page"  # Caption of the table of files.
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,21 +219,14 @@ def render_report(
 ) -> str:
     """The report of a solution as one HTML document.
 
-    Parameters
-    ----------
-    solution:
-        What was solved.
-    verification:
-        Outcome of compiling and running the header, or None if that was skipped;
-        the report says which.
-    simulation:
-        Outcome of the simulation, or None where there is none.
-    capabilities:
-        Those of the product, or these and some from outside.
-    dialect:
-        Whose names the main header takes.
-    files:
-        What lies beside the report; without any it says nothing of files.
+    Args:
+        solution: What was solved.
+        verification: Outcome of compiling and running the header, or None if that was skipped; the
+            report says which.
+        simulation: Outcome of the simulation, or None where there is none.
+        capabilities: Those of the product, or these and some from outside.
+        dialect: Whose names the main header takes.
+        files: What lies beside the report; without any it says nothing of files.
     """
     outcome = Outcome(solution, verification is not None, simulation)
     context = report_context(outcome, verification, capabilities, dialect, files)

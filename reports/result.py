@@ -53,12 +53,9 @@ def plain_header(solution: Solution) -> PlainData:
 def plain_outcome(outcome: Outcome, capabilities: Capabilities = CAPABILITIES) -> PlainData:
     """What each capability says of its result and of its headers, by key.
 
-    Parameters
-    ----------
-    outcome:
-        What was solved, verified and simulated.
-    capabilities:
-        Those of the product, or these and some from outside.
+    Args:
+        outcome: What was solved, verified and simulated.
+        capabilities: Those of the product, or these and some from outside.
     """
     plain: PlainData = {}
     for capability in capabilities:

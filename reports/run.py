@@ -123,23 +123,16 @@ def export_design(
 ) -> RunOutput:
     """Header, test vectors and ``result.json`` of a design; nothing else is computed for show.
 
-    Parameters
-    ----------
-    design:
-        What is solved.
-    verify:
-        Whether the headers are compiled and compared with their models.
-    capabilities:
-        Those of the product, or these and some from outside.
-    dialect:
-        Whose names the main header takes.
+    Args:
+        design: What is solved.
+        verify: Whether the headers are compiled and compared with their models.
+        capabilities: Those of the product, or these and some from outside.
+        dialect: Whose names the main header takes.
 
-    Raises
-    ------
-    InputError, NoSolutionError
-        As `require_observed`.
-    VerificationError
-        The compiled header differs from the model, or no compiler is there to try it.
+    Raises:
+        InputError, NoSolutionError: As `require_observed`.
+        VerificationError: The compiled header differs from the model, or no compiler is there to
+            try it.
     """
     stage("solving")
     solution = solve(design)
@@ -162,10 +155,8 @@ def run_design(
 ) -> RunOutput:
     """Everything that the design asks for, the report included; arguments as of `export_design`.
 
-    Raises
-    ------
-    VerificationError
-        As `export_design`.
+    Raises:
+        VerificationError: As `export_design`.
     """
     output = export_design(design, verify=verify, capabilities=capabilities, dialect=dialect)
     return _finished(output, output.verification, capabilities, dialect)
@@ -179,21 +170,15 @@ def run_again(
 ) -> RunOutput:
     """What `run_design` makes; nothing is compiled but what the simulation runs.
 
-    Parameters
-    ----------
-    design:
-        What is solved.
-    languages:
-        Standards in which the headers were verified, none for a run without verification.
-    there:
-        The files that lie beside the report, which lists them with their hashes.
-    capabilities:
-        As of `export_design`.
+    Args:
+        design: What is solved.
+        languages: Standards in which the headers were verified, none for a run without
+            verification.
+        there: The files that lie beside the report, which lists them with their hashes.
+        capabilities: As of `export_design`.
 
-    Raises
-    ------
-    InputError, NoSolutionError, VerificationError
-        As `run_design`.
+    Raises:
+        InputError, NoSolutionError, VerificationError: As `run_design`.
     """
     output = export_design(design, verify=False, capabilities=capabilities)
     if not languages:
@@ -210,10 +195,9 @@ def solved_files(
     """What a design amounts to in each of these firmwares, and the files that hold it; as
     `firmware_files`.
 
-    Raises
-    ------
-    InputError, NoSolutionError
-        A firmware needs what the design does not say, or has no gains for it.
+    Raises:
+        InputError, NoSolutionError: A firmware needs what the design does not say, or has no gains
+            for it.
     """
     wanted = replace(design, export=replace(design.export, firmware=tuple(names)))
     fits = solve_firmware(wanted, solve_gains(wanted))

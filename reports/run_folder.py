@@ -10,15 +10,12 @@ from collections.abc import Mapping
 from dqforge.machines.design.design import DesignFiles
 from dqforge.reports.page_frame.file_list import ListedFile
 
+# Name of the list of the files in its folder; it is written last.
 MANIFEST = "dqforge-manifest.json"
-"""Name of the list of the files in its folder; it is written last."""
 
+# Folder in the output folder that holds the design file and, below ``files``, those that it names.
 INPUT = "dqforge-input"
-"""Folder in the output folder that holds the design file and, below ``files``,
-those that it names."""
-
 INPUT_DESIGN = f"{INPUT}/design.yaml"
-
 RESULT, REPORT = "result.json", "report.html"
 
 
@@ -35,14 +32,10 @@ def listed_files(
 ) -> list[ListedFile]:
     """The files of a run as its report lists them.
 
-    Parameters
-    ----------
-    files:
-        What the run wrote before the report, by name.
-    told:
-        What each is, by name.
-    given:
-        What the design was read from.
+    Args:
+        files: What the run wrote before the report, by name.
+        told: What each is, by name.
+        given: What the design was read from.
     """
     inputs = input_files(given)
     words = {INPUT_DESIGN: "the design, as it was read"}

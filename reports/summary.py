@@ -44,14 +44,10 @@ def run_tables(
 ) -> list[Table]:
     """The short summary of a run.
 
-    Parameters
-    ----------
-    solution:
-        What was solved.
-    verification:
-        Outcome of compiling and running the headers, None if that was skipped.
-    capabilities:
-        Those of the product, or these and some from outside.
+    Args:
+        solution: What was solved.
+        verification: Outcome of compiling and running the headers, None if that was skipped.
+        capabilities: Those of the product, or these and some from outside.
     """
     outcome = Outcome(solution, verification is not None)
     rows: Rows = []

@@ -45,10 +45,8 @@ def programmes(
 
     What stands in the result alone rebuilds the models that the compiled functions must equal.
 
-    Raises
-    ------
-    InputError
-        What stands there is not what dqforge writes.
+    Raises:
+        InputError: What stands there is not what dqforge writes.
     """
     found = {}
     made = []
@@ -84,17 +82,12 @@ class WrittenHeaders:
 def read_folder(folder: Path, capabilities: Capabilities = CAPABILITIES) -> WrittenHeaders:
     """Headers and models of an earlier run, by what its ``result.json`` describes.
 
-    Parameters
-    ----------
-    folder:
-        What 'dqforge run' or 'export' wrote.
-    capabilities:
-        Those of the product, or these and some from outside, as the run had them.
+    Args:
+        folder: What 'dqforge run' or 'export' wrote.
+        capabilities: Those of the product, or these and some from outside, as the run had them.
 
-    Raises
-    ------
-    InputError
-        A file is missing or is not what dqforge writes.
+    Raises:
+        InputError: A file is missing or is not what dqforge writes.
     """
     path = folder / "result.json"
     loaded = _load_result(path)
@@ -130,11 +123,8 @@ def verify_written(found: WrittenHeaders) -> Verification:
 def verify_folder(folder: Path, capabilities: Capabilities = CAPABILITIES) -> Verification:
     """Compile and run what an earlier run wrote into a folder; arguments as of `read_folder`.
 
-    Raises
-    ------
-    InputError
-        As `read_folder`.
-    VerificationError
-        As `verify_files`.
+    Raises:
+        InputError: As `read_folder`.
+        VerificationError: As `verify_files`.
     """
     return verify_written(read_folder(folder, capabilities))

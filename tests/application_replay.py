@@ -45,8 +45,8 @@ KINDS = {
     "counts": (_LOOP.replace("}", ", measurement: {method: counts, lines: 1024}}"),),
 }
 
+# Designs whose program lacks something: format, and settings.
 INCOMPLETE = {"nothing": ("float32", (_LOOP,)), "integers": ("q15", KINDS["counts"])}
-"""Designs whose program lacks something: format, and settings."""
 
 _COMMON = (
     "control.current_loop={method: magnitude-optimum}",
@@ -64,11 +64,9 @@ def design(kind: str, *settings: str) -> Design:
     return load_text(text.encode(), "bench.yaml", settings=[*own, emitted, *_COMMON, *settings])
 
 
+# i_a, i_b, i_c, v_dc, reference as bits of float32; run, trip, position, time of the timer.
 ROW = 9
-"""i_a, i_b, i_c, v_dc, reference as bits of float32; run, trip, position, time of the timer."""
-
-OUT = 6
-"""Bits of three duty cycles, gate pulses, state, fault."""
+OUT = 6  # Bits of three duty cycles, gate pulses, state, fault.
 
 REPLAY = """#include <stdint.h>
 #include <string.h>

@@ -62,10 +62,8 @@ def _archive(folder: Path) -> Path | None:
 def cmsis_folder() -> Path | None:
     """Folder of the unpacked source, None where it cannot be had.
 
-    Raises
-    ------
-    ValueError
-        What was downloaded is not the distribution that is known.
+    Raises:
+        ValueError: What was downloaded is not the distribution that is known.
     """
     folder = _cache()
     path = _archive(folder)

@@ -61,23 +61,15 @@ int main(void)
 class Step:
     """A function of the chain with what calls it.
 
-    Parameters
-    ----------
-    label, numbers:
-        Names of the row and of its number format.
-    files:
-        Headers by name, and C files that belong to them.
-    header:
-        The one of them that is included.
-    parameters, body, result:
-        Of the measured function, as C.
-    state, start, prepare, passed:
-        The caller's declarations, what it does once, what it does with the row ``r`` before each
-        call, and the arguments that it passes, as C.
-    rows:
-        Float32 numbers or int32 codes, shape (calls, width).
-    flags:
-        Further flags of the compiler.
+    Args:
+        label, numbers: Names of the row and of its number format.
+        files: Headers by name, and C files that belong to them.
+        header: The one of them that is included.
+        parameters, body, result: Of the measured function, as C.
+        state, start, prepare, passed: The caller's declarations, what it does once, what it does
+            with the row ``r`` before each call, and the arguments that it passes, as C.
+        rows: Float32 numbers or int32 codes, shape (calls, width).
+        flags: Further flags of the compiler.
     """
 
     label: str
@@ -134,14 +126,11 @@ def current_rows(count: int, v_max: float, i_max: float, omega_m: float, v_dc: f
 
     Two thirds lie close to their references, one third is thrown far off them, beyond the voltage.
 
-    Parameters
-    ----------
-    count:
-        Number of rows.
-    v_max:
-        Voltage in V around which the integrals spread: a fifth of it.
-    i_max, omega_m, v_dc:
-        Current in A, mechanical speed in rad/s and DC-link voltage in V, all largest.
+    Args:
+        count: Number of rows.
+        v_max: Voltage in V around which the integrals spread: a fifth of it.
+        i_max, omega_m, v_dc: Current in A, mechanical speed in rad/s and DC-link voltage in V, all
+            largest.
     """
     generator = np.random.default_rng(20_261_122)
     theta = generator.uniform(-np.pi, np.pi, count)

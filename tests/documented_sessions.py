@@ -67,10 +67,8 @@ class SessionError(Exception):
 def environment(programs: Path | None = None) -> dict[str, str]:
     """Environment of a session: the programs of an installation before those of the machine.
 
-    Parameters
-    ----------
-    programs
-        Folder with ``dqforge`` and ``python``; by default that of this interpreter.
+    Args:
+        programs: Folder with ``dqforge`` and ``python``; by default that of this interpreter.
     """
     first = Path(sys.executable).parent if programs is None else programs.resolve()
     kept = {name: os.environ[name] for name in ("HOME", "SYSTEMROOT", "TEMP") if name in os.environ}
@@ -83,11 +81,9 @@ def environment(programs: Path | None = None) -> dict[str, str]:
 class Session:
     """A page gone through in a folder.
 
-    Attributes
-    ----------
-    changes
-        Lines that ``--update`` would write into the page: number of the first, how many they
-        take the place of, and the lines.
+    Attributes:
+        changes: Lines that ``--update`` would write into the page: number of the first, how many
+            they take the place of, and the lines.
     """
 
     page: Page
@@ -116,10 +112,8 @@ class Session:
     def go(self) -> None:
         """Go through every step.
 
-        Raises
-        ------
-        SessionError
-            At the first step that goes otherwise than the page says.
+        Raises:
+            SessionError: At the first step that goes otherwise than the page says.
         """
         for step in self.page.steps:
             self._take(step)
@@ -249,10 +243,9 @@ def missing_programs(page: Page, variables: Mapping[str, str]) -> list[str]:
 def run_page(page: Page, folder: Path, variables: Mapping[str, str]) -> None:
     """Go through a page in an empty folder.
 
-    Raises
-    ------
-    SessionError
-        At the first step that goes otherwise than the page says: page, line, what differs.
+    Raises:
+        SessionError: At the first step that goes otherwise than the page says: page, line, what
+            differs.
     """
     with Session(page, folder, variables) as session:
         session.go()

@@ -9,8 +9,8 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 
+# Standard deviations as shares of the nominal value.
 SPREAD = {"r_s": 0.05, "l_d": 0.05, "l_q": 0.05, "psi_pm": 0.02}
-"""Standard deviations as shares of the nominal value."""
 
 
 def factors(count: int, sigma: float, random: np.random.Generator, cut: float = 3.0) -> FloatArray:

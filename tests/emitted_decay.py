@@ -22,6 +22,7 @@ from dqforge.optimizer.solution import Solution
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.phase_control.header import phase_control_files
 
+# Phase voltages over the link voltage, against half the link on the split one.
 PHASES: dict[Topology, tuple[str, str, str]] = {
     "three-wire": ("duty.a", "duty.b", "duty.c"),
     "diode-neutral": ("duty.a", "duty.b", "duty.c"),
@@ -30,10 +31,9 @@ PHASES: dict[Topology, tuple[str, str, str]] = {
     "six-leg": ("duty.a - duty.a2", "duty.b - duty.b2", "duty.c - duty.c2"),
     "six-leg-isolated": ("duty.a - duty.a2", "duty.b - duty.b2", "duty.c - duty.c2"),
 }
-"""Phase voltages over the link voltage, against half the link on the split one."""
 
+# V: so much that no voltage is shortened while currents are small, even at high speed.
 LINK = 6000.0
-"""V: so much that no voltage is shortened while currents are small, even at high speed."""
 
 SOURCE = """
 #include <math.h>

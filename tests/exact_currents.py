@@ -19,9 +19,8 @@ from dqforge.optimizer.current_reference.forms import PENALTY_FROM, Reference
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
+# Arrays in extended precision (float64 for flux maps, whose splines are doubles).
 Wide = NDArray[Any]
-"""Arrays in extended precision (float64 for flux maps, whose splines are doubles)."""
-
 NEWTON_STEPS = 2
 
 

@@ -23,11 +23,11 @@ def close(value: float, expected: float, rel: float = 1e-7) -> None:
     assert expected * (1.0 - 1e-12) <= value <= expected * (1.0 + rel) + 1e-20
 
 
+# i_d = -T/4 and i_q = 5 T/4: roughly what the machine below needs for small torques.
 LINE = Polynomials(
     SinglePolynomial(np.array([0.0], np.float32), np.array([[0.0, -0.25]], np.float32)),
     SinglePolynomial(np.array([0.0], np.float32), np.array([[0.0, 1.25]], np.float32)),
 )
-"""i_d = -T/4 and i_q = 5 T/4: roughly what the machine below needs for small torques."""
 
 MACHINE = LinearMachine(pole_pairs=2, r_s=0.5, l_d=0.05, l_q=0.15, psi_pm=0.25, i_max=20.0)
 

@@ -12,10 +12,9 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import SpeedLoopSettings, SpeedMeasurementSettings
 from dqforge.machines.names import SpeedMeasurementName
 
+# Encoder and timer of paper 001.
 METHODS: tuple[SpeedMeasurementName, ...] = ("counts", "capture", "mixed")
-
 THESIS = SpeedMeasurementSettings("capture", 1024, 1.0 / 33.9e-9, 16, 1, 10.0)
-"""Encoder and timer of paper 001."""
 
 
 def settings(

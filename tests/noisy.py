@@ -9,8 +9,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
 
-NOISE = 0.01
-"""Standard deviation over the largest flux linkage of the same axis."""
+NOISE = 0.01  # Standard deviation over the largest flux linkage of the same axis.
 
 
 def grid_points(

@@ -354,6 +354,7 @@ COMMENTED_FIXED = Published(
     ),
 )
 
+# A project whose inputs were rounded for display: its constants do not follow from them.
 ROUNDED_INPUTS = Published(
     "2025",
     LINIX
@@ -383,5 +384,3 @@ ROUNDED_INPUTS = Published(
         TO_KP_GAIN=314.159 TO_KI_GAIN=1.54213 TO_THETA_GAIN=0.0000198944"""
     ),
 )
-
-"""A project whose inputs were rounded for display: its constants do not follow from them."""

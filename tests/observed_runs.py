@@ -190,9 +190,8 @@ def unjudged(design: Design) -> GainSet:
     return replace(solve_gains(bare), position=solve_observer(design)[1])
 
 
+# Time in s that a drive is watched for at most: open-loop flux leaves some that hardly grow.
 LONGEST = 24.0
-
-"""Time in s that a drive is watched for at most: open-loop flux leaves some that hardly grow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,9 +254,7 @@ def boundary(design: Design, share: float = 0.25) -> Boundary:
     return replace(found, spread=high)
 
 
-STEP = 1e-3
-
-"""Step of the reference over the speed: small enough that no torque limit is met."""
+STEP = 1e-3  # Step of the reference over the speed: small enough that no torque limit is met.
 
 
 def swings(bench: Bench, found: Boundary, factor: float) -> bool:

@@ -24,16 +24,15 @@ _HULLS = {
     "disc beside zero": (-10.0 + 40.0 * np.cos(_CIRCLE), 40.0 * np.sin(_CIRCLE)),
     "small disc": (-8.0 + 14.0 * np.cos(_CIRCLE), 20.0 * np.sin(_CIRCLE)),
 }
-KINDS = (*_SIDES, "i_q is short", *_HULLS)
-"""Where the data may end."""
+KINDS = (*_SIDES, "i_q is short", *_HULLS)  # Where the data may end.
 
+# l_d and l_q in H at zero current, and how much they saturate.
 INDUCTANCES = (
     (0.5e-3, 0.25e-3, 0.0),
     (0.25e-3, 0.6e-3, 0.0),
     (0.4e-3, 0.4e-3, 0.0),
     (0.3e-3, 0.8e-3, 1.0),
 )
-"""l_d and l_q in H at zero current, and how much they saturate."""
 
 
 def one_sided(

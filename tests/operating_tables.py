@@ -11,6 +11,7 @@ from saturated import ArctanMachine
 
 from dqforge.machines.arrays import FloatArray
 
+# 21 N m at 148 A, as a drive of a wheel hub is.
 VENDOR = ArctanMachine(
     pole_pairs=5,
     r_s=0.1,
@@ -22,7 +23,6 @@ VENDOR = ArctanMachine(
     b_q=150.0,
     c=3e-8,
 )
-"""21 N m at 148 A, as a drive of a wheel hub is."""
 
 
 @dataclass(frozen=True)

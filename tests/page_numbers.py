@@ -39,9 +39,7 @@ from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.verification.measured_cost import CallCost, cost_on_target
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
-
 PHASES = "paper002-phase-waveforms"
-
 SPEEDS = (75.0, 750.0, 1800.0)
 
 CORES: dict[Core, str] = {
@@ -93,14 +91,10 @@ def ripples(
     torque with an averaged inverter without dead time, of the means per PWM period with a switched
     one and 1 us.
 
-    Parameters
-    ----------
-    found:
-        A solved phase machine.
-    points:
-        Speeds in rpm and torques in N m.
-    switched:
-        Which of both.
+    Args:
+        found: A solved phase machine.
+        points: Speeds in rpm and torques in N m.
+        switched: Which of both.
     """
     design = found.design
     assert design.phase_machine is not None
@@ -275,6 +269,7 @@ def interrupt_cost() -> Rows:
         yield (step.label, *(_interrupt_cell(cost) for cost in costs))
 
 
+# Every table by its name.
 NUMBERS: dict[str, Numbers] = {
     "phase-nodes": Numbers("methods/phase-control-design.md", phase_nodes, 0.2),
     "fixed-phase-ripple": Numbers("methods/fixed-point-control.md", fixed_phase_ripple, 0.2),
@@ -286,7 +281,6 @@ NUMBERS: dict[str, Numbers] = {
     "phase-cost": Numbers("methods/phase-control.md", phase_cost),
     "interrupt-cost": Numbers("reference/control-cost.md", interrupt_cost),
 }
-"""Every table by its name."""
 
 
 def made(name: str) -> list[str]:

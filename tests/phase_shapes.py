@@ -6,9 +6,7 @@ import numpy as np
 
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 
-FUNDAMENTAL_P = 0.2233
-
-"""In Wb."""
+FUNDAMENTAL_P = 0.2233  # In Wb.
 
 
 def paper_machine(angles: int = 360) -> PhaseMachine:

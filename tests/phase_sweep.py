@@ -49,17 +49,17 @@ from dqforge.reports.simulation.compiled_plant import Simulator, simulate_many, 
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import Summary
 
+# Sizes of the table that programs are made for: the next one above what the design chose.
 NODES = (720, 1536)
-"""Sizes of the table that programs are made for: the next one above what the design chose."""
 
+# Harmonic integrators that programs are made for. Equal phases with mirrored half waves have just
+# those of their design; of the others, who have any of some forty, as many as a design has at most.
 ORDERS = {
     "odd": ((-5, 7, -11, 13), (3, 9)),
     "any": ((-1, -2, 3, 4, -5, 7, -11, 13), (1, 3, 6, 9)),
 }
-"""Harmonic integrators that programs are made for. Equal phases with mirrored half waves have just
-those of their design; of the others, who have any of some forty, as many as a design has at most.
-"""
 
+# Reasons of refusals in short, and words of their messages.
 KINDS = {
     "torque": "beyond what the link permits",
     "unstable": "the currents are unstable at",
@@ -68,13 +68,11 @@ KINDS = {
     "zero loop": "i_0 loop",
     "table": "no table of up to",
 }
-"""Reasons of refusals in short, and words of their messages."""
 
-PART = 0.06
-"""Least length in s of the last part of a run, of which its figures are; whole periods."""
+PART = 0.06  # Least length in s of the last part of a run, of which its figures are; whole periods.
 
+# Weight of a harmonic integrator below which it learns so slowly that it may hide in time.
 FADING = 0.3
-"""Weight of a harmonic integrator below which it learns so slowly that it may hide in time."""
 
 
 @dataclass(frozen=True, eq=False)

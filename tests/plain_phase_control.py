@@ -14,13 +14,9 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import Topology
 from dqforge.machines.topologies.topology import TOPOLOGIES
 
+# kp and ki T_s of alpha-beta and of zero, R, L_ab, L_0, T_s; behind them the shape.
 NODES = 360
-
-
 GAINS = struct.Struct("@8fP")
-
-"""kp and ki T_s of alpha-beta and of zero, R, L_ab, L_0, T_s; behind them the shape."""
-
 
 _TEXT = """
 #include <math.h>
@@ -142,9 +138,7 @@ static inline t_duties_t t_speed_control(const t_control_gains_t *gains, t_contr
 }
 """
 
-
 _CENTRED = "".join(f"    d.{x} = 0.5F + (p[{k}] + off) / m->v_dc;\n" for k, x in enumerate("abc"))
-
 
 _MODULATORS: dict[Topology, str] = {
     "three-wire": _CENTRED,

@@ -19,13 +19,12 @@ from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.topologies.regions import link_demand
 from dqforge.machines.topologies.topology import TOPOLOGIES
 
+# Equal phases with mirrored half waves, equal phases with even orders, and phases that differ.
 BASE = "paper002-phase-waveforms"
-
 NODES = 360
-
 WINDINGS = ("odd", "odd", "odd", "even", "unlike")
-"""Equal phases with mirrored half waves, equal phases with even orders, and phases that differ."""
 
+# Frames and what is fed forward; None is the frame that the design chooses itself.
 WISHES: tuple[tuple[CurrentFrame | None, Feedforward], ...] = (
     (None, "references"),
     (None, "references"),
@@ -34,37 +33,26 @@ WISHES: tuple[tuple[CurrentFrame | None, Feedforward], ...] = (
     ("dqy", "references"),
     ("dq", "references"),
 )
-"""Frames and what is fed forward; None is the frame that the design chooses itself."""
 
 
 @dataclass(frozen=True, eq=False)
 class RandomMachine:
     """A machine, how it is sampled and controlled, and a point of operation.
 
-    Parameters
-    ----------
-    seed:
-        The number that it was drawn by.
-    machine:
-        In phase quantities.
-    winding:
-        One of `WINDINGS`.
-    t_s:
-        Sampling period in s; the carrier's too.
-    bandwidth:
-        Of the current loops in rad/s.
-    omega_e_max, omega_e:
-        Electrical speeds in rad/s: the largest, and that of the point, of either sign.
-    share:
-        Torque over the largest that the current permits, of either sign.
-    load:
-        Voltage of the point over that of the link.
-    swing:
-        Peak to peak of a split link's midpoint at the point over the link voltage, as a rule.
-    dead_time:
-        In s, which the design leaves room for.
-    wish:
-        Frame and feedforward.
+    Args:
+        seed: The number that it was drawn by.
+        machine: In phase quantities.
+        winding: One of `WINDINGS`.
+        t_s: Sampling period in s; the carrier's too.
+        bandwidth: Of the current loops in rad/s.
+        omega_e_max, omega_e: Electrical speeds in rad/s: the largest, and that of the point, of
+            either sign.
+        share: Torque over the largest that the current permits, of either sign.
+        load: Voltage of the point over that of the link.
+        swing: Peak to peak of a split link's midpoint at the point over the link voltage, as a
+            rule.
+        dead_time: In s, which the design leaves room for.
+        wish: Frame and feedforward.
     """
 
     seed: int

@@ -35,14 +35,10 @@ def value(found: Configuration, name: str) -> float:
 def random_asked(count: int, seed: int, *, tables: int = 0) -> Iterator[Asked]:
     """What random drives ask of the MCSDK; the first few with a table of currents.
 
-    Parameters
-    ----------
-    count:
-        How many.
-    seed:
-        Of the random numbers.
-    tables:
-        How many of them are to use the reluctance torque.
+    Args:
+        count: How many.
+        seed: Of the random numbers.
+        tables: How many of them are to use the reluctance torque.
     """
     base, rng = base_design(), np.random.default_rng(seed)
     for index in range(count):

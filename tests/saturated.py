@@ -22,6 +22,7 @@ from dqforge.machines.dq_machines.synchronous import (
 )
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 
+# Baldor 5.6 kW, Lelli et al. 2024.
 PM_SYRM = SaturationModel(
     a_d0=3.96,
     a_dd=28.5,
@@ -38,7 +39,6 @@ PM_SYRM = SaturationModel(
     k_q=0.1,
     bridge_exponent=2,
 )
-"""Baldor 5.6 kW, Lelli et al. 2024."""
 
 
 @dataclass(frozen=True)

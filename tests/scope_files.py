@@ -10,13 +10,10 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 
-PSI = 9.549e-3
-"""Magnet flux linkage of the machine in Wb: 3 V peak of phase at 50 Hz electrical."""
-
+PSI = 9.549e-3  # Magnet flux linkage of the machine in Wb: 3 V peak of phase at 50 Hz electrical.
 STEP = 2e-5
 SAMPLES = 5000
 START = -0.05
-
 Files = dict[str, bytes]
 
 

@@ -129,10 +129,9 @@ class Page:
 def read_page(path: Path) -> Page:
     """Read a page.
 
-    Raises
-    ------
-    PageError
-        Of a block that is never closed, and of lines before the first command of a session.
+    Raises:
+        PageError: Of a block that is never closed, and of lines before the first command of a
+            session.
     """
     text = path.read_text(encoding="utf-8")
     return Page(path, _keys(text.splitlines()), steps_of(text, str(path)))

@@ -57,12 +57,10 @@ def linear_study(count: int) -> str:
 class Ended:
     """How a command ended.
 
-    Parameters
-    ----------
-    memory:
-        Largest memory of its own process in MB, without those of workers; None where it was killed.
-    seconds:
-        Processor time of its own process in s.
+    Args:
+        memory: Largest memory of its own process in MB, without those of workers; None where it was
+            killed.
+        seconds: Processor time of its own process in s.
     """
 
     code: int

@@ -26,15 +26,11 @@ COLUMNS = (
 class StudyRows:
     """Rows whose figures follow from their index alone.
 
-    Parameters
-    ----------
-    takes:
-        Time of a batch in s.
-    refused, raising, killing, hanging, looping:
-        Rows that are refused, raise an error, end their process, sleep for ever, or keep the
-        interpreter to themselves for ever.
-    seen:
-        Folder in which each batch leaves a mark that it was computed, None for nowhere.
+    Args:
+        takes: Time of a batch in s.
+        refused, raising, killing, hanging, looping: Rows that are refused, raise an error, end
+            their process, sleep for ever, or keep the interpreter to themselves for ever.
+        seen: Folder in which each batch leaves a mark that it was computed, None for nowhere.
     """
 
     count: int = 100

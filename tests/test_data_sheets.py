@@ -24,7 +24,6 @@ from dqforge.machines.files.library_files import (
 from dqforge.reports.firmware.registry import TARGETS
 
 Call = Callable[..., tuple[int, str, str]]
-
 terminal = pytest.mark.skipif(sys.platform == "win32", reason="there is no pseudo-terminal")
 
 
@@ -81,11 +80,11 @@ INERTIAS = {
     "industrial": "0.5 kg cm^2",
 }
 
+# What else a firmware needs to be told, and says so.
 WANTED = {
     "st": ["inverter.current_sensing={shunt: 1 mOhm, gain: 20, reference: 3.3 V, bits: 12}"],
     "nxp": ["machine.max_speed=4500 rpm"],
 }
-"""What else a firmware needs to be told, and says so."""
 
 
 def exported(call: Call, motor: str, firmware: str) -> None:

@@ -11,6 +11,7 @@ import pytest
 import dqforge
 
 ROOT = Path(dqforge.__file__).parent
+# Rooms whose public functions are checked, whoever calls them.
 ROOMS = (
     "machines/dq_machines",
     "machines/losses",
@@ -21,7 +22,6 @@ ROOMS = (
     "optimizer/losses",
     "optimizer/operating_points",
 )
-"""Rooms whose public functions are checked, whoever calls them."""
 
 
 def unnamed(function: ast.FunctionDef) -> list[str]:

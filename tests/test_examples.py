@@ -24,6 +24,8 @@ def test_every_example_is_run() -> None:
     assert {path.stem for path in FOLDER.glob("*.py")} == set(SAID)
 
 
+# Run with the campaign; by default the ten lines of docs/reference/python.md do what the last two
+# do.
 LONG = {
     "fit_and_certificate",
     "from_standstill",
@@ -31,9 +33,6 @@ LONG = {
     "machine_from_arrays",
     "mtpa_and_field_weakening",
 }
-"""Run with the campaign; by default the ten lines of docs/reference/python.md do what the last two
-do.
-"""
 
 
 @pytest.mark.parametrize(

@@ -98,8 +98,8 @@ def test_help_imports_nothing_heavy() -> None:
     assert done.stderr.strip() == "[]"
 
 
+# What a plain installation brings for single tasks, by the name that is imported.
 CARD = ("casadi", "nlopt", "numpy", "cvxpy", "osqp", "yaml")
-"""What a plain installation brings for single tasks, by the name that is imported."""
 
 
 def loaded_by(*arguments: str) -> tuple[set[str], int]:

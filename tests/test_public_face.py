@@ -92,7 +92,7 @@ def test_functions_describe_every_argument(name: str) -> None:
     function = getattr(dqforge, name)
     signature = inspect.signature(function)
     text = inspect.getdoc(function) or ""
-    described = text.partition("Parameters")[2]
+    described = text.partition("Args:")[2]
     for parameter in signature.parameters.values():
         assert re.search(rf"\b{parameter.name}\b", described), f"{name}: {parameter.name}"
         assert parameter.annotation is not inspect.Parameter.empty

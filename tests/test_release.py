@@ -21,8 +21,8 @@ import dqforge
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+# Where conda-forge calls a package otherwise than the index of Python packages.
 CONDA_NAMES = {"matplotlib": "matplotlib-base"}
-"""Where conda-forge calls a package otherwise than the index of Python packages."""
 
 
 def built_in(folder: Path, umask: int, zone: str) -> dict[str, str]:

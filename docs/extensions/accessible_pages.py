@@ -28,10 +28,8 @@ _MENDED = (
 def mended(page: str) -> str:
     """A page of the site.
 
-    Parameters
-    ----------
-    page:
-        HTML as the theme made it.
+    Args:
+        page: HTML as the theme made it.
     """
     for pattern, text in _MENDED:
         page = re.sub(pattern, text, page)
@@ -41,10 +39,8 @@ def mended(page: str) -> str:
 def mended_style(style: str) -> str:
     """A style sheet whose rules for the article are those of the main part.
 
-    Parameters
-    ----------
-    style:
-        Style sheet.
+    Args:
+        style: Style sheet.
     """
     return re.sub(r"(?<![\w.#-])article(?![\w-])", "[role=main]", style)
 

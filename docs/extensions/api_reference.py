@@ -1,6 +1,6 @@
 """How docstrings and signatures of the package are shown.
 
-Docstrings are numpydoc. Signatures have the annotations as they stand in the source
+Docstrings have Google's sections. Signatures have the annotations as they stand in the source
 (``ArrayLike``, not what it is made of); results, which nobody makes by hand, have none, and a list
 of their fields instead.
 """
@@ -12,7 +12,7 @@ from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
 from sphinx.ext.napoleon import Config
-from sphinx.ext.napoleon.docstring import NumpyDocstring
+from sphinx.ext.napoleon.docstring import GoogleDocstring
 
 from dqforge.machines.design.design import Design
 from dqforge.reports.session.result import Result
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 
-_NUMPYDOC: Any = Config(napoleon_use_rtype=False)
+_SECTIONS: Any = Config(napoleon_use_rtype=False)
 
 
 def signature(_app: Sphinx, _what: str, _name: str, found: Any, *_more: Any) -> Any:
@@ -46,9 +46,9 @@ def signature(_app: Sphinx, _what: str, _name: str, found: Any, *_more: Any) -> 
 def docstring(
     app: Sphinx, what: Any, name: str, found: Any, options: Any, lines: list[str]
 ) -> None:
-    """Sections of numpydoc as fields; the fields of a result behind its text."""
+    """Sections as fields; the fields of a result behind its text."""
     if what in ("class", "exception", "function", "method"):
-        made = NumpyDocstring(list(lines), _NUMPYDOC, app, what, name, found, options)
+        made = GoogleDocstring(list(lines), _SECTIONS, app, what, name, found, options)
         lines[:] = made.lines()
     if what == "class" and is_dataclass(found) and _made_by_functions(found):
         listed = [f"* ``{each.name}``: ``{_written(each.type)}``" for each in fields(found)]

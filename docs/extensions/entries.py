@@ -27,14 +27,10 @@ class Entry:
 def entry_list(env: BuildEnvironment, kind: str, entries: list[Entry]) -> nodes.Node:
     """A list of definitions, each of which other pages, and the search, can find.
 
-    Parameters
-    ----------
-    env:
-        What is known of the site so far.
-    kind:
-        Type of object, as `setup` of the extension names it.
-    entries:
-        In their order.
+    Args:
+        env: What is known of the site so far.
+        kind: Type of object, as `setup` of the extension names it.
+        entries: In their order.
     """
     made = nodes.definition_list(classes=["simple", "entries"])
     for entry in entries:

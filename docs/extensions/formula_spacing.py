@@ -17,12 +17,9 @@ _OPEN, _CLOSE, _HAT = ("(", "["), (")", "]"), "\u02c6"
 def set_spacing(tree: ElementTree.Element, formula: str) -> None:
     """Set marks and spaces of a formula as TeX does.
 
-    Parameters
-    ----------
-    tree:
-        Its MathML, changed in place.
-    formula:
-        In LaTeX, which says of each bar whether it opens or closes.
+    Args:
+        tree: Its MathML, changed in place.
+        formula: In LaTeX, which says of each bar whether it opens or closes.
     """
     _set_bars(tree, formula)
     for leaf in tree.iter():

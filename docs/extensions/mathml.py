@@ -52,17 +52,12 @@ _BOLD = {
 def mathml(formula: str, *, block: bool) -> str:
     """MathML of a formula in LaTeX.
 
-    Parameters
-    ----------
-    formula:
-        Without dollars.
-    block:
-        Whether it stands on lines of its own.
+    Args:
+        formula: Without dollars.
+        block: Whether it stands on lines of its own.
 
-    Raises
-    ------
-    ValueError
-        The converter refuses it, or leaves a command as it stands.
+    Raises:
+        ValueError: The converter refuses it, or leaves a command as it stands.
     """
     for known, called in _ENVIRONMENTS.items():
         formula = formula.replace(known, called)

@@ -58,12 +58,9 @@ class Group:
 def groups(schema: Schema, start: str = "") -> list[Group]:
     """Mappings of a file in the order of its schema, each before those within it.
 
-    Parameters
-    ----------
-    schema:
-        JSON Schema of the whole file.
-    start:
-        Dotted key to begin at, or the top.
+    Args:
+        schema: JSON Schema of the whole file.
+        start: Dotted key to begin at, or the top.
     """
     node = schema
     for name in start.split(".") if start else ():

@@ -19,7 +19,6 @@ from dqforge.machines.units.registry import COMPOUNDS, DIMENSIONS, SYMBOLS
 
 AxisKind = Literal["time", "angle", "count", "none"]
 
-
 _WORDS = {
     "v": "V",
     "volt": "V",
@@ -35,7 +34,6 @@ _WORDS = {
     "v s": "Vs",
 }
 
-
 UNIT_KINDS: dict[str, frozenset[str]] = {
     "time": frozenset(symbol for symbol, name in SYMBOLS.items() if name.endswith("second")),
     "angle": frozenset(
@@ -46,28 +44,20 @@ UNIT_KINDS: dict[str, frozenset[str]] = {
     | frozenset(symbol for symbol, names in COMPOUNDS.items() if names[0].endswith("volt")),
 }
 
-
+# How the heading of a column without unit begins that is an angle instead of a time, or a flux
+# linkage.
 _NAMES_OF_SECOND_KIND = {"angle": "theta|angle|phi|winkel", "flux": "psi|flux|lambda"}
-
-"""How the heading of a column without unit begins that is an angle instead of a time,
-or a flux linkage."""
-
 
 _TIME_NAME = re.compile(
     r"t|time\b.*|zeit\b.*|temps\b.*|tiempo\b.*|x[- ]?axis|seconds?|timestamp", re.IGNORECASE
 )
 
-
 _CHANNEL_NAME = re.compile(
     r"(ch|chan|channel|kanal|voie|canal|trace)[ _]?[0-9a-d]+v?", re.IGNORECASE
 )
 
-
 _COUNT_NAME = re.compile(r"sequence|samples?|index|point|nr\.?|no\.?|#", re.IGNORECASE)
-
-
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-
 
 _INTERVAL = re.compile(
     r"\W*(?:(?:x ?inc(?:rement)?|t ?inc(?:rement)?|increment|h ?resolution|resolution|dt|delta "
@@ -75,12 +65,8 @@ _INTERVAL = re.compile(
     re.IGNORECASE | re.DOTALL,
 )
 
-
 _RATE = re.compile(r"\W*(?:sampl(?:e|ing) ?(?:rate|frequency))\b(.*)", re.IGNORECASE | re.DOTALL)
-
-
 _STATED = re.compile(rf"(?<![\w.+-])({_NUMBER})\s*(\w*)(?=$|[\s,;:\"'])")
-
 
 _RATE_UNITS = {
     "": 1.0,
@@ -94,27 +80,21 @@ _RATE_UNITS = {
     "MSa": 1e6,
 }
 
-
+# Share of falling steps from which on a column is no time: a voltage falls in half of its steps.
 _FALLS = 0.25
-
-"""Share of falling steps from which on a column is no time: a voltage
-falls in half of its steps."""
 
 
 @dataclass(frozen=True, slots=True)
 class Axis:
     """What the samples of a table lie over.
 
-    Parameters
-    ----------
-    kind:
-        ``time`` or ``angle``.
-    values:
-        In s or rad (as the column has it, of the electrical or mechanical angle), shape (N,).
-    column:
-        Place of the column among those of the table; None where times come from an interval.
-    ignored:
-        Place of a column that counts the samples, None where there is none.
+    Args:
+        kind: ``time`` or ``angle``.
+        values: In s or rad (as the column has it, of the electrical or mechanical angle), shape
+            (N,).
+        column: Place of the column among those of the table; None where times come from an
+            interval.
+        ignored: Place of a column that counts the samples, None where there is none.
     """
 
     kind: Literal["time", "angle"]
@@ -163,24 +143,16 @@ def find_axis(
 ) -> Axis:
     """Times or angles of a table's samples.
 
-    Parameters
-    ----------
-    table:
-        The file.
-    column:
-        Place of the column that the user calls the axis, None where it is to be found:
-        only the first can be one.
-    time_unit:
-        Unit of that column, where the user gave one.
-    interval:
-        Time between two samples in s that the user gave, or None.
-    origin:
-        Where the samples come from.
+    Args:
+        table: The file.
+        column: Place of the column that the user calls the axis, None where it is to be found: only
+            the first can be one.
+        time_unit: Unit of that column, where the user gave one.
+        interval: Time between two samples in s that the user gave, or None.
+        origin: Where the samples come from.
 
-    Raises
-    ------
-    InputError
-        Nothing tells the times, or two things tell them differently.
+    Raises:
+        InputError: Nothing tells the times, or two things tell them differently.
     """
     kind: AxisKind = "time"
     if column is None:

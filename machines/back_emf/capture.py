@@ -58,25 +58,18 @@ def analyse(
     """Harmonics of the back-EMF per electrical speed, with their uncertainty,
     and what is peculiar about the capture.
 
-    Parameters
-    ----------
-    capture:
-        The samples.
-    pole_pairs, speed:
-        Number of pole pairs, with which the result says what they differ by, and mechanical speed
-        in rad/s. Over the time both are a check only; over an angle they are what
-        the voltages are divided by, and without them the values are taken for e / omega_e.
-    harmonics:
-        Highest order wanted; lowered, and said so, where there are less
-        than 4 samples in its period.
-    progress:
-        Told the share that is done.
+    Args:
+        capture: The samples.
+        pole_pairs, speed: Number of pole pairs, with which the result says what they differ by, and
+            mechanical speed in rad/s. Over the time both are a check only; over an angle they are
+            what the voltages are divided by, and without them the values are taken for e / omega_e.
+        harmonics: Highest order wanted; lowered, and said so, where there are less than 4 samples
+            in its period.
+        progress: Told the share that is done.
 
-    Raises
-    ------
-    InputError
-        The capture is not that of a turning three-phase machine, or speed and
-        frequency contradict each other.
+    Raises:
+        InputError: The capture is not that of a turning three-phase machine, or speed and frequency
+            contradict each other.
     """
     origin = Origin(capture.source, capture.lines)
     tell = progress or (lambda _: None)
@@ -184,20 +177,14 @@ def analyse_period(
 
     The other two are taken for the same, 120 degrees later each.
 
-    Parameters
-    ----------
-    angle, emf:
-        Electrical angle in rad, may contain both ends of the period, and e_a / omega_e in V s/rad,
-        shapes (N,).
-    source, lines:
-        File name and the line of each sample, for messages.
-    harmonics:
-        As in `analyse`.
+    Args:
+        angle, emf: Electrical angle in rad, may contain both ends of the period, and e_a / omega_e
+            in V s/rad, shapes (N,).
+        source, lines: File name and the line of each sample, for messages.
+        harmonics: As in `analyse`.
 
-    Raises
-    ------
-    InputError
-        The samples do not cover a period, are not finite, or are all the same.
+    Raises:
+        InputError: The samples do not cover a period, are not finite, or are all the same.
     """
     origin = Origin(source, np.arange(1, angle.size + 1) if lines is None else lines)
     checks.check_samples(None, angle, emf[None], origin)

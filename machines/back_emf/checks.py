@@ -15,29 +15,14 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
+# No three windings of one machine differ as much as this; probes set to 1 and 10 do.
 _LEAST_SAMPLES = 16
-
-
 _LEAST_EXPLAINED = 0.8
-
-
 _DEAD_EXPLAINED = 0.5
-
-
 _PROBE_RATIO = 3.0
-
-"""No three windings of one machine differ as much as this; probes set to 1 and 10 do."""
-
-
 _DISPLACEMENT = np.radians(20.0)
-
-
 _CONTRADICTION = 0.05
-
-
 _RUN = 6
-
-
 _LEAST_CLIPPED = 0.005
 
 

@@ -17,39 +17,25 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
 Connection = Literal["phase", "line-to-line"]
+MOST_SAMPLES = 8_000_000  # Samples of a capture: what is computed of them takes less than 1 GiB.
 
-
-MOST_SAMPLES = 8_000_000
-
-"""Samples of a capture: what is computed of them takes less than 1 GiB."""
-
-
+# Share of a sample interval by which the times of two files may differ: that of their rounding.
 _SAME_TIME = 0.05
-
-"""Share of a sample interval by which the times of two files may differ: that of their rounding."""
 
 
 @dataclass(frozen=True, slots=True)
 class BemfCapture:
     """Samples of three voltages (or flux linkages) of a machine without current, as recorded.
 
-    Parameters
-    ----------
-    source:
-        File name for messages.
-    time:
-        Ascending times in s, shape (N,), need not be even; None when the angle is given.
-    angle:
-        Electrical angle in rad, any origin, shape (N,), may contain both ends of the period;
-        None when time is given.
-    voltages:
-        In V, shape (3, N): phases a, b, c, or line-to-line ab, bc, ca.
-    lines:
-        Line of each sample in the file, shape (N,).
-    connection:
-        What the channels were connected to.
-    quantity:
-        ``flux`` if `voltages` holds flux linkages in Wb over the angle.
+    Args:
+        source: File name for messages.
+        time: Ascending times in s, shape (N,), need not be even; None when the angle is given.
+        angle: Electrical angle in rad, any origin, shape (N,), may contain both ends of the period;
+            None when time is given.
+        voltages: In V, shape (3, N): phases a, b, c, or line-to-line ab, bc, ca.
+        lines: Line of each sample in the file, shape (N,).
+        connection: What the channels were connected to.
+        quantity: ``flux`` if `voltages` holds flux linkages in Wb over the angle.
     """
 
     source: str
@@ -65,23 +51,16 @@ class BemfCapture:
 class CaptureOptions:
     """What the user says about the columns of a capture.
 
-    Parameters
-    ----------
-    connection:
-        What the channels were connected to.
-    time_unit, voltage_unit:
-        Units of the first and the other columns where the file has none or wrong ones;
-        s and V if it has none.
-    columns:
-        Headings (without unit) of the time (or angle) and the voltages to use instead, or their
-        one-based numbers among the columns that hold numbers; of the voltages alone where there is
-        an interval. The same in each file.
-    scale:
-        Factors of the channels, for probes whose setting the oscilloscope did not know.
-    pole_pairs:
-        Needed only for an angle that the heading calls mechanical.
-    interval:
-        Time between two samples in s, for files that do not say it.
+    Args:
+        connection: What the channels were connected to.
+        time_unit, voltage_unit: Units of the first and the other columns where the file has none or
+            wrong ones; s and V if it has none.
+        columns: Headings (without unit) of the time (or angle) and the voltages to use instead, or
+            their one-based numbers among the columns that hold numbers; of the voltages alone where
+            there is an interval. The same in each file.
+        scale: Factors of the channels, for probes whose setting the oscilloscope did not know.
+        pole_pairs: Needed only for an angle that the heading calls mechanical.
+        interval: Time between two samples in s, for files that do not say it.
     """
 
     connection: Connection = "phase"
@@ -115,12 +94,10 @@ def capture_from_tables(tables: Sequence[TextTable], options: CaptureOptions) ->
     where there is none the file or the user must say the interval. Of the others those in volts,
     else those in Wb, else all are the channels: three, or two line-to-line voltages (ab and bc).
 
-    Raises
-    ------
-    InputError
-        Nothing tells the times; columns that are missing or too many, a unit that does not fit, a
-        scale that is zero or not finite, more than `MOST_SAMPLES` samples; several files that do
-        not belong together.
+    Raises:
+        InputError: Nothing tells the times; columns that are missing or too many, a unit that does
+            not fit, a scale that is zero or not finite, more than `MOST_SAMPLES` samples; several
+            files that do not belong together.
     """
     source = tables[0].source
     origin = Origin(source, tables[0].lines)

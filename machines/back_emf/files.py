@@ -21,17 +21,9 @@ from dqforge.machines.files.text_blocks import Progress
 from dqforge.machines.files.text_formats import decoded_text
 from dqforge.machines.files.text_table import TextTable
 
-MOST_BYTES = 256_000_000
-
-"""Bytes of a capture, packed and unpacked."""
-
-
+MOST_BYTES = 256_000_000  # Bytes of a capture, packed and unpacked.
 _MOST_HEADING = 1_000_000
-
-
 _TIME_LIKE = re.compile(r"t|time.*|zeit.*|theta.*|angle.*|x", re.IGNORECASE)
-
-
 _LEAST_SAMPLES = 2
 
 
@@ -44,26 +36,18 @@ def read_captures(
 ) -> BemfCapture:
     """Samples of one capture in one file, or in several with some of the channels each.
 
-    Parameters
-    ----------
-    names:
-        Names of the files: text of any layout, .mat, or one of these with .gz behind it. Where
-        oscilloscopes write the heading into a file of its own (cap.csv beside cap.Wfm.csv), either
-        name will do.
-    read:
-        Content of a file of at most `MOST_BYTES`.
-    exists:
-        Whether there is a file.
-    options:
-        What the user says about the columns.
-    progress:
-        Told the share that is read.
+    Args:
+        names: Names of the files: text of any layout, .mat, or one of these with .gz behind it.
+            Where oscilloscopes write the heading into a file of its own (cap.csv beside
+            cap.Wfm.csv), either name will do.
+        read: Content of a file of at most `MOST_BYTES`.
+        exists: Whether there is a file.
+        options: What the user says about the columns.
+        progress: Told the share that is read.
 
-    Raises
-    ------
-    InputError
-        A file is not what it claims to be, with the line where that begins,
-        or the files make no capture.
+    Raises:
+        InputError: A file is not what it claims to be, with the line where that begins, or the
+            files make no capture.
     """
     if len(set(names)) < len(names):
         raise InputError("one file is given twice; name one for each channel", source=names[-1])

@@ -7,10 +7,9 @@ of drifting speed needs neither resampling nor whole periods. The harmonics and 
 linearly and are eliminated (variable projection); the few numbers of theta are found by
 Gauss-Newton.
 
-References
-----------
-G. Golub, V. Pereyra, "Separable nonlinear least squares: the variable projection method and its
-applications", Inverse Problems 19(2), 2003, doi:10.1088/0266-5611/19/2/201.
+References:
+    G. Golub, V. Pereyra, "Separable nonlinear least squares: the variable projection method and its
+    applications", Inverse Problems 19(2), 2003, doi:10.1088/0266-5611/19/2/201.
 """
 
 from __future__ import annotations
@@ -27,51 +26,31 @@ from dqforge.machines.records import dataclass
 
 ComplexArray = NDArray[np.complex128]
 
-
+# Samples multiplied at a time: products so small are not spread over threads, whose start would
+# take longer.
 _BLOCK = 128
 
-"""Samples multiplied at a time: products so small are not spread over threads,
-whose start would take longer."""
-
-
+# Blocks whose design matrix is held at a time: a long record needs no more memory than a short one.
 _CHUNK = 16
-
-"""Blocks whose design matrix is held at a time: a long record needs no
-more memory than a short one."""
-
-
 _ITERATIONS = 12
-
-
-_MISS = 0.05
-
-"""Probability that a coefficient lies outside its stated uncertainty."""
+_MISS = 0.05  # Probability that a coefficient lies outside its stated uncertainty.
 
 
 @dataclass(frozen=True, slots=True)
 class HarmonicFit:
     """Least-squares harmonics of K channels over a record of N samples.
 
-    Parameters
-    ----------
-    motion:
-        The angle at which they hold.
-    coefficients:
-        C of v = offset + rate Re sum C_h exp(j h theta), orders 1..H, in the unit of the channels,
-        shape (K, H).
-    offsets:
-        Constant part of each channel, shape (K,).
-    residual:
-        What the model leaves, shape (K, N).
-    noise:
-        Its r.m.s., corrected for the number of unknowns, shape (K,).
-    explained:
-        Share of each channel's variance that the model explains, shape (K,).
-    deviation:
-        Standard deviation of the real or imaginary part of the coefficients for white noise,
-        shape (K, H).
-    condition:
-        Condition number of the normal equations.
+    Args:
+        motion: The angle at which they hold.
+        coefficients: C of v = offset + rate Re sum C_h exp(j h theta), orders 1..H, in the unit of
+            the channels, shape (K, H).
+        offsets: Constant part of each channel, shape (K,).
+        residual: What the model leaves, shape (K, N).
+        noise: Its r.m.s., corrected for the number of unknowns, shape (K,).
+        explained: Share of each channel's variance that the model explains, shape (K,).
+        deviation: Standard deviation of the real or imaginary part of the coefficients for white
+            noise, shape (K, H).
+        condition: Condition number of the normal equations.
     """
 
     motion: Motion

@@ -11,35 +11,27 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 
+# Samples from which on spectra are taken in single precision, and residuals kept so: a record of
+# 8e6 samples shall take less than 1 GiB.
 LONG = 1 << 20
 
-"""Samples from which on spectra are taken in single precision, and residuals kept so: a record of
-8e6 samples shall take less than 1 GiB."""
-
-
+# Periods below which neighbouring lines of the spectrum run into each other, so that the frequency
+# is searched.
 _SHORT = 4.0
-
-"""Periods below which neighbouring lines of the spectrum run into each other,
-so that the frequency is searched."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
     """Electrical angle over a record of N samples.
 
-    Parameters
-    ----------
-    u:
-        Time from -1 at the first to 1 at the last sample, shape (N,);
-        zeros where the angle is given.
-    half:
-        Half the length of the record in s.
-    unit_speed:
-        Electrical speed in rad/s that counts as 1 in `rate`.
-    powers:
-        theta = sum powers[i] u^(i + 1) in rad, shape (P,).
-    given:
-        The angle itself in rad, shape (N,), where it was recorded; the powers are then empty.
+    Args:
+        u: Time from -1 at the first to 1 at the last sample, shape (N,); zeros where the angle is
+            given.
+        half: Half the length of the record in s.
+        unit_speed: Electrical speed in rad/s that counts as 1 in `rate`.
+        powers: theta = sum powers[i] u^(i + 1) in rad, shape (P,).
+        given: The angle itself in rad, shape (N,), where it was recorded; the powers are then
+            empty.
     """
 
     u: FloatArray

@@ -40,30 +40,20 @@ _WIDEST_GAP = np.pi / 4.0
 class PolePairs:
     """The back-EMF over a mechanical turn of p pole pairs, per electrical speed.
 
-    Parameters
-    ----------
-    turns:
-        Number of pole pairs p.
-    revolutions:
-        Mechanical turns that it was found from.
-    orders:
-        Of the electrical angle, 1/p, 2/p, ..., shape (M,).
-    amplitudes, phases, amplitude_uncertainty:
-        As those of a `BemfResult`, shape (3, M).
-    waveform:
-        e / omega_e in V s/rad over theta = 2 pi p j / N, from the harmonics, shape (3, N).
-    fundamentals:
-        Amplitude of the fundamental in V s/rad within each pole pair, shape (3, p).
-    spread:
-        Largest deviation of one of them from the mean of its phase, over that mean.
-    doubt:
-        Half width of the 95 % interval of that deviation, from the uncertainty of the orders
-        between 0 and 2.
-    common:
-        Share of the differences that all three phases have at the same instant, as a ripple of the
-        speed makes them: 0 to 1.
-    differ:
-        Whether the differences exceed what their uncertainty explains.
+    Args:
+        turns: Number of pole pairs p.
+        revolutions: Mechanical turns that it was found from.
+        orders: Of the electrical angle, 1/p, 2/p, ..., shape (M,).
+        amplitudes, phases, amplitude_uncertainty: As those of a `BemfResult`, shape (3, M).
+        waveform: e / omega_e in V s/rad over theta = 2 pi p j / N, from the harmonics, shape (3,
+            N).
+        fundamentals: Amplitude of the fundamental in V s/rad within each pole pair, shape (3, p).
+        spread: Largest deviation of one of them from the mean of its phase, over that mean.
+        doubt: Half width of the 95 % interval of that deviation, from the uncertainty of the orders
+            between 0 and 2.
+        common: Share of the differences that all three phases have at the same instant, as a ripple
+            of the speed makes them: 0 to 1.
+        differ: Whether the differences exceed what their uncertainty explains.
     """
 
     turns: int
@@ -117,18 +107,12 @@ def fit_pole_pairs(
 
     Long records are thinned to what the highest order needs, and their beginning is taken.
 
-    Parameters
-    ----------
-    motion:
-        Of the electrical angle, as the whole periods have shown it.
-    voltages:
-        Channels, shape (3, N).
-    periods:
-        Electrical periods that they hold.
-    pole_pairs:
-        Number of pole pairs.
-    harmonics:
-        Highest order of the electrical angle that is wanted.
+    Args:
+        motion: Of the electrical angle, as the whole periods have shown it.
+        voltages: Channels, shape (3, N).
+        periods: Electrical periods that they hold.
+        pole_pairs: Number of pole pairs.
+        harmonics: Highest order of the electrical angle that is wanted.
     """
     count = max(1, min(harmonics, _MOST_UNKNOWNS // pole_pairs))
     samples = voltages.shape[1] / periods

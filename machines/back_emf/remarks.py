@@ -21,18 +21,14 @@ _NOTED = {
 class BemfSymmetry:
     """How far three phases are from three equal ones with equal poles.
 
-    Parameters
-    ----------
-    amplitude:
-        Largest difference of a phase's fundamental amplitude from the mean, over the mean.
-    displacement:
-        Largest deviation of a fundamental from its 120 degrees, in rad.
-    even:
-        Root of the sum of the squared even harmonics that exceed their uncertainty, over the
-        fundamental, of the phase where it is largest.
-    half_wave:
-        Largest |f(theta) + f(theta + pi)| / 2 that these harmonics make, over the largest |f|: 0 if
-        the half waves mirror each other.
+    Args:
+        amplitude: Largest difference of a phase's fundamental amplitude from the mean, over the
+            mean.
+        displacement: Largest deviation of a fundamental from its 120 degrees, in rad.
+        even: Root of the sum of the squared even harmonics that exceed their uncertainty, over the
+            fundamental, of the phase where it is largest.
+        half_wave: Largest |f(theta) + f(theta + pi)| / 2 that these harmonics make, over the
+            largest |f|: 0 if the half waves mirror each other.
     """
 
     amplitude: float

@@ -31,45 +31,28 @@ _TURN = np.exp(2j * np.pi / 3.0)
 class BemfResult:
     """Back-EMF per electrical speed, theta and phi as in `dqforge.machines.back_emf.capture`.
 
-    Parameters
-    ----------
-    frequency:
-        Mean electrical frequency in Hz; nan when the angle was given.
-    drift:
-        Speed at the end less that at the start, over the mean.
-    periods:
-        Electrical periods captured.
-    start_angle:
-        theta of the first sample in rad, 0 to 2 pi.
-    orders:
-        Harmonic orders 1..H.
-    amplitudes:
-        A in V s/rad (peak of phase), shape (3, H).
-    phases:
-        phi in rad, -pi to pi, shape (3, H).
-    amplitude_uncertainty:
-        Half width of the 95 % interval in V s/rad, shape (3, H); nan for what
-        the connection cannot show.
-    offsets:
-        Constant part of each phase in V, shape (3,).
-    noise:
-        What the harmonics leave, in V r.m.s., shape (3,).
-    sequence:
-        ``acb`` where phase c followed phase a: taken as a machine turning backwards,
-        with theta falling.
-    symmetry:
-        Differences between the phases and between the half waves.
-    waveform:
-        e / omega_e in V s/rad over theta = 2 pi j / 360, from the harmonics, shape (3, 360).
-    psi_pm:
-        Positive sequence of the fundamental, peak of phase, in Wb.
-    zero_sequence_known:
-        False for line-to-line voltages, which do not contain it.
-    findings:
-        Sentences for the user.
-    pole_pairs:
-        What the pole pairs differ by; None where their number is not known or 1, or the record
-        does not show each of them.
+    Args:
+        frequency: Mean electrical frequency in Hz; nan when the angle was given.
+        drift: Speed at the end less that at the start, over the mean.
+        periods: Electrical periods captured.
+        start_angle: theta of the first sample in rad, 0 to 2 pi.
+        orders: Harmonic orders 1..H.
+        amplitudes: A in V s/rad (peak of phase), shape (3, H).
+        phases: phi in rad, -pi to pi, shape (3, H).
+        amplitude_uncertainty: Half width of the 95 % interval in V s/rad, shape (3, H); nan for
+            what the connection cannot show.
+        offsets: Constant part of each phase in V, shape (3,).
+        noise: What the harmonics leave, in V r.m.s., shape (3,).
+        sequence: ``acb`` where phase c followed phase a: taken as a machine turning backwards, with
+            theta falling.
+        symmetry: Differences between the phases and between the half waves.
+        waveform: e / omega_e in V s/rad over theta = 2 pi j / 360, from the harmonics, shape (3,
+            360).
+        psi_pm: Positive sequence of the fundamental, peak of phase, in Wb.
+        zero_sequence_known: False for line-to-line voltages, which do not contain it.
+        findings: Sentences for the user.
+        pole_pairs: What the pole pairs differ by; None where their number is not known or 1, or the
+            record does not show each of them.
     """
 
     frequency: float

@@ -74,17 +74,12 @@ export:
 def design_text(values: Mapping[str, str], used: Mapping[str, str] | None = None) -> str:
     """Text of the design file.
 
-    Parameters
-    ----------
-    values:
-        By the dotted key, what the data sheet says.
-    used:
-        By the dotted key, what a design made of it, for the comments.
+    Args:
+        values: By the dotted key, what the data sheet says.
+        used: By the dotted key, what a design made of it, for the comments.
 
-    Raises
-    ------
-    InputError
-        Never: what is wrong in a value is for the reader of the design to say.
+    Raises:
+        InputError: Never: what is wrong in a value is for the reader of the design to say.
     """
     return "".join(_parts(values, used or {}))
 

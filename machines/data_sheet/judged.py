@@ -25,6 +25,7 @@ from dqforge.machines.units.quantities import format_quantity
 
 _SOURCE = "design.yaml"
 
+# By its need, what stands in for what is not known yet; no sentence is told of it.
 _STAND_INS = {
     "poles": ("machine.pole_pairs", "4"),
     "magnets": ("machine.magnet_flux", "10 mWb"),
@@ -33,17 +34,9 @@ _STAND_INS = {
     "resistance": ("machine.resistance", "0.1 Ohm"),
 }
 
-"""By its need, what stands in for what is not known yet; no sentence is told of it."""
-
-
+# Needs without which the reader does not look at the others.
 _ALONE = ("voltage", "current", "resistance")
-
-"""Needs without which the reader does not look at the others."""
-
-
-_TIME_CONSTANT = 1e-3
-
-"""Inductance over resistance (s) where the inductance is not known yet."""
+_TIME_CONSTANT = 1e-3  # Inductance over resistance (s) where the inductance is not known yet.
 
 
 def read_alone(key: str, text: str) -> Quantity | None:
@@ -51,10 +44,8 @@ def read_alone(key: str, text: str) -> Quantity | None:
 
     None for the name, which is no quantity.
 
-    Raises
-    ------
-    InputError
-        It is none for its key; the message is the reader's own.
+    Raises:
+        InputError: It is none for its key; the message is the reader's own.
     """
     values = dict(_STAND_INS[need] for need in _ALONE) | {key: text}
     sections = read_sections(_document(values, design_text(values)))
@@ -65,15 +56,11 @@ def read_alone(key: str, text: str) -> Quantity | None:
 def remarks_so_far(values: Mapping[str, str]) -> list[str]:
     """Sentences on what is implausible in values that are known so far.
 
-    Parameters
-    ----------
-    values:
-        By the dotted key, each accepted by `read_alone`.
+    Args:
+        values: By the dotted key, each accepted by `read_alone`.
 
-    Raises
-    ------
-    InputError
-        Two contradict each other, or together they are no machine.
+    Raises:
+        InputError: Two contradict each other, or together they are no machine.
     """
     open_needs = {value.need for value in missing(values)}
     if open_needs:
@@ -120,15 +107,11 @@ def _is_of_known(sentence: str, known: Collection[str]) -> bool:
 def checked_text(values: Mapping[str, str]) -> str:
     """Text of the design file of a data sheet, which has passed the checks of every design.
 
-    Parameters
-    ----------
-    values:
-        By the dotted key, what the data sheet says.
+    Args:
+        values: By the dotted key, what the data sheet says.
 
-    Raises
-    ------
-    InputError
-        Something is missing, wrong or contradictory; the message names the option.
+    Raises:
+        InputError: Something is missing, wrong or contradictory; the message names the option.
     """
     lacking = missing(values)
     if lacking:

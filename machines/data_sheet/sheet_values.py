@@ -24,29 +24,18 @@ _PER_CURRENT = (("rms", "per ampere r.m.s."), ("peak", "per ampere of the peak")
 class SheetValue:
     """One value of a data sheet.
 
-    Parameters
-    ----------
-    key:
-        Dotted key of the design.
-    what:
-        What it is, as a heading.
-    where:
-        Where and under which name a data sheet has it.
-    example:
-        What might be written.
-    convention:
-        What is assumed of it and why, in sentences.
-    use:
-        What it is for, where it may be left out.
-    kinds:
-        Conventions between which a text without one leaves the choice, each with its meaning; the
-        first is the usual one.
-    need:
-        Name of what a design needs, to which it is one way.
-    instead:
-        Keys of which one makes it needless.
-    option:
-        Option of the command line where that is not the last word of the key.
+    Args:
+        key: Dotted key of the design.
+        what: What it is, as a heading.
+        where: Where and under which name a data sheet has it.
+        example: What might be written.
+        convention: What is assumed of it and why, in sentences.
+        use: What it is for, where it may be left out.
+        kinds: Conventions between which a text without one leaves the choice, each with its
+            meaning; the first is the usual one.
+        need: Name of what a design needs, to which it is one way.
+        instead: Keys of which one makes it needless.
+        option: Option of the command line where that is not the last word of the key.
     """
 
     key: str
@@ -299,14 +288,10 @@ def next_asked(
 ) -> SheetValue | None:
     """The value that is asked for next; None where nothing is left.
 
-    Parameters
-    ----------
-    known:
-        Keys that have a value.
-    skipped:
-        Keys that were left empty.
-    needed_only:
-        Whether what may be left out is not asked for.
+    Args:
+        known: Keys that have a value.
+        skipped: Keys that were left empty.
+        needed_only: Whether what may be left out is not asked for.
     """
     needs = {value.need for value in missing(known)}
     for value in SHEET_VALUES:
@@ -334,10 +319,8 @@ def must_be_answered(value: SheetValue, known: Collection[str], skipped: Collect
 def assumed_frequency(v_dc: float | None) -> tuple[str, str]:
     """Switching frequency that is assumed, and why.
 
-    Parameters
-    ----------
-    v_dc:
-        Voltage of the dc link (V), None where it is not known yet.
+    Args:
+        v_dc: Voltage of the dc link (V), None where it is not known yet.
     """
     if v_dc is not None and v_dc > _MOSFETS_UP_TO:
         return "10 kHz", "usual of drives behind a rectifier"

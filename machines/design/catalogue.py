@@ -36,9 +36,7 @@ def load(name: str, settings: Sequence[str] = ()) -> Design:
 def template(machine: str | None = None) -> bytes:
     """Bytes of a commented design file to start from: one of the library, or a general one.
 
-    Raises
-    ------
-    InputError
-        There is no design of this name.
+    Raises:
+        InputError: There is no design of this name.
     """
     return DESIGNS.read_unlisted(TEMPLATE) if machine is None else read_text(machine)

@@ -149,18 +149,13 @@ class FluxStatement:
 def check_flux_agreement(statements: Sequence[FluxStatement], pole_pairs: int) -> None:
     """Refuse statements that imply different flux linkages.
 
-    Parameters
-    ----------
-    statements:
-        In order of trust; each is compared with the first.
-    pole_pairs:
-        Number of pole pairs that was used.
+    Args:
+        statements: In order of trust; each is compared with the first.
+        pole_pairs: Number of pole pairs that was used.
 
-    Raises
-    ------
-    InputError
-        Two statements differ by more than 5 %; the message says what each
-        implies and the likely cause.
+    Raises:
+        InputError: Two statements differ by more than 5 %; the message says what each implies and
+            the likely cause.
     """
     if not statements:
         return
@@ -238,10 +233,8 @@ _FACTORS = (
 def check_pole_counts(pole_pairs: int | None, poles: int | None) -> int:
     """Return the number of pole pairs from one of its two spellings.
 
-    Raises
-    ------
-    InputError
-        None is given, they contradict each other, or the number of poles is odd.
+    Raises:
+        InputError: None is given, they contradict each other, or the number of poles is odd.
     """
     if poles is not None and poles % 2:
         hint = (
@@ -264,10 +257,8 @@ def check_rated_frequency(pole_pairs: int, frequency: float, omega_m: float) -> 
     """Refuse a rated frequency (Hz) and speed (rad/s) that do not belong to
     the number of pole pairs.
 
-    Raises
-    ------
-    InputError
-        f and p omega_m/(2 pi) differ by more than 5 %.
+    Raises:
+        InputError: f and p omega_m/(2 pi) differ by more than 5 %.
     """
     expected = pole_pairs * omega_m / (2.0 * math.pi)
     if abs(frequency - expected) <= AGREEMENT * max(frequency, expected):

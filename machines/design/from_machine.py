@@ -27,20 +27,10 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 
-SOURCE = "design made in Python"
-
-"""What messages call the file, which nobody has seen."""
-
-
+SOURCE = "design made in Python"  # What messages call the file, which nobody has seen.
 MAP_FILE = "flux-map.npz"
-
-
 _MOST_HARMONICS = 100
-
-
 _LEAST_SHARE = 1e-12
-
-
 BuiltMachine = LinearMachine | SaturatedMachine | PhaseMachine
 
 
@@ -57,34 +47,26 @@ def make_design(
     """A design of a machine from numbers and arrays, with everything that
     a design file can ask for.
 
-    Parameters
-    ----------
-    machine:
-        Constant inductances, a flux map, or a back-EMF of any shape with three equal phases.
-    v_dc:
-        Voltage of the dc link in V.
-    f_sw:
-        Switching frequency in Hz; the currents are sampled as often unless
-        ``control`` says otherwise.
-    name:
-        Title of the drive.
-    prefix:
-        First part of every name in the C code, a C identifier.
-    sections:
-        Sections of the design file by name, as mappings of their keys, over what the numbers say:
-        ``fit={"degree": 3}``, ``machine={"rated": {"torque": 20.0}}``,
-        ``control={"current_loop": {"method": "bandwidth", "bandwidth": 2000.0}}``,
-        ``inverter={"dead_time": 1e-6}``. Numbers are in SI units (rad/s for speeds and bandwidths).
+    Args:
+        machine: Constant inductances, a flux map, or a back-EMF of any shape with three equal
+            phases.
+        v_dc: Voltage of the dc link in V.
+        f_sw: Switching frequency in Hz; the currents are sampled as often unless ``control`` says
+            otherwise.
+        name: Title of the drive.
+        prefix: First part of every name in the C code, a C identifier.
+        sections: Sections of the design file by name, as mappings of their keys, over what the
+            numbers say: ``fit={"degree": 3}``, ``machine={"rated": {"torque": 20.0}}``,
+            ``control={"current_loop": {"method": "bandwidth", "bandwidth": 2000.0}}``,
+            ``inverter={"dead_time": 1e-6}``. Numbers are in SI units (rad/s for speeds and
+            bandwidths).
 
-    Returns
-    -------
-    Design
+    Returns:
         As `load_design` reads it; ``design.given`` holds the file that was written.
 
-    Raises
-    ------
-    InputError
-        A number or a key is not what the design file permits; the message names the key.
+    Raises:
+        InputError: A number or a key is not what the design file permits; the message names the
+            key.
     """
     if not isinstance(machine, LinearMachine | SaturatedMachine | PhaseMachine):
         raise InputError(

@@ -14,20 +14,14 @@ _Settings = TypeVar("_Settings")
 def settings_from(settings: type[_Settings], section: Section, **given: Any) -> _Settings:
     """Settings whose fields are the keys of a section.
 
-    Parameters
-    ----------
-    settings:
-        A dataclass. A field that bears the name of a key takes its value, a quantity in SI units; a
-        key that the file leaves out leaves the field at its default.
-    section:
-        The section of the file.
-    given:
-        Fields that are more than their key, or have another name than it.
+    Args:
+        settings: A dataclass. A field that bears the name of a key takes its value, a quantity in
+            SI units; a key that the file leaves out leaves the field at its default.
+        section: The section of the file.
+        given: Fields that are more than their key, or have another name than it.
 
-    Raises
-    ------
-    TypeError
-        A field without a default is neither a key nor given.
+    Raises:
+        TypeError: A field without a default is neither a key nor given.
     """
     values = dict(given)
     for field in fields(settings):  # type: ignore[arg-type]

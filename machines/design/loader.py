@@ -79,17 +79,14 @@ from dqforge.machines.units.quantities import format_quantity
 def load_design(path: str | Path, settings: Sequence[str] = ()) -> Design:
     """Design in a file.
 
-    Parameters
-    ----------
-    path:
-        The file.
-    settings:
-        Keys that are set instead of what the file says, such as ``machine.resistance=12 mOhm``.
+    Args:
+        path: The file.
+        settings: Keys that are set instead of what the file says, such as ``machine.resistance=12
+            mOhm``.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or its content is wrong; with the position where there is one.
+    Raises:
+        InputError: The file cannot be read, or its content is wrong; with the position where there
+            is one.
     """
     return load_text(read_bytes(path, DESIGNS.names), str(path), Path(path).parent, settings)
 
@@ -99,21 +96,16 @@ def load_text(
 ) -> Design:
     """Design in the bytes of a file.
 
-    Parameters
-    ----------
-    text:
-        Content, UTF-8.
-    source:
-        File name for messages.
-    folder:
-        Where the files lie that the design names; None where it may name none.
-    settings:
-        Keys that are set instead of what the file says, such as ``machine.resistance=12 mOhm``.
+    Args:
+        text: Content, UTF-8.
+        source: File name for messages.
+        folder: Where the files lie that the design names; None where it may name none.
+        settings: Keys that are set instead of what the file says, such as ``machine.resistance=12
+            mOhm``.
 
-    Raises
-    ------
-    InputError
-        The content is wrong; with the position of the first fault, or the option that is at fault.
+    Raises:
+        InputError: The content is wrong; with the position of the first fault, or the option that
+            is at fault.
     """
     document = parse_design(text, source)
     if settings:
@@ -126,10 +118,9 @@ def load_text(
 def build_design(file: DesignFile, reading: Reading) -> Design:
     """Design of sections that are read already, such as those of a document changed in memory.
 
-    Raises
-    ------
-    InputError
-        The content is wrong; with the position of the first fault in ``reading.document``.
+    Raises:
+        InputError: The content is wrong; with the position of the first fault in
+            ``reading.document``.
     """
     document = reading.document
     places = Places(
@@ -307,10 +298,8 @@ def _remarks(
 def parse_design(text: bytes, source: str) -> YamlDocument:
     """A design file as a document with the present names of its keys.
 
-    Raises
-    ------
-    InputError
-        The bytes are no YAML, or a key stands there by its former and its present name.
+    Raises:
+        InputError: The bytes are no YAML, or a key stands there by its former and its present name.
     """
     return with_present_names(parse_yaml(text, source), DesignFile)
 

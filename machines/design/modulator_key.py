@@ -16,11 +16,7 @@ def _known(value: Any, words: ValidatorFunctionWrapHandler) -> Any:
     return value if isinstance(value, str) and value in MODULATORS else words(value)
 
 
-ModulatorKey = Annotated[ModulationName, WrapValidator(_known)]
+ModulatorKey = Annotated[ModulationName, WrapValidator(_known)]  # The name of a modulator.
 
-"""The name of a modulator."""
-
-
+# Some modulators, each at most once.
 ModulatorList = Annotated[Listing[ModulatorKey], Field(min_length=1, max_length=len(MODULATORS))]
-
-"""Some modulators, each at most once."""

@@ -27,22 +27,16 @@ if TYPE_CHECKING:
 
 
 _Arguments = ParamSpec("_Arguments")
-
-
 _Result = TypeVar("_Result")
-
-
 _PACKAGE = Path(__file__).parent.parent
 
-
+# What Python, NumPy and SciPy say in a `ValueError` on a number that is not finite.
 _OF_VALUES = (
     "cannot convert float",
     "math domain error",
     "must not contain infs or nans",
     "expected a nonnegative",
 )
-
-"""What Python, NumPy and SciPy say in a `ValueError` on a number that is not finite."""
 
 
 @contextmanager

@@ -34,8 +34,8 @@ _LONGEST_KEY, _LONGEST_VALUE = 200, 10_000
 _ORIGIN_KEYS = ("source", "inferred", "note")
 _ENTRY_KEYS = ("value", "kind", *_ORIGIN_KEYS)
 _SIDES = ("from", "to")
+# Where what was set counts as standing: behind the file, so that it is what contradicts.
 _BEHIND = Position(1 << 30, 1)
-"""Where what was set counts as standing: behind the file, so that it is what contradicts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,10 +56,9 @@ class Override:
 def read_override(text: str) -> Override:
     """One option ``key=value``.
 
-    Raises
-    ------
-    InputError
-        There is no ``=``, the key is empty, too long or too deep, or the value is none of YAML.
+    Raises:
+        InputError: There is no ``=``, the key is empty, too long or too deep, or the value is none
+            of YAML.
     """
     key, equals, value = text.partition("=")
     key = key.strip()
@@ -97,26 +96,18 @@ def overridden(
 ) -> tuple[YamlDocument, str]:
     """A design file with keys set from outside.
 
-    Parameters
-    ----------
-    document:
-        What the file says.
-    text:
-        Its text, without byte order mark.
-    settings:
-        Options ``key=value``; a key is dotted, entries of a list by their number from 0.
-        Their order is of no meaning.
+    Args:
+        document: What the file says.
+        text: Its text, without byte order mark.
+        settings: Options ``key=value``; a key is dotted, entries of a list by their number from 0.
+            Their order is of no meaning.
 
-    Returns
-    -------
-    tuple[YamlDocument, str]
+    Returns:
         What the file then says, with the positions of what it says itself, and a text that says it.
 
-    Raises
-    ------
-    InputError
-        An option is not understood, two set the same key or one a part of the other's,
-        or the outcome is no design.
+    Raises:
+        InputError: An option is not understood, two set the same key or one a part of the other's,
+            or the outcome is no design.
     """
     if not settings:
         return document, text

@@ -31,13 +31,10 @@ def input_values(
 ) -> tuple[InputValue, ...]:
     """Each quantity of the file with its origin.
 
-    Parameters
-    ----------
-    file:
-        The file's content.
-    converted:
-        For the paths of values that were converted: the value that is used, in SI units,
-        and what was done.
+    Args:
+        file: The file's content.
+        converted: For the paths of values that were converted: the value that is used, in SI units,
+            and what was done.
     """
     values = []
     for parts, quantity in quantities(file):

@@ -46,14 +46,10 @@ class Recalled:
 class Reading:
     """A design file in the course of being read.
 
-    Parameters
-    ----------
-    document:
-        The file with its positions.
-    text:
-        Its bytes.
-    folder:
-        Where the files lie that it names, or None where it may name none.
+    Args:
+        document: The file with its positions.
+        text: Its bytes.
+        folder: Where the files lie that it names, or None where it may name none.
 
     ``converted`` holds for paths of converted values what is used and what was done, ``derived``
     values that follow from others, ``remarks`` sentences on what the file leaves open, ``files``
@@ -103,10 +99,9 @@ class Reading:
     def machine_peak(self, quantity: Quantity, path: KeyPath) -> float:
         """Peak current of a line from a current of the machine, with a note when it was converted.
 
-        Raises
-        ------
-        InputError
-            The machine is in delta, and the kind leaves open whether a line or a winding is meant.
+        Raises:
+            InputError: The machine is in delta, and the kind leaves open whether a line or a
+                winding is meant.
         """
         kind, name = quantity.kind or "peak", dotted(path)
         self.check_current_kind(quantity, path)
@@ -195,10 +190,8 @@ class Reading:
     def read_beside(self, name: str, path: KeyPath, most_bytes: int = MAX_FILE_BYTES) -> bytes:
         """Content of a file that the design names, from its own folder or one below it.
 
-        Raises
-        ------
-        InputError
-            The name leads elsewhere, or the file cannot be read or is too large.
+        Raises:
+            InputError: The name leads elsewhere, or the file cannot be read or is too large.
         """
         name = with_slashes(name)
         if self.supplied is not None:

@@ -60,10 +60,8 @@ class DesignFile(Section):
     export: ExportSection = Field(default_factory=ExportSection)
 
 
+# Name of the schema; 1 is the version of the format. No host is promised, so it is no address.
 SCHEMA_ID = "urn:dqforge:schema:design:1"
-
-"""Name of the schema; 1 is the version of the format. No host is promised, so it is no address."""
-
 
 _SIMPLE = (
     str,
@@ -81,14 +79,10 @@ def json_schema() -> dict[str, Any]:
 def named_schema(model: type[Section], identifier: str, title: str) -> dict[str, Any]:
     """Tidied JSON Schema of the model of a file.
 
-    Parameters
-    ----------
-    model:
-        What the file is read into.
-    identifier:
-        Its ``$id``, an absolute URI.
-    title:
-        What editors call it.
+    Args:
+        model: What the file is read into.
+        identifier: Its ``$id``, an absolute URI.
+        title: What editors call it.
     """
     head = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

@@ -39,21 +39,14 @@ from dqforge.machines.names import (
 )
 from dqforge.machines.records import dataclass
 
+# How the currents of a machine with any back-EMF are chosen: sinusoids, constant torque without and
+# with zero sequence, and the least copper loss within voltage and current.
 LossStrategy = Literal["mtpa", "id0", "least-loss"]
-
-
 PhaseStrategy = Literal["dq", "dqx", "dqy", "limited"]
 
-"""How the currents of a machine with any back-EMF are chosen: sinusoids, constant torque without
-and with zero sequence, and the least copper loss within voltage and current."""
-
-
+# ``mtpa``: least copper loss, the field weakened where the voltage asks for it; ``id0``: no d
+# current; ``least-loss``: least loss of machine and inverter together, within the same limits.
 AnyStrategy = LossStrategy | PhaseStrategy
-
-"""``mtpa``: least copper loss, the field weakened where the voltage asks for it; ``id0``: no d
-current; ``least-loss``: least loss of machine and inverter together, within the same limits."""
-
-
 GainWish = Literal["required", "optional", "none"]
 
 
@@ -230,11 +223,9 @@ class SpeedLoopSettings:
 
 ToleranceName = Literal["r_s", "l_d", "l_q", "psi_pm", "inertia", "v_dc", "dead_time"]
 
-
+# How far a value may be off: both ways, or from the first (zero or negative) to the second (zero or
+# positive).
 Deviation = float | tuple[float, float]
-
-"""How far a value may be off: both ways, or from the first (zero or negative) to the
-second (zero or positive)."""
 
 
 def both_sides(deviation: Deviation) -> tuple[float, float]:
@@ -268,9 +259,7 @@ class Tolerances:
         return both_sides(getattr(self, name))
 
 
-SPEED_ERROR = 0.2
-
-"""Largest error of an observed speed, relative, of a design that names none."""
+SPEED_ERROR = 0.2  # Largest error of an observed speed, relative, of a design that names none.
 
 
 @dataclass(frozen=True, slots=True)

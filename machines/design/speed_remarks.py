@@ -14,10 +14,9 @@ from dqforge.machines.entries.rules import Quantity, QuantityRule
 from dqforge.machines.places import dotted
 from dqforge.machines.units.quantities import format_quantity
 
+# How far above the largest speed a speed without a unit is taken for one in rpm (30/pi = 9.5 lies
+# between them).
 FACTOR = 3.0
-
-"""How far above the largest speed a speed without a unit is taken for one in rpm
-(30/pi = 9.5 lies between them)."""
 
 
 def bare_speed_remarks(file: Section, largest: Quantity | None) -> tuple[str, ...]:

@@ -9,18 +9,12 @@ from dqforge.machines.records import dataclass
 class CurrentSensing:
     """One channel of the current measurement.
 
-    Parameters
-    ----------
-    shunt:
-        Volts per ampere before the amplifier in Ohm: the shunt, or the slope of a sensor.
-    gain:
-        Gain of the amplifier.
-    reference:
-        Reference voltage of the converter in V, its largest code.
-    bits:
-        Bits of the converter.
-    offset:
-        Voltage in V at the converter without current; None for half the reference.
+    Args:
+        shunt: Volts per ampere before the amplifier in Ohm: the shunt, or the slope of a sensor.
+        gain: Gain of the amplifier.
+        reference: Reference voltage of the converter in V, its largest code.
+        bits: Bits of the converter.
+        offset: Voltage in V at the converter without current; None for half the reference.
     """
 
     shunt: float

@@ -24,12 +24,9 @@ End = Literal["extend", "hold"]
 class Lookup:
     """What a table says, arrays of the shape (...).
 
-    Parameters
-    ----------
-    value:
-        The quantity in SI units.
-    outside:
-        Where the table does not reach: the value is held or carried on from its edge.
+    Args:
+        value: The quantity in SI units.
+        outside: Where the table does not reach: the value is held or carried on from its edge.
     """
 
     value: FloatArray
@@ -48,16 +45,12 @@ class Lookup:
 class Curve:
     """Points of a curve, straight in between.
 
-    Parameters
-    ----------
-    x, y:
-        Abscissas, strictly ascending and not negative, and ordinates, not negative; SI units,
-        N >= 1 of each.
+    Args:
+        x, y: Abscissas, strictly ascending and not negative, and ordinates, not negative; SI units,
+            N >= 1 of each.
 
-    Raises
-    ------
-    InputError
-        A point breaks one of these rules; with its number.
+    Raises:
+        InputError: A point breaks one of these rules; with its number.
     """
 
     x: tuple[float, ...]
@@ -98,14 +91,10 @@ class Family:
 
     Linear in the parameter, held outside its range.
 
-    Parameters
-    ----------
-    parameters:
-        Strictly ascending, K >= 1, one per curve; junction temperatures in degC.
-    curves:
-        The curves.
-    end:
-        Whether a curve is carried on along its last segment, or held.
+    Args:
+        parameters: Strictly ascending, K >= 1, one per curve; junction temperatures in degC.
+        curves: The curves.
+        end: Whether a curve is carried on along its last segment, or held.
     """
 
     parameters: tuple[float, ...]
@@ -134,14 +123,10 @@ class Family:
     def at(self, x: ArrayLike, parameter: ArrayLike) -> Lookup:
         """Values at abscissas and parameters.
 
-        Parameters
-        ----------
-        x, parameter:
-            In the units of the curves, broadcastable to the shape (...).
+        Args:
+            x, parameter: In the units of the curves, broadcastable to the shape (...).
 
-        Returns
-        -------
-        Lookup
+        Returns:
             Outside where the parameter is out of range, or `x` beyond the last point of a curve
             that is used. Below the first point a curve is held, which is not marked: every
             alternating current passes there.

@@ -15,20 +15,10 @@ from dqforge.machines.devices.thermal_network import FosterNetwork, ThermalNetwo
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 
-REFERENCE_TEMPERATURE = 25.0
-
-"""Junction temperature in degC of `SwitchDevice.on_resistance`."""
-
-
+REFERENCE_TEMPERATURE = 25.0  # Junction temperature in degC of `SwitchDevice.on_resistance`.
 _STEP = 50.0
-
-
 _LEAST_DISTANCE = 5.0
-
-
 _ANGLES = 2048
-
-
 _COEFFICIENTS = (-0.02, 0.05)
 
 
@@ -36,31 +26,23 @@ _COEFFICIENTS = (-0.02, 0.05)
 class DeviceModel:
     """One switch position: the transistor and its antiparallel diode, as tables.
 
-    Parameters
-    ----------
-    name:
-        What the maker calls it.
-    kind:
-        ``mosfet`` conducts both ways through its channel; ``igbt`` hands
-        negative current to its diode.
-    conduction:
-        On-state voltage of the transistor in V over current in A at junction temperatures in degC.
-    turn_on, turn_off:
-        Switching energies.
-    recovery:
-        Energy that the diode loses when it recovers; None where it is in `turn_on` or not known.
-    diode:
-        Forward voltage of the diode like `conduction`; None for a MOSFET whose data leave it out.
-    thermal, diode_thermal:
-        Junction to case, of transistor and diode; None where nothing is known.
-    case_resistance:
-        Case to heat sink in K/W per switch position; None where nothing is known.
-    max_junction_temperature:
-        Largest permitted junction temperature in degC.
-    blocking_voltage, max_current:
-        Ratings in V and A, or None.
-    findings:
-        Sentences on what was left out or repaired when the data were read.
+    Args:
+        name: What the maker calls it.
+        kind: ``mosfet`` conducts both ways through its channel; ``igbt`` hands negative current to
+            its diode.
+        conduction: On-state voltage of the transistor in V over current in A at junction
+            temperatures in degC.
+        turn_on, turn_off: Switching energies.
+        recovery: Energy that the diode loses when it recovers; None where it is in `turn_on` or not
+            known.
+        diode: Forward voltage of the diode like `conduction`; None for a MOSFET whose data leave it
+            out.
+        thermal, diode_thermal: Junction to case, of transistor and diode; None where nothing is
+            known.
+        case_resistance: Case to heat sink in K/W per switch position; None where nothing is known.
+        max_junction_temperature: Largest permitted junction temperature in degC.
+        blocking_voltage, max_current: Ratings in V and A, or None.
+        findings: Sentences on what was left out or repaired when the data were read.
     """
 
     name: str
@@ -128,10 +110,8 @@ class DeviceModel:
         """Forward voltage of the diode in V for currents in A (magnitudes) and degC,
         broadcast to (...).
 
-        Raises
-        ------
-        InputError
-            Nothing is known of the diode.
+        Raises:
+            InputError: Nothing is known of the diode.
         """
         if self.diode is None:
             raise InputError(
@@ -199,21 +179,15 @@ class DeviceModel:
         an IGBT so is the average of v i^2, which parts threshold and resistance; duty cycles weigh
         the current otherwise, and the two differ there.
 
-        Parameters
-        ----------
-        current:
-            Amplitude in A, positive.
-        voltage:
-            DC voltage in V, positive.
-        temperature:
-            Junction temperature in degC.
-        thermal_resistance:
-            Junction to coolant in K/W; that of the data, to the heat sink, if None.
+        Args:
+            current: Amplitude in A, positive.
+            voltage: DC voltage in V, positive.
+            temperature: Junction temperature in degC.
+            thermal_resistance: Junction to coolant in K/W; that of the data, to the heat sink, if
+                None.
 
-        Raises
-        ------
-        InputError
-            Nothing tells the thermal resistance, or the numbers given are not positive.
+        Raises:
+            InputError: Nothing tells the thermal resistance, or the numbers given are not positive.
         """
         if not (current > 0.0 and voltage > 0.0):
             raise InputError(
@@ -284,9 +258,7 @@ class DeviceModel:
         return threshold, cold, slope / cold + 0.0  # never -0
 
 
-_REACH = 1e5
-
-"""Current in A up to which the lines of a simple device are drawn."""
+_REACH = 1e5  # Current in A up to which the lines of a simple device are drawn.
 
 
 def _half_wave(amplitude: float) -> FloatArray:

@@ -15,11 +15,14 @@ from dqforge.machines.devices.switch import DeviceKind
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 
+# Ratios to the nearest given voltage within which a power law is taken on trust.
 _VOLTAGE_SPAN = (0.5, 1.5)
 
-"""Ratios to the nearest given voltage within which a power law is taken on trust."""
-
-
+# Exponents of the voltage where only one is given.
+#
+# IGBT 1.3 to 1.4 and diode 0.6: A. Wintrich et al., "Application Manual Power Semiconductors",
+# SEMIKRON, 2nd ed. 2015, chapter 5.2, quoted without the page at hand. MOSFET 1: current and
+# voltage cross linearly, and what the output capacitance adds lies between 1 and 2.
 EXPONENTS: dict[tuple[DeviceKind, str], float] = {
     ("mosfet", "turn_on"): 1.0,
     ("mosfet", "turn_off"): 1.0,
@@ -29,32 +32,20 @@ EXPONENTS: dict[tuple[DeviceKind, str], float] = {
     ("igbt", "recovery"): 0.6,
 }
 
-"""Exponents of the voltage where only one is given.
-
-IGBT 1.3 to 1.4 and diode 0.6: A. Wintrich et al., "Application Manual Power Semiconductors",
-SEMIKRON, 2nd ed. 2015, chapter 5.2, quoted without the page at hand. MOSFET 1: current and voltage
-cross linearly, and what the output capacitance adds lies between 1 and 2.
-"""
-
 
 @dataclass(frozen=True, slots=True)
 class EnergyTable:
     """Energy of one switching event.
 
-    Parameters
-    ----------
-    voltages:
-        DC voltages of the tables in V, ascending, K >= 1.
-    tables:
-        One family per voltage: energy in J over current in A at junction temperatures in degC.
-    exponent:
-        Energy grows with (v / v_ref) to this power beyond the voltages given;
-        between two it is linear in the voltage.
-    gate_resistance:
-        External gate resistance of the tables in Ohm; None where it is not known.
-    gate:
-        Energy in J over gate resistance in Ohm at junction temperatures in degC,
-        for the ratio alone; or None.
+    Args:
+        voltages: DC voltages of the tables in V, ascending, K >= 1.
+        tables: One family per voltage: energy in J over current in A at junction temperatures in
+            degC.
+        exponent: Energy grows with (v / v_ref) to this power beyond the voltages given; between two
+            it is linear in the voltage.
+        gate_resistance: External gate resistance of the tables in Ohm; None where it is not known.
+        gate: Energy in J over gate resistance in Ohm at junction temperatures in degC, for the
+            ratio alone; or None.
     """
 
     voltages: tuple[float, ...]
@@ -89,17 +80,12 @@ class EnergyTable:
     ) -> Lookup:
         """Energy in J.
 
-        Parameters
-        ----------
-        current, voltage, temperature:
-            Switched current in A (its magnitude counts), DC voltage in V and junction temperature
-            in degC, broadcastable to the shape (...).
-        gate_resistance:
-            External gate resistance in Ohm; that of the tables if None.
+        Args:
+            current, voltage, temperature: Switched current in A (its magnitude counts), DC voltage
+                in V and junction temperature in degC, broadcastable to the shape (...).
+            gate_resistance: External gate resistance in Ohm; that of the tables if None.
 
-        Returns
-        -------
-        Lookup
+        Returns:
             Outside beyond the tables; where the voltage is below half or above one and a half times
             the nearest given one; and everywhere when another gate resistance is asked for than the
             tables know of.

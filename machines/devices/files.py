@@ -13,18 +13,15 @@ MAX_BYTES = 5_000_000
 def read_device(content: bytes, source: str) -> DeviceModel:
     """Device in the bytes of a file.
 
-    Parameters
-    ----------
-    content:
-        Bytes of the file, at most 5 MB.
-    source:
-        Its name; the suffix chooses the format: .json (transistordatabase), .xml (PLECS),
-        .yaml or .yml (dqforge).
+    Args:
+        content: Bytes of the file, at most 5 MB.
+        source:
+            Its name; the suffix chooses the format: .json (transistordatabase), .xml (PLECS),
+            .yaml or .yml (dqforge).
 
-    Raises
-    ------
-    InputError
-        The file is none of its format or its data are not sound; with the file and the place in it.
+    Raises:
+        InputError: The file is none of its format or its data are not sound; with the file and the
+            place in it.
     """
     if len(content) > MAX_BYTES:
         message = (

@@ -17,38 +17,24 @@ if TYPE_CHECKING:
 class Inverter:
     """A two-level voltage-source inverter.
 
-    Parameters
-    ----------
-    v_dc:
-        DC-link voltage in V.
-    f_sw:
-        Switching (carrier) frequency in Hz.
-    device:
-        The switch position, six of which make the bridge; None when no loss data are given.
-    coolant_temperature:
-        Temperature in degC that `SwitchDevice.thermal_resistance` refers to.
-    dead_time:
-        Dead time in s.
-    i_max:
-        Largest permitted current in A (peak), or None when only the machine limits it.
-    device_model:
-        The tables that `device` was made from, where the design names some.
-    topology:
-        How the phases are fed; `TOPOLOGIES` has the rules.
-    capacitor_esr:
-        Series resistance of the DC-link capacitor in Ohm at the carrier frequency.
-    neutral_inductance:
-        Inductance in H of a choke in the neutral conductor; 0 without one.
-    neutral_resistance:
-        Resistance in Ohm of the neutral's conductor and choke; 0 leaves its loss out.
-    midpoint_capacitance:
-        Both halves of a split link together, C_1 + C_2 in F; None for a link that is not split.
-    overmodulation:
-        What the control makes of voltages beyond the circle in the hexagon.
-    overmodulation_limit:
-        Largest fundamental then, as a share of that of six-step operation.
-    current_sensing:
-        How the phase currents are measured, None where that is not said.
+    Args:
+        v_dc: DC-link voltage in V.
+        f_sw: Switching (carrier) frequency in Hz.
+        device: The switch position, six of which make the bridge; None when no loss data are given.
+        coolant_temperature: Temperature in degC that `SwitchDevice.thermal_resistance` refers to.
+        dead_time: Dead time in s.
+        i_max: Largest permitted current in A (peak), or None when only the machine limits it.
+        device_model: The tables that `device` was made from, where the design names some.
+        topology: How the phases are fed; `TOPOLOGIES` has the rules.
+        capacitor_esr: Series resistance of the DC-link capacitor in Ohm at the carrier frequency.
+        neutral_inductance: Inductance in H of a choke in the neutral conductor; 0 without one.
+        neutral_resistance: Resistance in Ohm of the neutral's conductor and choke; 0 leaves its
+            loss out.
+        midpoint_capacitance: Both halves of a split link together, C_1 + C_2 in F; None for a link
+            that is not split.
+        overmodulation: What the control makes of voltages beyond the circle in the hexagon.
+        overmodulation_limit: Largest fundamental then, as a share of that of six-step operation.
+        current_sensing: How the phase currents are measured, None where that is not said.
     """
 
     v_dc: float

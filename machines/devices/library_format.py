@@ -23,18 +23,13 @@ _HOTTEST = 175.0
 def read_device_yaml(content: bytes, source: str) -> DeviceModel:
     """Device in a YAML file of dqforge.
 
-    Parameters
-    ----------
-    content:
-        Bytes of the file.
-    source:
-        Its name, for messages.
+    Args:
+        content: Bytes of the file.
+        source: Its name, for messages.
 
-    Raises
-    ------
-    InputError
-        The file is none, lacks data, or has data that no device has;
-        with the position of the first fault.
+    Raises:
+        InputError: The file is none, lacks data, or has data that no device has; with the position
+            of the first fault.
     """
     document = parse_yaml(content, source)
     sections = read_model(document, DeviceFile)

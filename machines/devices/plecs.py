@@ -46,18 +46,13 @@ def read_plecs(content: bytes, source: str) -> DeviceModel:
     A formula beside a table is not evaluated, which is said among the findings;
     alone it is refused.
 
-    Parameters
-    ----------
-    content:
-        Bytes of the file.
-    source:
-        Its name, for messages.
+    Args:
+        content: Bytes of the file.
+        source: Its name, for messages.
 
-    Raises
-    ------
-    InputError
-        The file is no such description, has a document type, lacks data,
-        or has data that no device has; with the line.
+    Raises:
+        InputError: The file is no such description, has a document type, lacks data, or has data
+            that no device has; with the line.
     """
     return _Reader(parsed(content, source), source).device()
 

@@ -13,26 +13,18 @@ DeviceKind = Literal["mosfet", "igbt"]
 class SwitchDevice:
     """One switch position of a half bridge: the transistor together with its antiparallel diode.
 
-    Parameters
-    ----------
-    kind:
-        ``mosfet`` conducts both ways through its channel; ``igbt`` hands
-        negative current to its diode.
-    on_resistance:
-        R_DS(on) or r_CE in Ohm at 25 degC junction temperature.
-    on_resistance_temperature_coefficient:
-        Relative change of the on resistance per kelvin, in 1/K, linear around 25 degC.
-    on_voltage:
-        V_CE0 in V (0 for a MOSFET).
-    diode_voltage, diode_resistance:
-        V_F0 in V and r_F in Ohm of the diode.
-    turn_on_energy, turn_off_energy, reverse_recovery_energy:
-        E_on, E_off and E_rr in J at `reference_current` (A) and `reference_voltage` (V);
-        proportional to both.
-    thermal_resistance:
-        Junction to coolant, per switch position, in K/W.
-    max_junction_temperature:
-        Largest permitted junction temperature in degC.
+    Args:
+        kind: ``mosfet`` conducts both ways through its channel; ``igbt`` hands negative current to
+            its diode.
+        on_resistance: R_DS(on) or r_CE in Ohm at 25 degC junction temperature.
+        on_resistance_temperature_coefficient: Relative change of the on resistance per kelvin, in
+            1/K, linear around 25 degC.
+        on_voltage: V_CE0 in V (0 for a MOSFET).
+        diode_voltage, diode_resistance: V_F0 in V and r_F in Ohm of the diode.
+        turn_on_energy, turn_off_energy, reverse_recovery_energy: E_on, E_off and E_rr in J at
+            `reference_current` (A) and `reference_voltage` (V); proportional to both.
+        thermal_resistance: Junction to coolant, per switch position, in K/W.
+        max_junction_temperature: Largest permitted junction temperature in degC.
     """
 
     kind: DeviceKind

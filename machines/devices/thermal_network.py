@@ -52,12 +52,9 @@ class FosterNetwork:
 
     Its nodes are no places in the body.
 
-    Parameters
-    ----------
-    resistances:
-        R_i in K/W, positive.
-    time_constants:
-        tau_i in s; zero where only the resistance is known.
+    Args:
+        resistances: R_i in K/W, positive.
+        time_constants: tau_i in s; zero where only the resistance is known.
     """
 
     resistances: tuple[float, ...]
@@ -87,10 +84,9 @@ class FosterNetwork:
     def cauer(self) -> CauerNetwork:
         """The ladder with the same impedance, in exact rational arithmetic and rounded once.
 
-        Raises
-        ------
-        InputError
-            An element has no time constant, so that there is no capacity at the junction.
+        Raises:
+            InputError: An element has no time constant, so that there is no capacity at the
+                junction.
         """
         if 0.0 in self.time_constants:
             raise InputError(
@@ -121,12 +117,9 @@ class FosterNetwork:
 class CauerNetwork:
     """Ladder from the junction to the case: capacity C_i to the case, then R_i to the next node.
 
-    Parameters
-    ----------
-    resistances:
-        R_i in K/W, positive, from the junction outwards.
-    capacities:
-        C_i in J/K, positive.
+    Args:
+        resistances: R_i in K/W, positive, from the junction outwards.
+        capacities: C_i in J/K, positive.
     """
 
     resistances: tuple[float, ...]

@@ -43,18 +43,13 @@ def read_transistordatabase(content: bytes, source: str) -> DeviceModel:
     resistance where it agrees with them to 25 %. Channels are those at the gate voltage nearest to
     15 V, of the diode nearest to -15 V.
 
-    Parameters
-    ----------
-    content:
-        Bytes of the file, UTF-8.
-    source:
-        Its name, for messages.
+    Args:
+        content: Bytes of the file, UTF-8.
+        source: Its name, for messages.
 
-    Raises
-    ------
-    InputError
-        The file is no such JSON, lacks data, or has data that no device has;
-        with the path of the first fault.
+    Raises:
+        InputError: The file is no such JSON, lacks data, or has data that no device has; with the
+            path of the first fault.
     """
     return _Reader(Node(parsed(content, source), "", source)).device()
 

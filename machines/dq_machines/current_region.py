@@ -12,15 +12,11 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 
-_ON_THE_EDGE = 1e-9
+_ON_THE_EDGE = 1e-9  # Distance over the size of a region within which a current counts as inside.
 
-"""Distance over the size of a region within which a current counts as inside."""
-
-
+# Share by which a current limit may exceed a region that still covers it: digits that a file leaves
+# out.
 _COVERED = 1e-6
-
-"""Share by which a current limit may exceed a region that still covers it:
-digits that a file leaves out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,10 +25,8 @@ class CurrentRegion:
 
     Zero current lies inside or on its edge.
 
-    Parameters
-    ----------
-    corner_d, corner_q:
-        Corners (i_d, i_q) in A (peak), shape (K,) each, K >= 3.
+    Args:
+        corner_d, corner_q: Corners (i_d, i_q) in A (peak), shape (K,) each, K >= 3.
     """
 
     corner_d: FloatArray

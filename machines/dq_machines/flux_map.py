@@ -19,26 +19,20 @@ from dqforge.machines.dq_machines.synchronous import FluxJet
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 
+# Points evaluated together: their coefficients (256 bytes each) and all intermediate values stay in
+# the cache.
 _LEAST_POINTS = 4
-
-
 _CHUNK = 2048
-
-"""Points evaluated together: their coefficients (256 bytes each) and all intermediate
-values stay in the cache."""
 
 
 def _tridiagonal(rows: FloatArray, right: FloatArray) -> FloatArray:
     """Solution of a tridiagonal system by elimination with row interchanges, as LAPACK's gtsv does
     it: loading SciPy for this alone took a third of a check.
 
-    Parameters
-    ----------
-    rows:
-        Diagonals below, on and above, shape (3, M), of which the first lacks its first element and
-        the last one its last.
-    right:
-        Right sides, shape (M, ...); they are overwritten.
+    Args:
+        rows: Diagonals below, on and above, shape (3, M), of which the first lacks its first
+            element and the last one its last.
+        right: Right sides, shape (M, ...); they are overwritten.
     """
     count = rows.shape[1]
     below, on, above = rows[0, 1:].tolist(), rows[1].tolist(), rows[2, :-1].tolist()
@@ -159,23 +153,18 @@ class FluxMap:
     Outside the grid the flux linkages go on along their tangents, psi + (i - i_edge) d psi/d i per
     axis: C1, with the incremental inductance of the edge. `inside` tells where the data end.
 
-    Parameters
-    ----------
-    i_d, i_q:
-        Ascending grid currents in A (peak), shapes (M,) and (N,), at least 4 each;
-        i_q symmetric about 0.
-    psi_d, psi_q:
-        Flux linkages in Wb (peak), shape (M, N); psi_d even and psi_q odd in i_q.
-    extrapolate:
-        Whether results outside the data may be used; they are marked wherever they are.
-    hull:
-        Where the data are if not on the whole grid: the convex hull of the points it was made from.
+    Args:
+        i_d, i_q: Ascending grid currents in A (peak), shapes (M,) and (N,), at least 4 each; i_q
+            symmetric about 0.
+        psi_d, psi_q: Flux linkages in Wb (peak), shape (M, N); psi_d even and psi_q odd in i_q.
+        extrapolate: Whether results outside the data may be used; they are marked wherever they
+            are.
+        hull: Where the data are if not on the whole grid: the convex hull of the points it was made
+            from.
 
-    Raises
-    ------
-    InputError
-        Too few points, an axis that does not ascend, a shape that does not fit,
-        or a value that is not finite.
+    Raises:
+        InputError: Too few points, an axis that does not ascend, a shape that does not fit, or a
+            value that is not finite.
     """
 
     i_d: FloatArray
@@ -363,10 +352,8 @@ def complete_by_symmetry(
     i_q = 0 and is mirrored, psi_d even and psi_q odd; a full plane with a symmetric axis is
     averaged with its mirror image.
 
-    Raises
-    ------
-    InputError
-        The axis neither begins at 0 nor is symmetric about it.
+    Raises:
+        InputError: The axis neither begins at 0 nor is symmetric about it.
     """
     scale = float(np.max(np.abs(i_q)))
     if abs(float(i_q[0])) <= 1e-9 * scale:
@@ -384,10 +371,8 @@ def complete_by_symmetry(
 def mirrored(flux_map: FluxMap) -> FluxMap:
     """The map of the machine with i_q, psi_q and the torque counted the other way.
 
-    Parameters
-    ----------
-    flux_map:
-        Flux linkages over the currents of a machine.
+    Args:
+        flux_map: Flux linkages over the currents of a machine.
     """
     return FluxMap(
         flux_map.i_d,

@@ -25,11 +25,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 
 _POSITIVE = ("l_d", "l_q", "i_max")
-
-
 _NOT_NEGATIVE = ("r_s", "psi_pm", "friction")
-
-
 _PERHAPS_UNKNOWN = ("inertia", "omega_m_max")
 
 
@@ -41,29 +37,19 @@ class MachineBatch(FluxFormulas):
     (N,), or (P, N) for P points of each. A list of N P points, as the budgets of losses take it, is
     one of `repeated` machines.
 
-    Parameters
-    ----------
-    pole_pairs:
-        Numbers of pole pairs p, whole.
-    r_s:
-        Phase resistances in Ohm.
-    l_d, l_q:
-        Phase (synchronous) inductances in H.
-    psi_pm:
-        Magnet flux linkages in Wb, peak of phase; 0 for a reluctance machine.
-    i_max:
-        Largest permitted currents in A, peak of phase.
-    inertia:
-        Moments of inertia in kg m^2, NaN where unknown.
-    friction:
-        Viscous friction in N m s/rad.
-    omega_m_max:
-        Largest mechanical speeds in rad/s, NaN where unknown.
+    Args:
+        pole_pairs: Numbers of pole pairs p, whole.
+        r_s: Phase resistances in Ohm.
+        l_d, l_q: Phase (synchronous) inductances in H.
+        psi_pm: Magnet flux linkages in Wb, peak of phase; 0 for a reluctance machine.
+        i_max: Largest permitted currents in A, peak of phase.
+        inertia: Moments of inertia in kg m^2, NaN where unknown.
+        friction: Viscous friction in N m s/rad.
+        omega_m_max: Largest mechanical speeds in rad/s, NaN where unknown.
 
-    Raises
-    ------
-    InputError
-        Columns of different lengths, or a value that no machine has: names column and row.
+    Raises:
+        InputError: Columns of different lengths, or a value that no machine has: names column and
+            row.
     """
 
     pole_pairs: NDArray[np.int64]
@@ -165,22 +151,17 @@ class MachineBatch(FluxFormulas):
         return FluxJet(psi_d, psi_q, l_d, zero, zero, l_q, zero, zero, zero, zero, zero, zero)
 
 
+# One machine for all points, or one per point.
 MachineOrBatch = Machine | MachineBatch | ScaledMachines
-
-"""One machine for all points, or one per point."""
-
-
 BATCHES = (MachineBatch, ScaledMachines)
 
 
 def faults(columns: Mapping[str, ArrayLike]) -> dict[str, BoolArray]:
     """Where values of columns are none that a machine has, by name, each of the column's shape.
 
-    Parameters
-    ----------
-    columns:
-        Some or all columns of a `MachineBatch` by name, any shapes: so that the rows of drawn
-        machines can be told apart before they are made.
+    Args:
+        columns: Some or all columns of a `MachineBatch` by name, any shapes: so that the rows of
+            drawn machines can be told apart before they are made.
     """
     found = {}
     for name, given in columns.items():

@@ -15,10 +15,9 @@ from dqforge.machines.dq_machines.synchronous import FluxJet, Machine, MachineFo
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 
+# Current over the largest of the grid below which a quotient of differences loses more digits than
+# its series.
 _SMALL_CURRENT = 1e-5
-
-"""Current over the largest of the grid below which a quotient of differences loses
-more digits than its series."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,12 +104,9 @@ class Inductances:
 def inductances(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> Inductances:
     """Incremental and apparent inductances of any machine at currents in A, shape (N,).
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    i_d, i_q:
-        Currents in A (peak), shape (N,).
+    Args:
+        machine: Any machine.
+        i_d, i_q: Currents in A (peak), shape (N,).
     """
     here = machine.jet(i_d, i_q)
     at_no_d, at_no_q = machine.jet(np.zeros_like(i_d), i_q), machine.jet(i_d, np.zeros_like(i_q))

@@ -148,10 +148,8 @@ class SaturationModel:
         Newton's method, damped by halving and led from zero current outwards: the energy is convex,
         so that there is one solution.
 
-        Raises
-        ------
-        NoSolutionError
-            The coefficients are such that it is not found.
+        Raises:
+            NoSolutionError: The coefficients are such that it is not found.
         """
         psi_d, psi_q = np.zeros_like(i_d), np.zeros_like(i_q)
         for stage in range(_STAGES + 1):
@@ -195,10 +193,8 @@ class SaturationModel:
     def flux_map(self, i_max: float) -> FluxMap:
         """Splines through 81 x 81 points of the model up to 1.3 times a current limit in A (peak).
 
-        Raises
-        ------
-        NoSolutionError
-            As `fluxes`.
+        Raises:
+            NoSolutionError: As `fluxes`.
         """
         axis = _MARGIN * i_max * np.linspace(-1.0, 1.0, _GRID)
         i_d, i_q = np.meshgrid(axis, axis[_GRID // 2 :], indexing="ij")

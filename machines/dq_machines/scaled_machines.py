@@ -34,22 +34,17 @@ class ScaledMachines(FluxFormulas):
 
     As with `MachineBatch`, the last axis of currents is that of the machines.
 
-    Parameters
-    ----------
-    nominal:
-        The machine whose map is scaled; pole pairs, inertia, friction and speed are its own.
-    magnet, inductance_d, inductance_q, current:
-        Factors of the open-circuit flux linkage, of the flux linkage that d and q currents make,
-        and of the current at which it saturates.
-    r_s:
-        Phase resistances in Ohm.
-    i_max:
-        Largest permitted currents in A, peak of phase.
+    Args:
+        nominal: The machine whose map is scaled; pole pairs, inertia, friction and speed are its
+            own.
+        magnet, inductance_d, inductance_q, current: Factors of the open-circuit flux linkage, of
+            the flux linkage that d and q currents make, and of the current at which it saturates.
+        r_s: Phase resistances in Ohm.
+        i_max: Largest permitted currents in A, peak of phase.
 
-    Raises
-    ------
-    InputError
-        Columns of different lengths, or a value that is not positive: names column and row.
+    Raises:
+        InputError: Columns of different lengths, or a value that is not positive: names column and
+            row.
     """
 
     nominal: SaturatedMachine

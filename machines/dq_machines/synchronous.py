@@ -28,14 +28,10 @@ def torque_from_flux(
 ) -> FloatArray:
     """Air-gap torque T = 3/2 p (psi_d i_q - psi_q i_d) in N m, any broadcastable shapes.
 
-    Parameters
-    ----------
-    pole_pairs:
-        Number of pole pairs p, or those of several machines.
-    psi_d, psi_q:
-        Flux linkages in Wb (peak of phase), any shape.
-    i_d, i_q:
-        Currents in A (peak), shapes that fit.
+    Args:
+        pole_pairs: Number of pole pairs p, or those of several machines.
+        psi_d, psi_q: Flux linkages in Wb (peak of phase), any shape.
+        i_d, i_q: Currents in A (peak), shapes that fit.
     """
     return 1.5 * pole_pairs * (psi_d * i_q - psi_q * i_d)
 
@@ -45,12 +41,9 @@ def copper_loss(r_s: float | FloatArray, i_d: FloatArray, i_q: FloatArray) -> Fl
 
     Paper 000 (12) prints R |i|^2, which holds for another scaling of the currents.
 
-    Parameters
-    ----------
-    r_s:
-        Phase resistance in Ohm, or those of several machines.
-    i_d, i_q:
-        Currents in A (peak), any shapes that fit.
+    Args:
+        r_s: Phase resistance in Ohm, or those of several machines.
+        i_d, i_q: Currents in A (peak), any shapes that fit.
     """
     return 1.5 * r_s * (i_d * i_d + i_q * i_q)
 
@@ -257,29 +250,18 @@ _NUMBERS = MACHINE | {
 class LinearMachine(MachineFormulas):
     """A permanent-magnet or reluctance machine with constant inductances.
 
-    Parameters
-    ----------
-    pole_pairs:
-        Number of pole pairs p.
-    r_s:
-        Phase resistance in Ohm.
-    l_d, l_q:
-        Phase (synchronous) inductances in H.
-    psi_pm:
-        Magnet flux linkage in Wb, peak of phase; 0 for a reluctance machine.
-    i_max:
-        Largest permitted current in A, peak of phase.
-    inertia:
-        Moment of inertia in kg m^2, or None if unknown.
-    friction:
-        Viscous friction in N m s/rad.
-    omega_m_max:
-        Largest mechanical speed in rad/s, or None if unknown.
+    Args:
+        pole_pairs: Number of pole pairs p.
+        r_s: Phase resistance in Ohm.
+        l_d, l_q: Phase (synchronous) inductances in H.
+        psi_pm: Magnet flux linkage in Wb, peak of phase; 0 for a reluctance machine.
+        i_max: Largest permitted current in A, peak of phase.
+        inertia: Moment of inertia in kg m^2, or None if unknown.
+        friction: Viscous friction in N m s/rad.
+        omega_m_max: Largest mechanical speed in rad/s, or None if unknown.
 
-    Raises
-    ------
-    InputError
-        A value is no finite number, of the wrong sign, or the pole pairs are not whole.
+    Raises:
+        InputError: A value is no finite number, of the wrong sign, or the pole pairs are not whole.
     """
 
     pole_pairs: int

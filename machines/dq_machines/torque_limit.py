@@ -15,14 +15,10 @@ def largest_torque_within(machine: Machine, i_max: float, strategy: Strategy = "
 
     Of saturated machines by a scan, good for a cross-check.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    i_max:
-        Current limit in A (peak).
-    strategy:
-        Which currents make the torque.
+    Args:
+        machine: Any machine.
+        i_max: Current limit in A (peak).
+        strategy: Which currents make the torque.
     """
     if isinstance(machine, LinearMachine):
         saliency = machine.saliency if strategy == "mtpa" else 0.0
@@ -38,16 +34,11 @@ def largest_torque_within(machine: Machine, i_max: float, strategy: Strategy = "
 def largest_torque(pole_pairs: int, psi_pm: float, saliency: float, i_max: float) -> float:
     """Torque in N m that a linear machine gives at most with a peak phase current `i_max` in A.
 
-    Parameters
-    ----------
-    pole_pairs:
-        Number of pole pairs.
-    psi_pm:
-        Flux linkage of the magnets in Wb.
-    saliency:
-        Inductance difference l_q - l_d in H, of either sign.
-    i_max:
-        Length of the current vector in A.
+    Args:
+        pole_pairs: Number of pole pairs.
+        psi_pm: Flux linkage of the magnets in Wb.
+        saliency: Inductance difference l_q - l_d in H, of either sign.
+        i_max: Length of the current vector in A.
     """
     # dT/d(angle) = 0 with i_d = -x: 2 s x^2 + psi x - s i^2 = 0; the sign of s only mirrors i_d.
     s = abs(saliency)

@@ -41,11 +41,9 @@ def _free(prefix: str) -> str:
 def check_prefix(prefix: str) -> str:
     """Prefix of all names in the generated code, unchanged.
 
-    Raises
-    ------
-    EntryError
-        The prefix is no identifier in C and C++, or reserved there, or a header of its name would
-        shadow one of the standard library or of a vendor.
+    Raises:
+        EntryError: The prefix is no identifier in C and C++, or reserved there, or a header of its
+            name would shadow one of the standard library or of a vendor.
     """
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", prefix, re.ASCII):
         # Letters with accents keep their base letter: Motör becomes Motor.

@@ -22,7 +22,6 @@ from dqforge.machines.places import KeyPath, dotted
 
 _Model = TypeVar("_Model", bound=BaseModel)
 
-
 # What engineers call the keys elsewhere.
 SYNONYMS = {
     "motor": "machine",
@@ -93,7 +92,6 @@ SYNONYMS = {
     "omega_m": "speed",
 }
 
-
 # What to write for keys that every design needs.
 _EXAMPLES = {
     "dqforge": f"dqforge: {FORMAT_VERSION}",
@@ -132,11 +130,9 @@ _EXAMPLES = {
 def read_model(document: YamlDocument, model: type[_Model]) -> _Model:
     """Sections of a file of one kind.
 
-    Raises
-    ------
-    InputError
-        With the position of the first fault in the file: an unknown, missing or empty key, a value
-        of the wrong type or unit, or one that is not plausible.
+    Raises:
+        InputError: With the position of the first fault in the file: an unknown, missing or empty
+            key, a value of the wrong type or unit, or one that is not plausible.
     """
     empty = _empty_parts(document)
     if empty:
@@ -359,7 +355,6 @@ def _texts_in(annotation: Any) -> tuple[str, ...]:
     return tuple(text for inner in get_args(annotation) for text in _texts_in(inner))
 
 
+# How the two forms of ``inverter.device`` are told apart in the paths of faults; no key can be
+# called so.
 TAGS = ("(constants)", "(reference)")
-
-"""How the two forms of ``inverter.device`` are told apart in the paths of faults;
-no key can be called so."""

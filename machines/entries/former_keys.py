@@ -52,10 +52,8 @@ def present_path(path: KeyPath, model: type[BaseModel]) -> KeyPath:
 def with_present_names(document: YamlDocument, model: type[BaseModel]) -> YamlDocument:
     """A file with former names replaced, which it lists in ``renamed``; positions stay.
 
-    Raises
-    ------
-    InputError
-        A key stands there by both of its names.
+    Raises:
+        InputError: A key stands there by both of its names.
     """
     found = {path: present_path(path, model) for path in document.values}
     renamed = {new: old for old, new in found.items() if old[-1:] != new[-1:]}

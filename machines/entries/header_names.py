@@ -14,7 +14,6 @@ assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp 
 stdbool stdckdint stddef stdint stdio stdlib stdmchar stdnoreturn string tgmath threads time uchar wchar wctype
 """
 
-
 _CPP = """
 algorithm any array atomic barrier bit bitset cassert ccomplex cctype cerrno cfenv cfloat charconv chrono cinttypes
 ciso646 climits clocale cmath codecvt compare complex concepts condition_variable contracts coroutine csetjmp csignal
@@ -28,7 +27,6 @@ text_encoding thread tuple type_traits typeindex typeinfo unordered_map unordere
 version
 """
 
-
 _SYSTEM = """
 aio alloca aliases argp argz ar bits byteswap conio cpio cxxabi dirent direct dlfcn elf endian err error execinfo
 fcntl features fmtmsg
@@ -40,7 +38,6 @@ crypt envz fstab fts gconv gshadow ifaddrs lastlog mcheck mntent nss obstack pat
 stdio_ext termcap termio thread_db ttyent
 con prn aux nul com1 com2 com3 com4 com5 com6 com7 com8 com9 lpt1 lpt2 lpt3 lpt4 lpt5 lpt6 lpt7 lpt8 lpt9
 """
-
 
 _VENDOR = """
 main arm_math arm_math_types arm_math_memory arm_const_structs arm_common_tables arm_acle arm_cmse arm_fp16 arm_mve
@@ -64,7 +61,6 @@ wprogram wire simplefoc rtwtypes rt_nonfinite rtw_continuous rtw_solver multiwor
 tmwtypes builtin_typeid_types simstruc
 """
 
-
 _FAMILIES = re.compile(
     r"stm32\w*|stm8\w*|system_\w+|startup_\w+|core_(?:c[amr]\w+|sc\d+|starmc\w*)|cmsis\w*|freertos\w*|arm_math\w*"
     r"|arm_nn\w*|mc_\w+|mcp_\w+|motorcontrol\w*|misra_\w+|fsl_\w+|nrf_\w+|nrfx_\w+|esp_\w+|lpc\d+\w*|mk[elv]\d+\w*"
@@ -72,17 +68,12 @@ _FAMILIES = re.compile(
     r"|hw_\w+|r_cg_\w+|r_bsp\w*"
 )
 
-
+# Names that Windows keeps for devices, whatever their suffix.
 _DEVICE = re.compile(r"con|prn|aux|nul|(?:com|lpt)[0-9]")
-"""Names that Windows keeps for devices, whatever their suffix."""
-
-
 _STANDARD = frozenset((_C + _CPP).split())
-
-
 _OTHERS = frozenset((_SYSTEM + _VENDOR).split())
 
-
+# What follows the prefix in the names of written headers.
 SUFFIXES = tuple(
     suffix + kind
     for suffix in (
@@ -111,8 +102,6 @@ SUFFIXES = tuple(
     )
     for kind in ("", "_vectors")
 )
-
-"""What follows the prefix in the names of written headers."""
 
 
 def taken_header(prefix: str) -> str:

@@ -10,6 +10,7 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.units.kind_words import KindWords, kind_words
 from dqforge.machines.wording import close_matches, shown
 
+# Words that suggestions know besides the names of the kinds.
 SPELLINGS = (
     "phase-to-phase",
     "terminal",
@@ -22,19 +23,15 @@ SPELLINGS = (
     "amplitude",
     "effective",
 )
-"""Words that suggestions know besides the names of the kinds."""
 
 
 @dataclass(frozen=True, slots=True)
 class KindChoice:
     """Kinds of which an entry has one.
 
-    Parameters
-    ----------
-    kinds:
-        Their names, such as ``phase`` and ``line-to-line``.
-    places:
-        What other places are called here (`Dimension.places`).
+    Args:
+        kinds: Their names, such as ``phase`` and ``line-to-line``.
+        places: What other places are called here (`Dimension.places`).
     """
 
     kinds: tuple[str, ...]
@@ -43,10 +40,8 @@ class KindChoice:
     def named(self, text: str) -> KindWords:
         """Marks of the key ``kind``.
 
-        Raises
-        ------
-        InputError
-            The text is no kind, or leaves it open.
+        Raises:
+            InputError: The text is no kind, or leaves it open.
         """
         words = kind_words(text)
         if words is None:
@@ -56,10 +51,8 @@ class KindChoice:
     def meant(self, said: Sequence[KindWords]) -> str | None:
         """The kind that is meant by what the text and the key say, None where they say nothing.
 
-        Raises
-        ------
-        InputError
-            They contradict each other, name none of the kinds, or leave open which.
+        Raises:
+            InputError: They contradict each other, name none of the kinds, or leave open which.
         """
         marks = [(words, (self._place(words), words.measure)) for words in said]
         place, measure = (

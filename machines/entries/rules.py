@@ -111,21 +111,14 @@ class Rule(ABC):
 class QuantityRule(Rule):
     """What one key accepts.
 
-    Parameters
-    ----------
-    dimension:
-        Key of `dqforge.machines.units.registry.DIMENSIONS`.
-    low, high:
-        Plausible values in the dimension's unit. What lies outside is refused, because it is nearly
-        always a forgotten unit.
-    kinds:
-        Conventions to choose from.
-    default_kind:
-        The convention if none is named; None when one must be.
-    zero:
-        Whether zero is accepted although `low` is greater.
-    kind_open:
-        Whether a value may leave its kind open where none is the default.
+    Args:
+        dimension: Key of `dqforge.machines.units.registry.DIMENSIONS`.
+        low, high: Plausible values in the dimension's unit. What lies outside is refused, because
+            it is nearly always a forgotten unit.
+        kinds: Conventions to choose from.
+        default_kind: The convention if none is named; None when one must be.
+        zero: Whether zero is accepted although `low` is greater.
+        kind_open: Whether a value may leave its kind open where none is the default.
     """
 
     dimension: str
@@ -139,11 +132,9 @@ class QuantityRule(Rule):
     def read(self, raw: object) -> Quantity:
         """Entry for a value from the file.
 
-        Raises
-        ------
-        EntryError
-            The value is not a quantity of this dimension, not plausible,
-            or its mapping has unknown keys.
+        Raises:
+            EntryError: The value is not a quantity of this dimension, not plausible, or its mapping
+                has unknown keys.
         """
         entry = raw if isinstance(raw, dict) else {"value": raw}
         self._check_keys(entry)
@@ -347,10 +338,9 @@ def _origin(entry: dict[str, object]) -> tuple[str, bool, str]:
 def plain_text(text: str, *, limit: int, slashes: bool = False) -> str:
     """Text that cannot end or start a comment in C; line breaks become spaces.
 
-    Raises
-    ------
-    EntryError
-        The text is too long or holds a character sequence that means something to a C compiler.
+    Raises:
+        EntryError: The text is too long or holds a character sequence that means something to a C
+            compiler.
     """
     joined = " ".join(text.split())
     if len(joined) > limit:

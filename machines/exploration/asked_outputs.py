@@ -17,6 +17,7 @@ from dqforge.machines.names import ModulationName
 from dqforge.machines.places import KeyPath
 from dqforge.machines.units.registry import DIMENSIONS
 
+# Kind of quantity by the last part of an output's name.
 _DIMENSION = {
     "torque_max": "torque",
     "torque": "torque",
@@ -34,7 +35,6 @@ _DIMENSION = {
     "diode_temperature": "temperature",
     "winding_temperature": "temperature",
 }
-"""Kind of quantity by the last part of an output's name."""
 
 _POINT = ("torque", "speed", "modulation")
 _SIDES = ("below", "above")
@@ -52,10 +52,8 @@ def dimension_of(output: str) -> str:
 def read_bounds(document: YamlDocument, section: str) -> tuple[Bound, ...]:
     """The section ``limits`` or ``accept``, in the order of the names.
 
-    Raises
-    ------
-    InputError
-        A bound has another unit than its output, or bounds nothing.
+    Raises:
+        InputError: A bound has another unit than its output, or bounds nothing.
     """
     given = document.data.get(section, {})
     found = [

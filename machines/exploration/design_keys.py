@@ -32,21 +32,14 @@ _ANY = 1e300
 class DesignKey:
     """What stands at a key of a design.
 
-    Parameters
-    ----------
-    name:
-        The dotted path as the study writes it.
-    path:
-        Its parts; entries of lists as numbers.
-    sort:
-        ``quantity``, ``count`` (a whole number of things), ``whole`` and ``real`` (numbers without
-        a unit), ``word`` (one of ``words``), ``other`` (sections, lists, texts).
-    dimension:
-        Of a quantity, a key of `dqforge.machines.units.registry.DIMENSIONS`.
-    words:
-        What may stand there, or in the list that stands there where ``listed``.
-    parts:
-        Keys of the section that stands there.
+    Args:
+        name: The dotted path as the study writes it.
+        path: Its parts; entries of lists as numbers.
+        sort: ``quantity``, ``count`` (a whole number of things), ``whole`` and ``real`` (numbers
+            without a unit), ``word`` (one of ``words``), ``other`` (sections, lists, texts).
+        dimension: Of a quantity, a key of `dqforge.machines.units.registry.DIMENSIONS`.
+        words: What may stand there, or in the list that stands there where ``listed``.
+        parts: Keys of the section that stands there.
     """
 
     name: str

@@ -30,6 +30,7 @@ _KINDS = ("normal", "uniform", "between")
 _SECTION = "tolerances"
 _EXAMPLE = "{normal: 5 %}"
 
+# Keys of a design that its ``control.tolerances`` are about.
 _BOX: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("r_s", ("machine.resistance",)),
     ("l_d", ("machine.inductance_d",)),
@@ -38,10 +39,9 @@ _BOX: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("inertia", ("machine.inertia",)),
     ("v_dc", ("inverter.v_dc",)),
 )
-"""Keys of a design that its ``control.tolerances`` are about."""
 
+# Value of the design at a key in SI units, None where it has none.
 ValueOf = Callable[[DesignKey], float | None]
-"""Value of the design at a key in SI units, None where it has none."""
 
 
 def read_tolerances(
@@ -49,19 +49,14 @@ def read_tolerances(
 ) -> tuple[Tolerance, ...]:
     """What is drawn, in the order of the keys.
 
-    Parameters
-    ----------
-    document:
-        The study file.
-    file:
-        The design that it starts from, with what the study sets.
-    value_of:
-        Its value at a key.
+    Args:
+        document: The study file.
+        file: The design that it starts from, with what the study sets.
+        value_of: Its value at a key.
 
-    Raises
-    ------
-    InputError
-        A key is none of a design, or has no distribution; a width is of another unit, or negative.
+    Raises:
+        InputError: A key is none of a design, or has no distribution; a width is of another unit,
+            or negative.
     """
     section = document.data.get(_SECTION, {})
     path: KeyPath = (_SECTION,)
@@ -222,10 +217,9 @@ def read_draw(
 ) -> Draw | None:
     """How often is drawn, None where nothing is.
 
-    Raises
-    ------
-    InputError
-        One of ``tolerances`` and ``draw`` is missing, or correlations contradict each other.
+    Raises:
+        InputError: One of ``tolerances`` and ``draw`` is missing, or correlations contradict each
+            other.
     """
     if file.draw is None:
         if tolerances:

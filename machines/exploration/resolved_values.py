@@ -13,8 +13,7 @@ from dqforge.machines.entries.two_sided import Between
 from dqforge.machines.places import KeyPath
 from dqforge.machines.records import dataclass
 
-_OF_NO_MEANING = ("name", "about")
-"""Keys that change no number of a row."""
+_OF_NO_MEANING = ("name", "about")  # Keys that change no number of a row.
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,21 +27,17 @@ from dqforge.machines.files.positioned_yaml import YamlDocument, YamlValue
 from dqforge.machines.files.yaml_edit import edited
 from dqforge.machines.places import KeyPath, Places, dotted
 
-Assignments = Mapping[str, YamlValue]
-"""Values of dotted keys as a design file writes them."""
-
+Assignments = Mapping[str, YamlValue]  # Values of dotted keys as a design file writes them.
 _SETTING = ("set", "vary", "tolerances")
 
 
 class DesignMaker:
     """The design of a study, parsed once; maps and tables that rows share are kept.
 
-    Parameters
-    ----------
-    study:
-        With ``design_text``, ``sets`` and ``named``.
-    supplied:
-        Files that rows may name, by their names; those of the study unless told otherwise.
+    Args:
+        study: With ``design_text``, ``sets`` and ``named``.
+        supplied: Files that rows may name, by their names; those of the study unless told
+            otherwise.
     """
 
     def __init__(self, study: Study, supplied: Mapping[str, bytes] | None = None) -> None:
@@ -132,18 +128,14 @@ def maker_of(study: Study) -> DesignMaker:
 def design_of(study: Study, assignments: Assignments) -> Design:
     """Design of a study with keys replaced.
 
-    Parameters
-    ----------
-    study:
-        As `dqforge.machines.exploration.study_reader.read_study` reads it.
-    assignments:
-        By dotted key, values as a design file writes them; a value replaces ``value`` of an entry
-        and keeps its ``kind``.
+    Args:
+        study: As `dqforge.machines.exploration.study_reader.read_study` reads it.
+        assignments: By dotted key, values as a design file writes them; a value replaces ``value``
+            of an entry and keeps its ``kind``.
 
-    Raises
-    ------
-    InputError
-        A value is none that a design may have; with the position in the study or in its design.
+    Raises:
+        InputError: A value is none that a design may have; with the position in the study or in its
+            design.
     """
     return maker_of(study).design(assignments)
 

@@ -24,17 +24,13 @@ SearchMethod = Literal["nsga2", "nlopt"]
 class Axis:
     """Keys that vary in step: one value of each per step, as a design file writes it.
 
-    Parameters
-    ----------
-    keys:
-        K dotted paths.
-    steps:
-        N tuples of K values.
-    numbers:
-        N tuples of the K values in SI units where every one is a plain quantity, else empty.
-    spacing:
-        How the steps of a range lie, between whose ends a search may take any value; empty for
-        values that were listed.
+    Args:
+        keys: K dotted paths.
+        steps: N tuples of K values.
+        numbers: N tuples of the K values in SI units where every one is a plain quantity, else
+            empty.
+        spacing: How the steps of a range lie, between whose ends a search may take any value; empty
+            for values that were listed.
     """
 
     keys: tuple[str, ...]
@@ -53,17 +49,12 @@ class Axis:
 class Tolerance:
     """A key that is drawn, round the value of the design or between two bounds.
 
-    Parameters
-    ----------
-    key:
-        Dotted path of a quantity.
-    kind:
-        ``normal`` (standard deviation ``width``, cut at ``cut`` of them), ``uniform`` (half width
-        ``width``) or ``between`` (``low`` to ``high``).
-    width:
-        Share of the design's value where ``relative``, else in the SI unit of the key.
-    centre:
-        The design's value in the SI unit of the key; what ``between`` needs none of.
+    Args:
+        key: Dotted path of a quantity.
+        kind: ``normal`` (standard deviation ``width``, cut at ``cut`` of them), ``uniform`` (half
+            width ``width``) or ``between`` (``low`` to ``high``).
+        width: Share of the design's value where ``relative``, else in the SI unit of the key.
+        centre: The design's value in the SI unit of the key; what ``between`` needs none of.
     """
 
     key: str

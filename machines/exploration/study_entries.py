@@ -28,10 +28,8 @@ def mapping_at(
 ) -> dict[str, YamlValue]:
     """A mapping with known keys.
 
-    Raises
-    ------
-    InputError
-        It is none, is empty, or has a key that is not allowed.
+    Raises:
+        InputError: It is none, is empty, or has a key that is not allowed.
     """
     if not isinstance(value, dict) or not value:
         got = spoken(value) if not isinstance(value, dict) else "an empty mapping"

@@ -44,20 +44,16 @@ from dqforge.machines.files.positioned_yaml import (
 )
 from dqforge.machines.places import Places
 
-_MOST_TRIED = 128
-"""Rows of which one must be a design."""
-
+_MOST_TRIED = 128  # Rows of which one must be a design.
 _NAMES_FILES = frozenset({"file", "files", "psi_q_file", "torque_file", "mission"})
 
 
 def read_study(path: str | Path) -> Study:
     """Study in a file.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, its content is wrong, or none of its rows is a design; with the
-        position where there is one.
+    Raises:
+        InputError: The file cannot be read, its content is wrong, or none of its rows is a design;
+            with the position where there is one.
     """
     study = study_of_text(read_bytes(path), str(path), Path(path).parent)
     if study.places is None:
@@ -69,19 +65,13 @@ def read_study(path: str | Path) -> Study:
 def study_of_text(text: bytes, source: str, folder: Path | None = None) -> Study:
     """Study in the bytes of a file.
 
-    Parameters
-    ----------
-    text:
-        Content, UTF-8.
-    source:
-        File name for messages.
-    folder:
-        Where the files lie that the study names; None where it may name none.
+    Args:
+        text: Content, UTF-8.
+        source: File name for messages.
+        folder: Where the files lie that the study names; None where it may name none.
 
-    Raises
-    ------
-    InputError
-        As `read_study`.
+    Raises:
+        InputError: As `read_study`.
     """
     document = _parsed(text, source)
     file = read_model(document, StudyFile)

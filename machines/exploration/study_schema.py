@@ -16,7 +16,6 @@ from dqforge.machines.exploration.study import Sampling, SearchMethod
 
 MOST_ROWS = 100_000_000
 LARGEST_SEED = 2**63 - 1
-
 _VALUE: dict[str, Any] = {"type": ["number", "string", "boolean", "array", "object"]}
 _QUANTITY: dict[str, Any] = {"type": ["number", "string"]}
 
@@ -98,8 +97,7 @@ _BOUNDS: dict[str, Any] = {
     },
 }
 
-Entries = dict[str, Any]
-"""Keys of a design, or names of outputs, with what is asked of them."""
+Entries = dict[str, Any]  # Keys of a design, or names of outputs, with what is asked of them.
 
 
 class CorrelationSection(Section):

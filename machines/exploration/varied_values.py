@@ -26,14 +26,11 @@ from dqforge.machines.places import KeyPath
 from dqforge.machines.records import dataclass
 
 MOST_STEPS = 100_000
-
 _FORMS = ("values", "range", "files")
 _DISTRIBUTIONS = ("normal", "uniform", "between")
 _RANGE_KEYS = ("from", "to", "count", "spacing")
 _TOGETHER = "together"
-
-Listed = Callable[[str], Sequence[str]]
-"""Names of the files that a pattern stands for."""
+Listed = Callable[[str], Sequence[str]]  # Names of the files that a pattern stands for.
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,17 +46,13 @@ class _Steps:
 def read_axes(document: YamlDocument, listed: Listed) -> tuple[Axis, ...]:
     """Axes of a study, in the order of its file.
 
-    Parameters
-    ----------
-    document:
-        The study file.
-    listed:
-        Names of the files that a pattern stands for, beside the study.
+    Args:
+        document: The study file.
+        listed: Names of the files that a pattern stands for, beside the study.
 
-    Raises
-    ------
-    InputError
-        A key is none of a design, a value none of its key, or keys in step differ in length.
+    Raises:
+        InputError: A key is none of a design, a value none of its key, or keys in step differ in
+            length.
     """
     section = document.data.get("vary", {})
     axes = []

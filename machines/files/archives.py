@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.named_arrays import MOST_POINTS, NamedArray, check_bytes, reading
 
+# Bytes of one chunk of an HDF5 dataset, which is decoded whole even where a single value of it is
+# asked for.
 _MOST_CHUNK = 32_000_000
-
-"""Bytes of one chunk of an HDF5 dataset, which is decoded whole even where a single
-value of it is asked for."""
 
 
 def arrays_of_npz(content: bytes, source: str) -> list[NamedArray]:

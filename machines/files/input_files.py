@@ -30,20 +30,14 @@ _KINDS = (
 def read_regular_file(place: str | Path, most_bytes: int, shown: str | None = None) -> bytes:
     """Content of a regular file of at most ``most_bytes`` bytes; links are followed.
 
-    Parameters
-    ----------
-    place:
-        Where the file lies.
-    most_bytes:
-        The largest size; a larger file is refused before it is read, never cut.
-    shown:
-        What the message calls the file; its path otherwise.
+    Args:
+        place: Where the file lies.
+        most_bytes: The largest size; a larger file is refused before it is read, never cut.
+        shown: What the message calls the file; its path otherwise.
 
-    Raises
-    ------
-    InputError
-        There is no such file, it is no regular file, too large, may not be read,
-        or its links lead in a circle.
+    Raises:
+        InputError: There is no such file, it is no regular file, too large, may not be read, or its
+            links lead in a circle.
     """
     name = str(place) if shown is None else shown
     try:

@@ -11,17 +11,12 @@ from dqforge.machines.lately_read import remember
 from dqforge.machines.records import dataclass
 from dqforge.machines.wording import close_matches, shown
 
+# Names of the schemas, in the package and beside the files that `dqforge new` writes.
 DESIGN_SCHEMA, STUDY_SCHEMA = "design.schema.json", "study.schema.json"
-
-"""Names of the schemas, in the package and beside the files that `dqforge new` writes."""
-
-
 _SUFFIX = ".yaml"
-
 
 # Names are matched before they meet the file system, so none can leave the folder.
 _NAME = re.compile(r"[a-z0-9]+(?:-[a-z0-9]+)*")
-
 
 # A line with a key alone begins the first section, and ends the head of a file.
 _SECTION = re.compile(rb"^[a-z_]+:[ \t]*(?:#.*)?$", re.MULTILINE)
@@ -39,13 +34,10 @@ def schema_bytes(name: str) -> bytes:
 def with_modeline(text: bytes, schema: str) -> bytes:
     """A YAML text whose first line tells editors the schema.
 
-    Parameters
-    ----------
-    text:
-        UTF-8 without byte order mark.
-    schema:
-        The file of the schema as seen from that of the text, so that both may be moved together
-        and no network is needed.
+    Args:
+        text: UTF-8 without byte order mark.
+        schema: The file of the schema as seen from that of the text, so that both may be moved
+            together and no network is needed.
     """
     return f"# yaml-language-server: $schema={schema}\n".encode() + text
 
@@ -65,14 +57,10 @@ class LibraryEntry:
 class LibraryFiles:
     """YAML files of one kind below the folder ``library``.
 
-    Parameters
-    ----------
-    kind:
-        What one of them holds, for messages.
-    below:
-        Folder below ``library``; empty for itself.
-    unlisted:
-        Names that are no entries of the library.
+    Args:
+        kind: What one of them holds, for messages.
+        below: Folder below ``library``; empty for itself.
+        unlisted: Names that are no entries of the library.
     """
 
     kind: str
@@ -91,10 +79,8 @@ class LibraryFiles:
     def read(self, name: str) -> bytes:
         """Bytes of the entry of a name.
 
-        Raises
-        ------
-        InputError
-            There is none of this name; the message has those that are like it.
+        Raises:
+            InputError: There is none of this name; the message has those that are like it.
         """
         known = self.names()
         if not _NAME.fullmatch(name) or name not in known:
@@ -132,11 +118,7 @@ class LibraryFiles:
         return name + _SUFFIX
 
 
-TEMPLATE = "template"
+TEMPLATE = "template"  # Name of the design file that a new one starts from.
 
-"""Name of the design file that a new one starts from."""
-
-
+# The drives and the studies that ship with the package.
 DESIGNS, STUDIES = LibraryFiles("design", unlisted=(TEMPLATE,)), LibraryFiles("study", "studies")
-
-"""The drives and the studies that ship with the package."""

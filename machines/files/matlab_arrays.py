@@ -17,7 +17,7 @@ from dqforge.machines.files.named_arrays import NamedArray, check_bytes, reading
 
 _MATRIX, _COMPRESSED = 14, 15
 
-
+# Kinds of elements of a MATLAB 5 file, with numpy's names of the numbers.
 _STORED = {
     1: "i1",
     2: "u1",
@@ -31,12 +31,8 @@ _STORED = {
     13: "u8",
 }
 
-"""Kinds of elements of a MATLAB 5 file, with numpy's names of the numbers."""
-
-
+# Classes of its variables, and the flag of complex ones.
 _STRUCT, _TEXT, _NUMERIC, _COMPLEX = 2, 4, range(6, 16), 0x800
-
-"""Classes of its variables, and the flag of complex ones."""
 
 
 def arrays_of_mat4(content: bytes, source: str) -> list[NamedArray]:

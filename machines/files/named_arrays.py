@@ -14,16 +14,8 @@ from numpy.typing import NDArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 
-MOST_BYTES = 256_000_000
-
-"""Decoded bytes of all arrays of a file."""
-
-
-MOST_POINTS = 4_000_000
-
-"""Values of one array of a file."""
-
-
+MOST_BYTES = 256_000_000  # Decoded bytes of all arrays of a file.
+MOST_POINTS = 4_000_000  # Values of one array of a file.
 _MOST_LISTED = 20
 
 
@@ -97,11 +89,9 @@ def reading(form: str, source: str) -> Iterator[None]:
     """Around a library's reader, which raises anything for a damaged file:
     that becomes one line for the user.
 
-    Raises
-    ------
-    InputError
-        What was raised within; of one that the library did not know as such its reason,
-        and what to do.
+    Raises:
+        InputError: What was raised within; of one that the library did not know as such its reason,
+            and what to do.
     """
     try:
         yield

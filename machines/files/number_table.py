@@ -47,21 +47,15 @@ def read_table(content: bytes, source: str, progress: Progress | None = None) ->
     comma and there is no header, the comma parts two columns if every line has one and none looks
     like decimals.
 
-    Parameters
-    ----------
-    content:
-        Bytes of the file: UTF-8, UTF-16 with a byte order mark, or Latin-1.
-    source:
-        Name of the file, for messages.
-    progress:
-        Told the share of a large table that is read.
+    Args:
+        content: Bytes of the file: UTF-8, UTF-16 with a byte order mark, or Latin-1.
+        source: Name of the file, for messages.
+        progress: Told the share of a large table that is read.
 
-    Raises
-    ------
-    InputError
-        The file is empty, too large (256 MB, 40 million numbers) or no text, has fewer than two
-        rows of numbers, a row with another number of columns, or text where numbers belong;
-        thousands separators are refused.
+    Raises:
+        InputError: The file is empty, too large (256 MB, 40 million numbers) or no text, has fewer
+            than two rows of numbers, a row with another number of columns, or text where numbers
+            belong; thousands separators are refused.
     """
     if len(content) > LARGE:
         check_size(content, source)

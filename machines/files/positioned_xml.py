@@ -90,20 +90,15 @@ class _Tree:
 def parsed(content: bytes | str, source: str, again: str = "export the device again") -> Element:
     """Root of an XML file.
 
-    Parameters
-    ----------
-    content:
-        Bytes of the file, or its text, whatever encoding that claims; the parser of the standard
-        library, without document types, entities or other files.
-    source:
-        Its name, for messages.
-    again:
-        What messages advise.
+    Args:
+        content: Bytes of the file, or its text, whatever encoding that claims; the parser of the
+            standard library, without document types, entities or other files.
+        source: Its name, for messages.
+        again: What messages advise.
 
-    Raises
-    ------
-    InputError
-        The file is not XML, has a document type, or is too deep or too large; with the line.
+    Raises:
+        InputError: The file is not XML, has a document type, or is too deep or too large; with the
+            line.
     """
     tree = _Tree(source, again)
     try:

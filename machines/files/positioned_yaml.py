@@ -107,10 +107,9 @@ class YamlDocument:
 def read_bytes(path: str | Path, known: Callable[[], list[str]] = list) -> bytes:
     """Content of a design file; ``known`` are names that may stand in place of a file.
 
-    Raises
-    ------
-    InputError
-        There is no such file, it is no regular file, it cannot be read, or it is larger than 1 MiB.
+    Raises:
+        InputError: There is no such file, it is no regular file, it cannot be read, or it is larger
+            than 1 MiB.
     """
     try:
         return read_regular_file(path, MAX_BYTES)
@@ -148,18 +147,13 @@ def _similar_files(path: Path, known: Callable[[], list[str]]) -> str:
 def parse_yaml(content: bytes, source: str) -> YamlDocument:
     """Read a YAML file that holds one mapping.
 
-    Parameters
-    ----------
-    content:
-        The file's bytes, UTF-8 with or without byte order mark.
-    source:
-        File name for messages.
+    Args:
+        content: The file's bytes, UTF-8 with or without byte order mark.
+        source: File name for messages.
 
-    Raises
-    ------
-    InputError
-        With a position: not UTF-8, control characters, not YAML, several documents, anchors, tags,
-        duplicate keys, too large or too deep, empty, or not a mapping.
+    Raises:
+        InputError: With a position: not UTF-8, control characters, not YAML, several documents,
+            anchors, tags, duplicate keys, too large or too deep, empty, or not a mapping.
     """
     text = _decode(content, source)
     if "\t" not in text:  # of tabs the two have different opinions
@@ -188,18 +182,13 @@ def _built(text: str, source: str, loader: type[yaml.SafeLoader]) -> YamlDocumen
 def parse_value(text: str, source: str) -> YamlValue:
     """Value of one key, written as it stands behind the colon in a file, on one line.
 
-    Parameters
-    ----------
-    text:
-        A number, a word or text, ``[a, b]`` or ``{key: value}``.
-    source:
-        What messages call it.
+    Args:
+        text: A number, a word or text, ``[a, b]`` or ``{key: value}``.
+        source: What messages call it.
 
-    Raises
-    ------
-    InputError
-        As `parse_yaml`; and where a mapping or a list has no braces or brackets,
-        or a comment follows.
+    Raises:
+        InputError: As `parse_yaml`; and where a mapping or a list has no braces or brackets, or a
+            comment follows.
     """
     _refuse_no_text(text, source)
     builder, end = _Builder(source), 0
@@ -279,10 +268,8 @@ class _Builder:
     def feed(self, event: yaml.Event) -> None:
         """Take the next event.
 
-        Raises
-        ------
-        InputError
-            The event breaks one of the limits.
+        Raises:
+            InputError: The event breaks one of the limits.
         """
         if isinstance(event, yaml.DocumentStartEvent):
             self.documents += 1

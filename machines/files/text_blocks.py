@@ -24,34 +24,14 @@ if TYPE_CHECKING:
     from dqforge.machines.files.text_table import TextTable
 
 
-LARGE = 8_000_000
-
-"""Bytes from which on a table is read in blocks."""
-
-
-MOST_NUMBERS = 40_000_000
-
-"""Numbers that a table may hold: 320 MB."""
-
-
+LARGE = 8_000_000  # Bytes from which on a table is read in blocks.
+MOST_NUMBERS = 40_000_000  # Numbers that a table may hold: 320 MB.
 _HEAD = 1 << 18
-
-
 _BLOCK = 1 << 21
-
-
 _FIRST_ROWS = 100
-
-
 _PLAIN = re.compile(rb"[0-9+\-.eE,;\t \r\nnNaA]*")
-
-
 _ENDS = re.compile(rb"[,;\t ]+(?=\r?\n|\r?$)")
-
-
 Progress = Callable[[float], None]
-
-
 _Whole = Callable[[bytes, str], "TextTable"]
 
 
@@ -135,21 +115,15 @@ def read_in_blocks(
     """Table of a large text, as `read_whole` would read it, in little more
     memory than its numbers take.
 
-    Parameters
-    ----------
-    content:
-        Bytes of the file.
-    source:
-        Its name, for messages.
-    read_whole:
-        What reads a small table.
-    progress:
-        Told the share that is done.
+    Args:
+        content: Bytes of the file.
+        source: Its name, for messages.
+        read_whole: What reads a small table.
+        progress: Told the share that is done.
 
-    Raises
-    ------
-    InputError
-        As `read_whole`, with the line in the file; or the table holds more than `MOST_NUMBERS`.
+    Raises:
+        InputError: As `read_whole`, with the line in the file; or the table holds more than
+            `MOST_NUMBERS`.
     """
     content = _with_line_feeds(content, source)
     layout = _layout(content, source, read_whole)

@@ -246,14 +246,10 @@ def _counts(lines: Sequence[str], delimiter: str) -> tuple[IndexArray, IndexArra
 def _format(lines: list[str], typical: IndexArray, headers: Sequence[BoolArray]) -> Format:
     """The format that makes most numbers and least text of the typical lines.
 
-    Parameters
-    ----------
-    lines:
-        All lines of the file.
-    typical:
-        Indices of lines that seem to hold numbers.
-    headers:
-        Marks of two kinds of lines, either of which may hold the header.
+    Args:
+        lines: All lines of the file.
+        typical: Indices of lines that seem to hold numbers.
+        headers: Marks of two kinds of lines, either of which may hold the header.
     """
     places = np.unique(np.linspace(0, typical.size - 1, SAMPLE).astype(np.intp))
     sample = [lines[place] for place in typical[places]]

@@ -27,18 +27,12 @@ class _Edit(NamedTuple):
 def edited(text: str, old: dict[str, YamlValue], new: dict[str, YamlValue]) -> str:
     """A text that holds other values; comments and what did not change stay where they are.
 
-    Parameters
-    ----------
-    text:
-        What `parse_yaml` accepts, without byte order mark.
-    old:
-        What it holds.
-    new:
-        What it shall hold.
+    Args:
+        text: What `parse_yaml` accepts, without byte order mark.
+        old: What it holds.
+        new: What it shall hold.
 
-    Returns
-    -------
-    str
+    Returns:
         A text of which `parse_yaml` makes ``new``.
     """
     if _same(old, new):

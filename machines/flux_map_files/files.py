@@ -34,24 +34,12 @@ from dqforge.machines.flux_map_files.units import EXPECTED, is_unit, per_length,
 from dqforge.machines.flux_maps.flux_points import FileLoss, FileTorque, FluxPoints
 from dqforge.machines.names import FluxTorque
 
+# Bytes of a text table that is more than plain numbers; it takes some twenty times that in memory.
 _Reader = Callable[[bytes, str], list[NamedArray]]
-
-
 _MOST_TEXT = 32_000_000
-
-"""Bytes of a text table that is more than plain numbers; it takes some
-twenty times that in memory."""
-
-
 _MOST_PLAIN = 200_000_000
-
-
 _TEXTS = (".csv", ".tsv", ".txt", ".dat", ".bch", ".batch")
-
-
 _SUFFIXES = ".csv, .txt, .dat, .xlsx, .npz, .mat, .h5, .hdf5, .bch or .batch"
-
-
 _MOST_OTHERS = 12
 
 
@@ -73,37 +61,27 @@ def read_flux_points(
     physics. Among several maps in one file, SyR-e's `FluxMap_dq` comes first, then the one nearest
     to the root. Maps over the rotor angle are averaged over it.
 
-    Parameters
-    ----------
-    content:
-        Bytes of the file.
-    source:
-        Its name; the suffix chooses the format: .csv, .tsv, .txt, .dat, .bch, .batch, .xlsx, .npz,
-        .mat (4, 5, 7.3), .h5, .hdf5.
-    current_unit, flux_unit:
-        Units of the currents (A, mA, kA) and the flux linkages (Wb, mWb, Vs, mVs) where the file
-        does not say them; A and Wb otherwise.
-    columns:
-        What 'i_d', 'i_q', 'psi_d', 'psi_q' or another of `flux_map_names.KINDS` are called in the
-        file, where their names are not recognised. A complex array d + j q may be named for both
-        axes.
-    at:
-        'temperature' (degC) and 'speed' (rad/s) of the points that are wanted,
-        where the file holds several.
-    companions:
-        Contents and names of further files of one matrix each: 'psi_q', 'torque';
-        the first file is then psi_d.
-    torque:
-        What the torque of the file is; of several it chooses.
-    declared:
-        What the design says; operating points are read with it.
+    Args:
+        content: Bytes of the file.
+        source:
+            Its name; the suffix chooses the format: .csv, .tsv, .txt, .dat, .bch, .batch, .xlsx,
+            .npz, .mat (4, 5, 7.3), .h5, .hdf5.
+        current_unit, flux_unit: Units of the currents (A, mA, kA) and the flux linkages (Wb, mWb,
+            Vs, mVs) where the file does not say them; A and Wb otherwise.
+        columns: What 'i_d', 'i_q', 'psi_d', 'psi_q' or another of `flux_map_names.KINDS` are called
+            in the file, where their names are not recognised. A complex array d + j q may be named
+            for both axes.
+        at: 'temperature' (degC) and 'speed' (rad/s) of the points that are wanted, where the file
+            holds several.
+        companions: Contents and names of further files of one matrix each: 'psi_q', 'torque'; the
+            first file is then psi_d.
+        torque: What the torque of the file is; of several it chooses.
+        declared: What the design says; operating points are read with it.
 
-    Raises
-    ------
-    InputError
-        The file is none of its format, lacks an array, has shapes that do not fit, units that
-        contradict each other or exceeds a limit: 4e6 values of an array, 256 MB of arrays, 200 MB
-        of plain text, 32 MB of other text.
+    Raises:
+        InputError: The file is none of its format, lacks an array, has shapes that do not fit,
+            units that contradict each other or exceeds a limit: 4e6 values of an array, 256 MB of
+            arrays, 200 MB of plain text, 32 MB of other text.
     """
     given = {"i": current_unit or "", "psi": flux_unit or ""}
     for kind, unit in given.items():

@@ -35,29 +35,21 @@ def make_flux_map(
 ) -> FluxMap:
     """A flux map of arrays: a grid, or points in any order.
 
-    Parameters
-    ----------
-    i_d, i_q:
-        Currents in A: axes of shapes (M,) and (N,) of a grid, or the currents of each point, of the
-        shape of psi_d. The half plane i_q >= 0 is enough, it is mirrored; a full plane is averaged
-        with its mirror image.
-    psi_d, psi_q:
-        Flux linkages in Wb, shape (M, N) on a grid, else any one shape.
-    axes:
-        ``magnet-d`` with d along the magnets, or ``reluctance`` with the
-        magnets on the negative q axis.
-    scaling:
-        Of currents and flux linkages: ``peak``, ``rms`` or ``power-invariant``.
-    fit:
-        ``interpolate``: a spline through the points; ``smooth``: a smooth co-energy near them;
-        ``auto``: smooth where noise asks for it.
-    extrapolate:
-        Whether currents beyond the map may be used; results that use them are marked.
+    Args:
+        i_d, i_q: Currents in A: axes of shapes (M,) and (N,) of a grid, or the currents of each
+            point, of the shape of psi_d. The half plane i_q >= 0 is enough, it is mirrored; a full
+            plane is averaged with its mirror image.
+        psi_d, psi_q: Flux linkages in Wb, shape (M, N) on a grid, else any one shape.
+        axes: ``magnet-d`` with d along the magnets, or ``reluctance`` with the magnets on the
+            negative q axis.
+        scaling: Of currents and flux linkages: ``peak``, ``rms`` or ``power-invariant``.
+        fit: ``interpolate``: a spline through the points; ``smooth``: a smooth co-energy near them;
+            ``auto``: smooth where noise asks for it.
+        extrapolate: Whether currents beyond the map may be used; results that use them are marked.
 
-    Raises
-    ------
-    InputError
-        The shapes do not fit, a number is not finite, or the points are no map of a machine.
+    Raises:
+        InputError: The shapes do not fit, a number is not finite, or the points are no map of a
+            machine.
     """
     from dqforge.machines.flux_maps.building import FluxTreatment, build_flux_map
     from dqforge.machines.flux_maps.flux_points import FluxPoints
@@ -81,19 +73,13 @@ def read_flux_map(
 ) -> FluxMap:
     """The flux map in a file of any layout that a design may name (docs/methods/flux-maps.md).
 
-    Parameters
-    ----------
-    file:
-        Text, spreadsheet, NPZ, MAT, HDF5, or what finite-element tools write.
-    axes, fit, extrapolate:
-        As for `make_flux_map`.
-    scaling:
-        Likewise; None takes what the names in the file say, else peak values.
+    Args:
+        file: Text, spreadsheet, NPZ, MAT, HDF5, or what finite-element tools write.
+        axes, fit, extrapolate: As for `make_flux_map`.
+        scaling: Likewise; None takes what the names in the file say, else peak values.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is no map of a machine as it is declared.
+    Raises:
+        InputError: The file cannot be read, or is no map of a machine as it is declared.
     """
     from dqforge.machines.flux_map_files.files import read_flux_points
     from dqforge.machines.flux_maps.building import FluxTreatment, build_flux_map

@@ -12,9 +12,7 @@ from dqforge.machines.flux_maps.flux_points import FileLoss
 from dqforge.machines.flux_maps.torque_check import SQUARED
 from dqforge.machines.names import FluxScaling
 
-_PER_CENT = 1.5
-
-"""Largest efficiency beyond which a column without a unit is in per cent."""
+_PER_CENT = 1.5  # Largest efficiency beyond which a column without a unit is in per cent.
 
 
 def loss_of(

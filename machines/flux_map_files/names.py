@@ -22,6 +22,7 @@ from dqforge.machines.flux_map_files.units import (
 )
 from dqforge.machines.names import FluxTorque
 
+# Quantities that an array may stand for, in the order of a message, with the kind of their unit.
 KINDS = {
     "i_d": "i",
     "i_q": "i",
@@ -45,35 +46,14 @@ KINDS = {
     "efficiency": "share",
 }
 
-"""Quantities that an array may stand for, in the order of a message,
-with the kind of their unit."""
-
-
 FLUXES = ("psi_d", "psi_q")
-
-
 WANTED = ("i_d", "i_q", *FLUXES)
-
-
 VOLTAGES = ("v_d", "v_q")
-
-
-THIRD = ("angle", "temperature", "speed")
-
-"""What a map may be resolved over beside its currents."""
-
-
+THIRD = ("angle", "temperature", "speed")  # What a map may be resolved over beside its currents.
 _LONGEST_NAME = 100
-
-
 _TAIL = r"s?(?:axis|vec|vector|grid|mesh|map|mat|table|data|values|list)?"
-
-
 _SIZE = r"(?:amp|amplitude|abs|mag|magnitude|phase|ph|s|1)?"
-
-
 _FLUX_WORD = r"(?:[ψλφϕ]s?|psis?|lambdas?|lam|phis?|flux(?:linkage)?s?|linkage|f)"
-
 
 _PATTERNS = (
     (
@@ -88,11 +68,8 @@ _PATTERNS = (
     ),
 )
 
-
+# Quantities of both axes, by their names in small letters without signs.
 _AXES = tuple((kind, re.compile(pattern)) for kind, pattern in _PATTERNS)
-
-"""Quantities of both axes, by their names in small letters without signs."""
-
 
 _SINGLE = {
     "i": rf"i{_SIZE}|(?:wdg|winding|phase|stator)?curr?(?:ent)?{_SIZE}|(?:stator)?currentphase|currentvector",
@@ -117,34 +94,26 @@ _SINGLE = {
     "efficiency": r"(?:motor|machine|total)?(?:efficiency|eff|eta|η|wirkungsgrad|rendement|rendimento)(?:motor|machine|total)?",
 }
 
-
 _ONE = {quantity: re.compile(pattern) for quantity, pattern in _SINGLE.items()}
 
-
+# Short names that only their unit makes a temperature, a speed or the like.
 _BY_UNIT = {
     "temperature": ("t", "tm", "tr", "tw", "θ"),
     "speed": ("n", "nm", "w", "wm", "wr"),
     "frequency": ("we", "ws", "wel"),
 }
 
-"""Short names that only their unit makes a temperature, a speed or the like."""
-
-
+# What only a torque is called, in the languages of those who measure.
 _TORQUE_WORD = re.compile(
     r"torque|moment(?!um|an|ary)|couple(?![dr])|coppia|koppel|tork(?!e)|nyomatek|binario|ροπη|момент"
     r"|转矩|扭矩|轉矩|トルク|토크|^par(?: ?(?:motor|mecanico|electromagnetico|medio))?$"
 )
 
-"""What only a torque is called, in the languages of those who measure."""
-
-
+# Signs of torques that need no unit; T and M, which may be much else, are looked at by themselves.
 _TORQUE_SIGN = re.compile(
     r"(?:avg|mean)*(?:tau|τ|tq|trq|t(?=.))(?:e|em|el|m|fe|sim|dq|mech|meas|airgap|ag|shaft|out|welle|act|avg|mean|ave|l|load){0,2}"
     r"(?:map|table|data|vec|mat)?|m(?:i|el|em|mech|welle|avg|mean)"
 )
-
-"""Signs of torques that need no unit; T and M, which may be much else, are looked at by themselves."""
-
 
 _NO_TORQUE = re.compile(
     r"\brip|ripple|^d ?t|\btpp|\bpp\b|p2p|pk ?to ?pk|peak ?to ?peak|\bpuls|cogg|frict|loss|\brated|\bnom|nenn|\bconst"
@@ -152,21 +121,16 @@ _NO_TORQUE = re.compile(
     r"|winkel|sensor|per ?amp|error|\brast|\breib|\bkipp|\bhalte|detente"
 )
 
-
 _INNER = re.compile(
     r"electro|airgap|luftspalt|inner|(?:tau|^t|torque|moment)(?:e|em|el|ag)(?:avg|mean)?$|^m(?:i|el|em)$|^(?:em|el)"
 )
 
-
 _SHAFT = re.compile(r"shaft|welle|output|mech|meas|load|albero|arbre|(?:tau|^t)(?:l|out)$")
 
-
+# Torques that are wanted, or a part of the torque, or computed in another way beside it.
 _NOT_OF_THE_DRIVE = re.compile(
     r"ref|cmd|command|soll|set|target|demand|request|reluct|(?<!electro)magnet|maxwell"
 )
-
-"""Torques that are wanted, or a part of the torque, or computed in another way beside it."""
-
 
 _MEAN = re.compile(r"(?:avg|mean|ave|average)\s*\((.*)\)\s*", re.IGNORECASE)
 
@@ -338,8 +302,6 @@ def _choose_beside(
 
 
 _OF_POINTS = ("frequency", "resistance", "loss", "copper_loss", "efficiency")
-
-
 _OF_LOSSES = ("loss", "efficiency")
 
 
@@ -377,8 +339,6 @@ def _form(chosen: Mapping[str, NamedArray], found: Iterable[str]) -> tuple[str, 
 
 
 _APPARENT = ("l_d", "l_q", "psi_m")
-
-
 _FLUX_FORMS = (FLUXES, _APPARENT, VOLTAGES)
 
 
@@ -441,7 +401,6 @@ def _named(arrays: Sequence[NamedArray], name: str, source: str) -> NamedArray:
 _PAIRS = re.compile(
     r"(?:number|num|no|n)?(?:of)?(pole?pairs?|polpaar(?:zahl|e)?|pp|np|npp|zp|poles|polenumber|polzahl)"
 )
-
 
 _MOST_PAIRS = 200
 

@@ -22,24 +22,15 @@ from dqforge.machines.flux_maps.torque_check import SQUARED
 from dqforge.machines.names import FluxScaling
 from dqforge.machines.units.quantities import format_quantity
 
+# Distance over the largest current within which operating points are one point of the map.
 BLUR = 2e-3
 
-"""Distance over the largest current within which operating points are one point of the map."""
-
-
+# Frequency over the largest one below which the resistive drop hides the flux linkage.
 _SLOWEST = 0.05
 
-"""Frequency over the largest one below which the resistive drop hides the flux linkage."""
-
-
+# Distance from a whole number, over it, up to which a ratio is a number of pole pairs.
 _WHOLE = 0.02
-
-"""Distance from a whole number, over it, up to which a ratio is a number of pole pairs."""
-
-
 _SMALL_CURRENT = 0.1
-
-
 _UNITS = {"rad/s": 1.0, "rpm": math.pi / 30.0}
 
 
@@ -66,11 +57,9 @@ def over_frequency(
     The drop over the resistance is still in them; `without_drop` takes it out once the currents
     are known at each point.
 
-    Raises
-    ------
-    InputError
-        There is no speed, its unit cannot be told, or the pole pairs contradict speed and
-        frequency.
+    Raises:
+        InputError: There is no speed, its unit cannot be told, or the pole pairs contradict speed
+            and frequency.
     """
     shape = parts["v_d"].shape
     if parts["v_q"].shape != shape:

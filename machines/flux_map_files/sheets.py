@@ -38,10 +38,8 @@ def sheets(content: bytes, source: str) -> list[tuple[str, bytes]]:
     """Name of each sheet with numbers and its cells as text, tabs between
     them and one line per row.
 
-    Raises
-    ------
-    InputError
-        The file is no workbook, or its sheets take more than 64 MB or 2e6 cells.
+    Raises:
+        InputError: The file is no workbook, or its sheets take more than 64 MB or 2e6 cells.
     """
     from python_calamine import CalamineWorkbook
 

@@ -24,26 +24,13 @@ from dqforge.machines.flux_map_files.twin_builder import is_twin_builder, twin_b
 from dqforge.machines.flux_map_files.units import split_name
 from dqforge.machines.records import dataclass
 
+# Size up to which a text is looked through for another layout than columns, cell by cell.
 _MOST_BYTES = 16_000_000
-
-"""Size up to which a text is looked through for another layout than columns, cell by cell."""
-
-
 _Rows = Sequence[Sequence[str]]
-
-
 _HEAD = 400
-
-
 _LEAST = 4
-
-
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?", re.ASCII)
-
-
 _DECIMAL_COMMA = re.compile(r"^([+-]?\d+),(\d+(?:[eE][+-]?\d+)?)$", re.ASCII)
-
-
 _MARKS = (";", "\t", ",", " ")
 
 
@@ -293,10 +280,9 @@ def oriented(arrays: list[NamedArray]) -> list[NamedArray]:
     ]
 
 
+# Layouts of cells in the order in which they are tried, after those of Twin Builder and FEMAG.
 LAYOUTS = (
     TextLayout("case table", _is_case_table, _case_arrays),
     TextLayout("blocks", _is_blocks, _block_arrays),
     TextLayout("matrix", _is_matrix, _matrix_file),
 )
-
-"""Layouts of cells in the order in which they are tried, after those of Twin Builder and FEMAG."""

@@ -16,23 +16,11 @@ from dqforge.machines.units.quantities import format_quantity
 
 _SAME = 1e-6
 
-
+# Difference over the largest value from which on two temperatures or speeds are two.
 _DISTINCT = 0.01
-
-"""Difference over the largest value from which on two temperatures or speeds are two."""
-
-
-_CLOSED = 0.02
-
-"""Difference over the ripple below which the last angle is the first one again."""
-
-
+_CLOSED = 0.02  # Difference over the ripple below which the last angle is the first one again.
 _MOST_LISTED = 12
-
-
 _UNITS = {"temperature": "degC", "speed": "rpm"}
-
-
 _EXAMPLES = {"temperature": "80 degC", "speed": "1000 rpm"}
 
 
@@ -55,20 +43,14 @@ def without_third(
     """Points over the currents alone, the lines that they stand in, and what was done,
     in sentences.
 
-    Parameters
-    ----------
-    parts:
-        Quantities of points, shape (K,), with 'angle' (rad), 'temperature' (degC) or 'speed'
-        (rad/s) among them or not.
-    lines:
-        Line of each point in its file, shape (K,), or None.
-    at:
-        Temperature (degC) and speed (rad/s) whose points are wanted.
+    Args:
+        parts: Quantities of points, shape (K,), with 'angle' (rad), 'temperature' (degC) or 'speed'
+            (rad/s) among them or not.
+        lines: Line of each point in its file, shape (K,), or None.
+        at: Temperature (degC) and speed (rad/s) whose points are wanted.
 
-    Raises
-    ------
-    InputError
-        Several temperatures or speeds and none is asked for, or there is no such one.
+    Raises:
+        InputError: Several temperatures or speeds and none is asked for, or there is no such one.
     """
     findings: tuple[str, ...] = ()
     for name in ("temperature", "speed"):

@@ -31,17 +31,12 @@ _AMPERES = dict.fromkeys(
     ("A", "Apk", "Apeak", "Arms", "Aeff", "Ampere", "Amperes", "amp", "amps"), 1.0
 )
 
-
 _WEBERS = dict.fromkeys(
     ("Wb", "Vs", "Wbturn", "Wbturns", "Wbt", "Wbpk", "Wbrms", "Vsrms", "Vspk", "Weber"), 1.0
 )
 
-
 _NEWTON_METRES = dict.fromkeys(("Nm", "NewtonMeter", "NewtonMetre", "Newtonmeters", "Nmeter"), 1.0)
-
-
 _POUND_FOOT, _POUND_INCH, _OUNCE_INCH = 1.3558179483314004, 0.1129848290276167, 0.00706155181422604
-
 
 _OTHER_TORQUES = {
     "Ncm": 1e-2,
@@ -78,7 +73,8 @@ _OTHER_TORQUES |= {
 
 _TURN, _MINUTE = 2.0 * math.pi, math.pi / 30.0
 
-
+# Factor to SI (temperatures as they are) of each kind of quantity, without the signs between the
+# parts of a unit.
 UNITS: dict[str, dict[str, float]] = {
     "i": _spellings(_AMPERES, "uµμmk"),
     "psi": _spellings(_WEBERS, "uµμm"),
@@ -113,10 +109,6 @@ UNITS: dict[str, dict[str, float]] = {
     "share": {"%": 1e-2},
 }
 
-"""Factor to SI (temperatures as they are) of each kind of quantity, without the signs
-between the parts of a unit."""
-
-
 EXPECTED = {
     "i": "A, mA or kA",
     "psi": "Wb, mWb, Vs or mVs",
@@ -132,19 +124,14 @@ EXPECTED = {
     "share": "%",
 }
 
-
 _BEFORE_UNIT = re.compile(r"[\s_/\[({<|,-]+(?:in\s+)?")
-
-
 _CLAIM = re.compile(r"(?:[\W_]|(?<=[A-Za-z]))(rms|peak|pk)\W*$", re.IGNORECASE)
-
 
 _PER_POLE_PAIR = re.compile(
     r"(?:/|per|je|pro|par)[\W_]*(?:pole[\W_]*pair|polpaar|pp(?![^\W_]))|par[\W_]*paire[\W_]*de[\W_]*p[oô]les?|"
     r"per[\W_]*coppia[\W_]*(?:di[\W_]*)?poli|por[\W_]*par[\W_]*de[\W_]*polos",
     re.IGNORECASE,
 )
-
 
 _PER_LENGTH = re.compile(
     r"(?:/|per|je|pro)[\W_]*(?:unit[\W_]*length|l[aä]enge|length|axial|metre|meter|mm?(?![^\W_]))",
@@ -167,9 +154,8 @@ def factor(kind: str, unit: str) -> float:
     return UNITS[kind][plain_unit(unit)]
 
 
+# What a name such as 'Id (Peak)' says of its values, in brackets of its own.
 BRACKETED_CLAIM = re.compile(r"\s*[(\[]\s*(?:peak|pk|rms|eff)\.?\s*[)\]]", re.IGNORECASE)
-
-"""What a name such as 'Id (Peak)' says of its values, in brackets of its own."""
 
 
 def split_name(name: str) -> tuple[str, str]:

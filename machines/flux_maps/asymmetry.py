@@ -95,16 +95,12 @@ def asymmetry_of(
 ) -> FluxAsymmetry:
     """Asymmetry of a map over the whole plane that nobody averaged, in torque and in flux linkage.
 
-    Parameters
-    ----------
-    whole, averaged:
-        The map as measured, and its symmetric part.
-    pole_pairs:
-        Number p.
-    current, current_name:
-        Amplitude in A (peak) where the torques are compared, and what it is called.
-    symmetry:
-        What is done about it.
+    Args:
+        whole, averaged: The map as measured, and its symmetric part.
+        pole_pairs: Number p.
+        current, current_name: Amplitude in A (peak) where the torques are compared, and what it is
+            called.
+        symmetry: What is done about it.
     """
     direction = np.linspace(0.0, np.pi, _ANGLES)
     i_d, i_q = current * np.cos(direction), current * np.sin(direction)

@@ -38,11 +38,7 @@ from dqforge.machines.names import FluxAxes, FluxFitName, FluxScaling, FluxSymme
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
-MOST_NODES = 500_000
-
-"""Points of a map, a half plane with its mirror image."""
-
-
+MOST_NODES = 500_000  # Points of a map, a half plane with its mirror image.
 _WORST_ASYMMETRY = 0.25
 
 
@@ -108,29 +104,21 @@ def build_flux_map(
     Half planes are mirrored, full planes averaged with their mirror image; of a plane with unequal
     halves the larger one counts.
 
-    Parameters
-    ----------
-    points:
-        Points as in the file, shape (K,).
-    axes, scaling:
-        Convention of the file; without a scaling that which the names say, else peak values.
-    extrapolate:
-        Whether the map may be used beyond its grid.
-    expected_psi_pm:
-        Flux linkage of the magnets in Wb (peak), if known from elsewhere;
-        the scaling is checked with it.
-    pole_pairs:
-        Of the machine; a torque in the file is held against that of its flux linkages with it.
-    torque:
-        What the torque of the file is: 'air-gap', 'shaft', 'per-pole-pair', or 'ignore'.
-    treatment:
-        How the points become a map.
+    Args:
+        points: Points as in the file, shape (K,).
+        axes, scaling: Convention of the file; without a scaling that which the names say, else peak
+            values.
+        extrapolate: Whether the map may be used beyond its grid.
+        expected_psi_pm: Flux linkage of the magnets in Wb (peak), if known from elsewhere; the
+            scaling is checked with it.
+        pole_pairs: Of the machine; a torque in the file is held against that of its flux linkages
+            with it.
+        torque: What the torque of the file is: 'air-gap', 'shaft', 'per-pole-pair', or 'ignore'.
+        treatment: How the points become a map.
 
-    Raises
-    ------
-    InputError
-        The points do not make a map, or not that of a machine; see also
-        `check_points` and `check_map`.
+    Raises:
+        InputError: The points do not make a map, or not that of a machine; see also `check_points`
+            and `check_map`.
     """
     source, angle, symmetry = points.source, treatment.frame_angle, treatment.symmetry
     _check_size(points.i_d.size, source)

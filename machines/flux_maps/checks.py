@@ -24,59 +24,29 @@ if TYPE_CHECKING:  # the points' own module calls these checks
 
 
 _LEAST_VALUES = 4
-
-
 _SAME = 1e-6
-
-
 _MOST_CURRENT, _LEAST_CURRENT = 2e4, 1e-3
-
-
 _MOST_FLUX, _LEAST_FLUX = 50.0, 1e-5
-
-
 _MOST_INDUCTANCE, _LEAST_INDUCTANCE = 5.0, 1e-7
 
-
+# Flux linkage at zero current over the largest one from which on it belongs to magnets, not to
+# errors.
 _MAGNET_SHARE = 0.03
-
-"""Flux linkage at zero current over the largest one from which on it belongs to magnets,
-not to errors."""
-
-
 _CLEARLY = 2.0
+_AXIS: dict[FluxAxes, str] = {"magnet-d": "+d", "reluctance": "-q"}  # Where the magnets lie.
 
-
-_AXIS: dict[FluxAxes, str] = {"magnet-d": "+d", "reluctance": "-q"}
-
-"""Where the magnets lie."""
-
-
+# What is exchanged, by whether the flux linkage of the magnets appears on their axis.
 _EXCHANGED = {True: "i_d and i_q", False: "psi_d and psi_q"}
-
-"""What is exchanged, by whether the flux linkage of the magnets appears on their axis."""
-
-
 _NEAREST = 9
 
-
+# Correlation of the currents beyond which mean inductances are not to be told apart.
 _ON_A_CURVE = 0.9
-
-"""Correlation of the currents beyond which mean inductances are not to be told apart."""
-
-
 _LARGEST_DIP = 0.01
-
-
 _FLUX_TOLERANCE = 0.05
-
-
 _FACTOR_TOLERANCE = 0.02
-
-
 _WORST_MISFIT = 0.5
 
-
+# What a ratio between the map's magnet flux linkage and the expected one stands for.
 _FACTORS = (
     (np.sqrt(1.5), "the map looks power-invariant; write scaling: power-invariant"),
     (np.sqrt(0.5), "the map looks like r.m.s. values; write scaling: rms"),
@@ -101,19 +71,15 @@ _FACTORS = (
     (1e-3, "the map has a thousandth of it; write flux_unit: Wb"),
 )
 
-"""What a ratio between the map's magnet flux linkage and the expected one stands for."""
-
 
 def check_points(points: FluxPoints, axes: FluxAxes = "magnet-d") -> None:
     """Refuse points that cannot be a machine's.
 
     They are in their file's scaling and ``axes``, shape (K,).
 
-    Raises
-    ------
-    InputError
-        Holes, too few different currents, implausible units, exchanged columns, a wrong sign, or a
-        magnet that does not lie where ``axes`` says.
+    Raises:
+        InputError: Holes, too few different currents, implausible units, exchanged columns, a wrong
+            sign, or a magnet that does not lie where ``axes`` says.
     """
     check_holes(points)
     _check_spread(points)
@@ -127,21 +93,15 @@ def check_map(
 ) -> tuple[str, ...]:
     """Refuse a map that cannot be a machine's, and say in sentences what is doubtful about it.
 
-    Parameters
-    ----------
-    flux_map:
-        With d along the magnets, in peak values.
-    source:
-        Name of its file.
-    expected_psi_pm:
-        Flux linkage of the magnets in Wb (peak), if known from elsewhere.
+    Args:
+        flux_map: With d along the magnets, in peak values.
+        source: Name of its file.
+        expected_psi_pm: Flux linkage of the magnets in Wb (peak), if known from elsewhere.
 
-    Raises
-    ------
-    InputError
-        A flux linkage falls while its current grows, by more than 1 % of its span; the mutual
-        inductances differ by more than half of the diagonal ones; the flux linkage at zero current
-        is more than 5 % from the expected one.
+    Raises:
+        InputError: A flux linkage falls while its current grows, by more than 1 % of its span; the
+            mutual inductances differ by more than half of the diagonal ones; the flux linkage at
+            zero current is more than 5 % from the expected one.
     """
     if expected_psi_pm is not None:
         _check_expected(flux_map, expected_psi_pm, source)

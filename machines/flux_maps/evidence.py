@@ -9,27 +9,15 @@ from dqforge.machines.names import FluxFitName, FluxSymmetry
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
+# Noise of the incremental inductances of a plain spline, over their mean, above which ``fit: auto``
+# smooths.
 NOISE_LIMIT = 0.03
 
-"""Noise of the incremental inductances of a plain spline, over their mean, above which ``fit:
-auto`` smooths."""
-
-
+# Difference of the two mutual inductances over the others above which it is told, and above which
+# ``fit: auto`` smooths points that fill no grid.
 NOTABLE_CURL = 0.05
-
-"""Difference of the two mutual inductances over the others above which it is told, and above
-which ``fit: auto`` smooths points that fill no grid."""
-
-
-MOST_PLACES = 8
-
-"""Faulty places that are named; of more, the number is told."""
-
-
-_NO_NOISE = 1e-9
-
-"""Noise in Wb that is none: digits of a computation."""
-
+MOST_PLACES = 8  # Faulty places that are named; of more, the number is told.
+_NO_NOISE = 1e-9  # Noise in Wb that is none: digits of a computation.
 
 _SHOWN_BY = {
     "repeats": "shown by repeated points",

@@ -138,10 +138,8 @@ def fit_flux(
 
     Not marked for extrapolation.
 
-    Raises
-    ------
-    InputError
-        Points that lie far from all others, or data that no machine has.
+    Raises:
+        InputError: Points that lie far from all others, or data that no machine has.
     """
     plain = FluxMap(data.i_d, data.i_q, data.psi[0], data.psi[1])
     faults, count = _faults(data)

@@ -11,9 +11,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.units.quantities import format_quantity
 
-_ROUNDING = 0.01
-
-"""Negative rest over the loss that digits of a file may make."""
+_ROUNDING = 0.01  # Negative rest over the loss that digits of a file may make.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

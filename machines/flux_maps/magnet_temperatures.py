@@ -20,20 +20,14 @@ def flux_map_of_maps(
     Between two maps linear in the temperature, else by monotone cubics (PCHIP) through all. The
     nodes are those of the map with the finest axis, for each axis.
 
-    Parameters
-    ----------
-    temperatures:
-        Of the maps in any order, in degC, shape (n,), n >= 2.
-    maps:
-        One for each.
-    temperature:
-        At which the map is wanted, in degC.
+    Args:
+        temperatures: Of the maps in any order, in degC, shape (n,), n >= 2.
+        maps: One for each.
+        temperature: At which the map is wanted, in degC.
 
-    Raises
-    ------
-    InputError
-        Less than two maps, a repeated temperature, one outside the range,
-        or maps that cover no common rectangle.
+    Raises:
+        InputError: Less than two maps, a repeated temperature, one outside the range, or maps that
+            cover no common rectangle.
     """
     from scipy.interpolate import PchipInterpolator
 

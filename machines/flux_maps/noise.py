@@ -15,25 +15,13 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 
 NoiseSource = Literal["repeats", "symmetry", "neighbours", "residual"]
-
-
 _FEWEST_REPEATS = 8
+_NORMAL_MEDIAN = 0.6745  # Median of the magnitude of a normal variable of unit variance.
 
-
-_NORMAL_MEDIAN = 0.6745
-
-"""Median of the magnitude of a normal variable of unit variance."""
-
-
+# Sum of the squares of (1, -4, 6, -4, 1): the variance of a fourth difference over that of the
+# points.
 _FOURTH = 70.0
-
-"""Sum of the squares of (1, -4, 6, -4, 1): the variance of a fourth difference over that of the
-points."""
-
-
 _SMOOTH_ORDER = 4
-
-
 _FEWEST_MIRRORED = 40
 
 

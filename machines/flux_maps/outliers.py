@@ -17,32 +17,21 @@ if TYPE_CHECKING:  # the points' own module calls these checks
 
 
 _MOST_OUTLIERS = 3
-
-
 _FEWEST = 8
-
-
-_FAR = 3.0
-
-"""Distance to the others over their span from which on a value is none of them."""
-
-
+_FAR = 3.0  # Distance to the others over their span from which on a value is none of them.
 _STEPS = 1.5
 
-
+# Points that share a current on a grid, from which on one that stands alone beyond the others is a
+# slip.
 _USUAL = 4
-
-"""Points that share a current on a grid, from which on one that stands alone
-beyond the others is a slip."""
 
 
 def check_outliers(points: FluxPoints) -> None:
     """Refuse points of which one has a current that belongs to no axis.
 
-    Raises
-    ------
-    InputError
-        With the line of the point in its file, or its number where the file has no lines.
+    Raises:
+        InputError: With the line of the point in its file, or its number where the file has no
+            lines.
     """
     for name, values in (("i_d", points.i_d), ("i_q", points.i_q)):
         worst = _outlier(values)

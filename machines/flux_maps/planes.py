@@ -17,18 +17,12 @@ from dqforge.machines.names import FluxSymmetry
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
+# Difference over the largest value below which two currents, or two flux linkages, are the same.
 SAME = 1e-6
-
-"""Difference over the largest value below which two currents, or two flux linkages,
-are the same."""
-
-
 _NOTABLE_ASYMMETRY = 1e-3
 
-
+# Signs of (psi_d, psi_q), shape (2, M, N), on the other side of i_q = 0.
 MIRROR = np.array([1.0, -1.0])[:, np.newaxis, np.newaxis]
-
-"""Signs of (psi_d, psi_q), shape (2, M, N), on the other side of i_q = 0."""
 
 
 @dataclass(frozen=True, slots=True)

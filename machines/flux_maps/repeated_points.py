@@ -21,13 +21,9 @@ if TYPE_CHECKING:  # the points' own module merges them
 
 _SAME = 1e-6
 
-
+# Distance of a repeated point from the mean over the largest flux linkage that is no scatter any
+# more.
 _WORST_SCATTER = 0.05
-
-"""Distance of a repeated point from the mean over the largest flux linkage
-that is no scatter any more."""
-
-
 _MOST_NAMED = 8
 
 
@@ -49,11 +45,9 @@ class Merged:
 def merge_repeats(points: FluxPoints) -> Merged:
     """Points with equal currents made one, equal currents equal to the last digit.
 
-    Raises
-    ------
-    InputError
-        Repeated points differ by more than measurements do: something else than the
-        currents tells them apart.
+    Raises:
+        InputError: Repeated points differ by more than measurements do: something else than the
+            currents tells them apart.
     """
     largest = max(float(np.max(np.abs(points.i_d))), float(np.max(np.abs(points.i_q))))
     if points.blur:

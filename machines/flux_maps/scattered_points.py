@@ -20,31 +20,16 @@ from dqforge.machines.flux_maps.planes import (
 )
 from dqforge.machines.units.quantities import format_quantity
 
+# Distance from every point over the largest current that is a gap, and the share of the region from
+# which on gaps are told.
 _FEWEST_SCATTERED = 16
-
-
 _GRID_SIZES = (9, 81)
-
-
 _FULL_PLANE = 0.95
-
-
 _PARTIAL_GRID = 0.5
-
-
 _MOST_GAPS = 50_000
-
-
 _NEIGHBOURS = 64
-
-
 _MUCH_OUTSIDE = 0.15
-
-
 _FAR, _MUCH_FAR = 0.15, 0.05
-
-"""Distance from every point over the largest current that is a gap, and the share of the region
-from which on gaps are told."""
 
 
 def scattered_plane(points: FluxPoints) -> Plane:

@@ -18,53 +18,30 @@ from dqforge.machines.flux_maps.co_energy import CHUNK, CoEnergy, SplineBasis, s
 from dqforge.machines.flux_maps.noise import FluxNoise
 from dqforge.machines.records import dataclass
 
+# Places per cell and axis at which the incremental inductances are held positive definite, of which
+# one in each block is cut, and so many cuts are added at once.
 _STRENGTHS = np.geomspace(1e-10, 1e6, 97)
-
-
 _PER_CELL, _BLOCK, _MOST_ADDED = 8, 5, 150
 
-"""Places per cell and axis at which the incremental inductances are held positive definite, of
-which one in each block is cut, and so many cuts are added at once."""
-
-
+# Least eigenvalue of the incremental inductances, over their mean, that a smoothed map keeps.
 LEAST_SHARE = 0.05
+_LEAST_NOISE = 1e-6  # Noise over the largest flux linkage below which nothing is fitted closer.
 
-"""Least eigenvalue of the incremental inductances, over their mean, that a smoothed map keeps."""
-
-
-_LEAST_NOISE = 1e-6
-
-"""Noise over the largest flux linkage below which nothing is fitted closer."""
-
-
+# R.m.s. residual over the r.m.s. flux linkage down to which the strongest penalty is taken.
 _DIGITS = 1e-5
 
-"""R.m.s. residual over the r.m.s. flux linkage down to which the strongest penalty is taken."""
-
-
+# Effective parameters over the number of values beyond which a fit says nothing of its noise.
 _MOST_FREEDOM = 0.6
 
-"""Effective parameters over the number of values beyond which a fit says nothing of its noise."""
-
-
+# Flux linkage at zero current over the largest one from which on it belongs to magnets, however
+# noisy the points.
 _MAGNET_SHARE = 0.03
 
-"""Flux linkage at zero current over the largest one from which on it belongs to magnets,
-however noisy the points."""
-
-
+# Third derivatives by i_d and by i_q, and how often each occurs.
 _MOST_CUTS, _DROPPING = 30, 5
-
-
 _MOST_ROUNDS = 8
-
-
 _OUTLIER, _OUTLIER_SHARE = 8.0, 0.05
-
-
 _THIRD = ((3, 0, 1.0), (2, 1, 3.0), (1, 2, 3.0), (0, 3, 1.0))
-
-"""Third derivatives by i_d and by i_q, and how often each occurs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,26 +235,19 @@ def smooth_co_energy(
 ) -> CoEnergy:
     """Co-energy of points anywhere, as smooth as their noise allows.
 
-    Parameters
-    ----------
-    i_d, i_q:
-        Currents in A, shape (K,).
-    psi:
-        (psi_d, psi_q) in Wb, shape (2, K).
-    noise:
-        Standard deviation of single points; None lets generalised cross-validation find it.
-    even:
-        psi_d even and psi_q odd in i_q; else both halves are kept as they are.
-    positive:
-        Hold the incremental inductances positive definite; not needed to see the noise alone.
+    Args:
+        i_d, i_q: Currents in A, shape (K,).
+        psi: (psi_d, psi_q) in Wb, shape (2, K).
+        noise: Standard deviation of single points; None lets generalised cross-validation find it.
+        even: psi_d even and psi_q odd in i_q; else both halves are kept as they are.
+        positive: Hold the incremental inductances positive definite; not needed to see the noise
+            alone.
 
     Where psi_d at zero current is less than the noise there are no magnets, and psi_d is made odd,
     psi_q even in i_d.
 
-    Raises
-    ------
-    NoSolutionError
-        No positive definite inductances come near the points.
+    Raises:
+        NoSolutionError: No positive definite inductances come near the points.
     """
     with_magnets = _fitted(
         (_axis_basis(i_d, even=False), _axis_basis(i_q, even=even)), i_d, i_q, psi, noise, positive

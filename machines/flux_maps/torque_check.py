@@ -23,31 +23,14 @@ if TYPE_CHECKING:  # the points' own module calls this check
     from dqforge.machines.flux_maps.flux_points import FluxPoints
 
 
+# Product of two peak values over that of the same values in each scaling.
 SQUARED: dict[FluxScaling, float] = {"peak": 1.0, "rms": 2.0, "power-invariant": 2.0 / 3.0}
-
-"""Product of two peak values over that of the same values in each scaling."""
-
-
-_LARGEST = 0.03
-
-"""Deviation of the slope from 1, and misfit, from which on a map is refused."""
-
-
+_LARGEST = 0.03  # Deviation of the slope from 1, and misfit, from which on a map is refused.
 _SHAFT_SLOPES = (0.9, 1.03)
-
-
 _SHAFT_MISFIT, _SHAFT_OFFSET = 0.1, 0.25
-
-
 _NEAR = 0.02
-
-
 _NEAR_COUNT = 0.15
-
-
 _FEWEST = 4
-
-
 _MOST_PAIRS, _MOST_PARTS = 200, 12
 
 
@@ -89,21 +72,15 @@ def check_torque(
 
     None where it gives none, or none but zero.
 
-    Parameters
-    ----------
-    points:
-        As the file holds them, in its own axes and scaling.
-    pole_pairs:
-        Of the machine.
-    scaling:
-        Of currents and flux linkages.
-    declared:
-        'air-gap', 'shaft' (behind friction and iron loss), 'per-pole-pair', or 'ignore'.
+    Args:
+        points: As the file holds them, in its own axes and scaling.
+        pole_pairs: Of the machine.
+        scaling: Of currents and flux linkages.
+        declared: 'air-gap', 'shaft' (behind friction and iron loss), 'per-pole-pair', or 'ignore'.
 
-    Raises
-    ------
-    InputError
-        The two differ by more than 3 % (10 % below for a shaft torque); with the likely cause.
+    Raises:
+        InputError: The two differ by more than 3 % (10 % below for a shaft torque); with the likely
+            cause.
     """
     if points.torque is None or declared == "ignore":
         return None

@@ -16,30 +16,18 @@ from dqforge.machines.losses.bridge_tables import BridgeTables
 from dqforge.machines.records import dataclass
 
 _SWEEPS = 200
-
-
-_STILL = 1e-10
-
-"""Largest change in K of a last sweep."""
-
-
-_HOTTEST = 1e9
-
-"""Temperature in degC beyond which a junction is said to run away."""
+_STILL = 1e-10  # Largest change in K of a last sweep.
+_HOTTEST = 1e9  # Temperature in degC beyond which a junction is said to run away.
 
 
 @dataclass(frozen=True, slots=True)
 class JunctionBalance:
     """Steady junctions of upper and lower position, J junctions each, at points of the shape (...).
 
-    Parameters
-    ----------
-    temperature:
-        In degC, shape (2, J, ...); NaN where a junction runs away.
-    residual:
-        Temperature minus the one that its losses lead to, in K, shape (2, J, ...).
-    steady:
-        False where a junction runs away, shape (...).
+    Args:
+        temperature: In degC, shape (2, J, ...); NaN where a junction runs away.
+        residual: Temperature minus the one that its losses lead to, in K, shape (2, J, ...).
+        steady: False where a junction runs away, shape (...).
     """
 
     temperature: FloatArray
@@ -51,14 +39,10 @@ def at_temperature(knots: FloatArray, values: FloatArray, temperature: FloatArra
     """Values (..., K, *points) between the K temperatures, carried on beyond them,
     at temperatures (..., *points).
 
-    Parameters
-    ----------
-    knots:
-        Temperatures in degC, shape (K,), ascending.
-    values:
-        With the axis of temperatures third, shape (2, J, K, *points).
-    temperature:
-        In degC, shape (2, J, *points).
+    Args:
+        knots: Temperatures in degC, shape (K,), ascending.
+        values: With the axis of temperatures third, shape (2, J, K, *points).
+        temperature: In degC, shape (2, J, *points).
     """
     if knots.size == 1:
         return np.asarray(np.broadcast_to(values[:, :, 0], temperature.shape))
@@ -98,17 +82,12 @@ def _root(
 def junction_balance(tables: BridgeTables, loss: FloatArray) -> JunctionBalance:
     """Junction temperatures of losses that depend on them.
 
-    Parameters
-    ----------
-    tables:
-        The device, with its thermal resistances.
-    loss:
-        Losses in W of the junctions of one position at the temperatures of the tables, shape (2, J,
-        K, *points).
+    Args:
+        tables: The device, with its thermal resistances.
+        loss: Losses in W of the junctions of one position at the temperatures of the tables, shape
+            (2, J, K, *points).
 
-    Returns
-    -------
-    JunctionBalance
+    Returns:
         The steady state that a junction reaches when it warms up from the coolant: the coldest one.
     """
     knots, coolant = tables.temperatures, tables.coolant_temperature

@@ -37,21 +37,16 @@ class BridgeAverages:
     transistor and, where the diode has its own, of the diode; temperature of the tables. They are
     those of one switch position.
 
-    Parameters
-    ----------
-    conduction:
-        Conduction loss in W without dead time.
-    switching:
-        Energy in J of all events in a carrier period.
-    dead:
-        Loss in W that dead time adds, for the share of 1 of the carrier period in each gap.
-    dc_current, dc_square:
-        Mean in A and mean square in A^2 of the current from the DC link, shape (N,).
-    switched:
-        Sum over the phases of the mean magnitude of current in A while the phase switches,
-        shape (N,).
-    ripple:
-        Mean square of the ripple of a phase current in A^2 for v_dc / f_sw = 1 V s, shape (N,).
+    Args:
+        conduction: Conduction loss in W without dead time.
+        switching: Energy in J of all events in a carrier period.
+        dead: Loss in W that dead time adds, for the share of 1 of the carrier period in each gap.
+        dc_current, dc_square: Mean in A and mean square in A^2 of the current from the DC link,
+            shape (N,).
+        switched: Sum over the phases of the mean magnitude of current in A while the phase
+            switches, shape (N,).
+        ripple: Mean square of the ripple of a phase current in A^2 for v_dc / f_sw = 1 V s, shape
+            (N,).
     """
 
     conduction: FloatArray
@@ -99,14 +94,11 @@ def junction_losses(tables: BridgeTables, wave: PhaseWaveforms, *, one_rail: boo
     energies of all events of a carrier period in J, and W for the share of 1 in each gap, as in
     `BridgeAverages`.
 
-    Parameters
-    ----------
-    tables:
-        The device, K temperatures.
-    wave:
-        Duty cycles and currents of n points, the half bridges along the last axis.
-    one_rail:
-        Whether upper and lower positions differ (S = 2); else one stands for both (S = 1).
+    Args:
+        tables: The device, K temperatures.
+        wave: Duty cycles and currents of n points, the half bridges along the last axis.
+        one_rail: Whether upper and lower positions differ (S = 2); else one stands for both (S =
+            1).
     """
     share = _shares(wave, one_rail=one_rail)
     size = np.abs(wave.current)
@@ -162,29 +154,22 @@ def bridge_averages(
 ) -> BridgeAverages:
     """Averages of losses, DC-link current and ripple over an electrical period.
 
-    Parameters
-    ----------
-    tables:
-        The device.
-    modulation:
-        The modulator.
-    voltage, current:
-        Phase voltages in V and currents in A in rotor coordinates (peak), shape (2, N) each. Duty
-        cycles beyond the linear range are saturated: what is said there has no meaning.
-    v_dc:
-        DC-link voltage in V.
-    stiffness:
-        Inverse of the incremental inductances in 1/H, shape (N, 2, 2), for the ripple;
-        None leaves it zero.
-    overmodulation:
-        What becomes of voltages beyond the circle in the hexagon, where duty cycles saturate else.
-    energy_factors:
-        Energies of the transistors' events and of the recoveries over those of the tables, shape
-        (2, N); None for one.
+    Args:
+        tables: The device.
+        modulation: The modulator.
+        voltage, current: Phase voltages in V and currents in A in rotor coordinates (peak), shape
+            (2, N) each. Duty cycles beyond the linear range are saturated: what is said there has
+            no meaning.
+        v_dc: DC-link voltage in V.
+        stiffness: Inverse of the incremental inductances in 1/H, shape (N, 2, 2), for the ripple;
+            None leaves it zero.
+        overmodulation: What becomes of voltages beyond the circle in the hexagon, where duty cycles
+            saturate else.
+        energy_factors: Energies of the transistors' events and of the recoveries over those of the
+            tables, shape (2, N); None for one.
 
-    Returns
-    -------
-    BridgeAverages
+    Returns:
+        BridgeAverages
     """
     one_rail, count = MODULATORS[modulation].one_rail, voltage.shape[1]
     junctions = 2 if tables.separate_diode else 1

@@ -14,14 +14,8 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.losses.constant_device import required_device
 from dqforge.machines.records import dataclass
 
-_FAR = 1e6
-
-"""Current in A at which the last straight piece of a curve ends."""
-
-
-_LEAST_SPAN = 1.0
-
-"""Temperatures in K closer than this are one."""
+_FAR = 1e6  # Current in A at which the last straight piece of a curve ends.
+_LEAST_SPAN = 1.0  # Temperatures in K closer than this are one.
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,29 +42,20 @@ class CurrentTable:
 class BridgeTables:
     """One switch position at one DC voltage.
 
-    Parameters
-    ----------
-    temperatures:
-        Junction temperatures in degC at which the tables stand, shape (K,), ascending.
-    synchronous:
-        Whether the transistor conducts backwards (MOSFET).
-    separate_diode:
-        Whether the diode has a junction of its own.
-    channel, diode:
-        Voltages in V; ``diode`` is None where nothing is known of it.
-    turn_on, turn_off:
-        Energies of one turn-on and of one turn-off in J.
-    recovery:
-        Energy of one recovery in J, lost in the diode of the other position.
-    resistances:
-        From each junction alone, in K/W, and the part to the coolant that both share, last.
-    coolant_temperature, max_junction_temperature:
-        In degC.
-    current_reach:
-        Current in A up to which every table has points; inf for constants.
-    temperature_reach:
-        Temperatures in degC between which the tables stand; all where a single one is known,
-        or for constants.
+    Args:
+        temperatures: Junction temperatures in degC at which the tables stand, shape (K,),
+            ascending.
+        synchronous: Whether the transistor conducts backwards (MOSFET).
+        separate_diode: Whether the diode has a junction of its own.
+        channel, diode: Voltages in V; ``diode`` is None where nothing is known of it.
+        turn_on, turn_off: Energies of one turn-on and of one turn-off in J.
+        recovery: Energy of one recovery in J, lost in the diode of the other position.
+        resistances: From each junction alone, in K/W, and the part to the coolant that both share,
+            last.
+        coolant_temperature, max_junction_temperature: In degC.
+        current_reach: Current in A up to which every table has points; inf for constants.
+        temperature_reach: Temperatures in degC between which the tables stand; all where a single
+            one is known, or for constants.
     """
 
     temperatures: FloatArray
@@ -171,12 +156,9 @@ def energy_factors(inverter: Inverter, v_dc: FloatArray) -> FloatArray | None:
     None where tables at several voltages, or turn-on and turn-off by different powers of it, leave
     no one factor for all currents.
 
-    Parameters
-    ----------
-    inverter:
-        With its device and its own link voltage.
-    v_dc:
-        Link voltages in V, shape (N,).
+    Args:
+        inverter: With its device and its own link voltage.
+        v_dc: Link voltages in V, shape (N,).
     """
     given = inverter.device_model
     model = DeviceModel.from_switch_device(required_device(inverter)) if given is None else given
@@ -195,10 +177,8 @@ def energy_factors(inverter: Inverter, v_dc: FloatArray) -> FloatArray | None:
 def bridge_tables(inverter: Inverter) -> BridgeTables:
     """Tables of the inverter's device at its DC voltage; its constants as tables where it has none.
 
-    Raises
-    ------
-    InputError
-        The inverter has no device.
+    Raises:
+        InputError: The inverter has no device.
     """
     device = required_device(inverter)
     given = inverter.device_model

@@ -24,15 +24,9 @@ from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.linear_range import overmodulation_of
 
+# Junction temperature in degC at which `SwitchDevice.on_resistance` is given.
 REFERENCE_TEMPERATURE = 25.0
-
-"""Junction temperature in degC at which `SwitchDevice.on_resistance` is given."""
-
-
-SWITCH_POSITIONS = 6
-
-"""Switch positions of the bridge, which share its losses equally."""
-
+SWITCH_POSITIONS = 6  # Switch positions of the bridge, which share its losses equally.
 
 # Points evaluated at once: some ten arrays of 4096 x 24 angles x 3 phases are 24 MB.
 _CHUNK = 4096
@@ -42,15 +36,11 @@ _CHUNK = 4096
 class BridgeLoad:
     """Losses of the bridge in W before its temperature is known, arrays of the shape (...).
 
-    Parameters
-    ----------
-    threshold:
-        Conduction loss that does not depend on temperature: threshold voltages,
-        and the resistance of the diodes.
-    resistive:
-        Conduction loss in the on resistance of the transistors at 25 degC.
-    switching:
-        Switching loss.
+    Args:
+        threshold: Conduction loss that does not depend on temperature: threshold voltages, and the
+            resistance of the diodes.
+        resistive: Conduction loss in the on resistance of the transistors at 25 degC.
+        switching: Switching loss.
     """
 
     threshold: FloatArray
@@ -62,17 +52,12 @@ class BridgeLoad:
 class BridgeLosses:
     """Losses of the bridge at its junction temperature, arrays of the shape (...).
 
-    Parameters
-    ----------
-    conduction, switching:
-        Losses of all six switch positions in W.
-    junction_temperature:
-        Average junction temperature of a switch position in degC.
-    thermal_residual:
-        Junction temperature minus the temperature that its losses lead to, in K.
-    thermally_stable:
-        False where there is no steady state (thermal runaway); conduction loss and
-        temperature are NaN there.
+    Args:
+        conduction, switching: Losses of all six switch positions in W.
+        junction_temperature: Average junction temperature of a switch position in degC.
+        thermal_residual: Junction temperature minus the temperature that its losses lead to, in K.
+        thermally_stable: False where there is no steady state (thermal runaway); conduction loss
+            and temperature are NaN there.
     """
 
     conduction: FloatArray
@@ -96,12 +81,9 @@ def resistance_factor(device: SwitchDevice, junction_temperature: FloatArray) ->
     """On resistance at a junction temperature in degC, any shape, relative to that at 25 degC:
     1 + alpha (T - 25).
 
-    Parameters
-    ----------
-    device:
-        The switch, with its temperature coefficient alpha in 1/K.
-    junction_temperature:
-        Temperature T in degC, any shape.
+    Args:
+        device: The switch, with its temperature coefficient alpha in 1/K.
+        junction_temperature: Temperature T in degC, any shape.
     """
     return 1.0 + device.on_resistance_temperature_coefficient * (
         junction_temperature - REFERENCE_TEMPERATURE
@@ -172,20 +154,14 @@ def bridge_load(
 
     where < > is the average over an electrical period, to rounding (`sector_waveforms`).
 
-    Parameters
-    ----------
-    inverter:
-        With the data of its device.
-    modulation:
-        The modulator.
-    v_d, v_q, i_d, i_q:
-        Phase voltages in V and currents in A in rotor coordinates (peak), broadcastable to the
-        shape (...). Beyond the linear range of the modulator the conduction loss of an IGBT bridge
-        has no meaning.
+    Args:
+        inverter: With the data of its device.
+        modulation: The modulator.
+        v_d, v_q, i_d, i_q: Phase voltages in V and currents in A in rotor coordinates (peak),
+            broadcastable to the shape (...). Beyond the linear range of the modulator the
+            conduction loss of an IGBT bridge has no meaning.
 
-    Returns
-    -------
-    BridgeLoad
+    Returns:
         Arrays of the shape (...).
     """
     device = required_device(inverter)
@@ -208,12 +184,9 @@ def bridge_load(
 def junction_temperature(inverter: Inverter, loss: FloatArray) -> FloatArray:
     """Junction temperature in degC for inverter losses in W, any shape: T_coolant + R_th P / 6.
 
-    Parameters
-    ----------
-    inverter:
-        Temperature of the coolant and thermal resistance of a switch.
-    loss:
-        Losses P of the whole inverter in W, any shape.
+    Args:
+        inverter: Temperature of the coolant and thermal resistance of a switch.
+        loss: Losses P of the whole inverter in W, any shape.
     """
     device = required_device(inverter)
     return inverter.coolant_temperature + device.thermal_resistance / SWITCH_POSITIONS * loss
@@ -226,12 +199,9 @@ def thermal_gain(inverter: Inverter, load: BridgeLoad) -> FloatArray:
     Each kelvin raises the losses, which raise the temperature by this many kelvins again:
     from 1 on it runs away.
 
-    Parameters
-    ----------
-    inverter:
-        Thermal resistance R_th in K/W and temperature coefficient alpha in 1/K.
-    load:
-        Loss of the resistances in W among the losses of the bridge, shape (...).
+    Args:
+        inverter: Thermal resistance R_th in K/W and temperature coefficient alpha in 1/K.
+        load: Loss of the resistances in W among the losses of the bridge, shape (...).
     """
     device = required_device(inverter)
     alpha = device.on_resistance_temperature_coefficient
@@ -248,16 +218,11 @@ def thermal_balance(inverter: Inverter, load: BridgeLoad) -> BridgeLosses:
     is found in one step. Each of the six positions is given a sixth of the losses and its
     own `thermal_resistance`.
 
-    Parameters
-    ----------
-    inverter:
-        With the data of its device.
-    load:
-        Losses at 25 degC from `bridge_load`, arrays of the shape (...).
+    Args:
+        inverter: With the data of its device.
+        load: Losses at 25 degC from `bridge_load`, arrays of the shape (...).
 
-    Returns
-    -------
-    BridgeLosses
+    Returns:
         Arrays of the shape (...).
     """
     device = required_device(inverter)

@@ -47,13 +47,10 @@ class JunctionNetworks:
 class JunctionHistory:
     """Temperatures of one position pair over N intervals, in degC.
 
-    Parameters
-    ----------
-    start, mean, end:
-        At the start of each interval (with its loss on), on the average and at its end, shape (2,
-        J, N).
-    steady:
-        Whether the temperatures settled; if not, they ran away and are NaN.
+    Args:
+        start, mean, end: At the start of each interval (with its loss on), on the average and at
+            its end, shape (2, J, N).
+        steady: Whether the temperatures settled; if not, they ran away and are NaN.
     """
 
     start: FloatArray
@@ -81,12 +78,9 @@ def junction_networks(inverter: Inverter, tables: BridgeTables) -> JunctionNetwo
     """Networks of the inverter's device; without data of its own each junction
     follows its loss at once.
 
-    Parameters
-    ----------
-    inverter:
-        Device and coolant.
-    tables:
-        Tables of the bridge, for devices without thermal data of their own.
+    Args:
+        inverter: Device and coolant.
+        tables: Tables of the bridge, for devices without thermal data of their own.
     """
     model = inverter.device_model
     *own, shared = tables.resistances
@@ -124,17 +118,12 @@ def junction_history(
 ) -> JunctionHistory:
     """Temperatures over a mission, with losses that follow the mean temperature of each interval.
 
-    Parameters
-    ----------
-    tables, networks:
-        The device.
-    loss:
-        Losses in W of the junctions at the temperatures of the tables, shape (2, J, K, N).
-    length:
-        Lengths of the intervals in s, shape (N,).
-    repeated:
-        Whether the mission follows itself without end, so that it ends as warm as it begins; else
-        it begins at the coolant's temperature.
+    Args:
+        tables, networks: The device.
+        loss: Losses in W of the junctions at the temperatures of the tables, shape (2, J, K, N).
+        length: Lengths of the intervals in s, shape (N,).
+        repeated: Whether the mission follows itself without end, so that it ends as warm as it
+            begins; else it begins at the coolant's temperature.
     """
     coolant = tables.coolant_temperature
     resistance, tau = networks.resistances[:, :, None], networks.time_constants[:, :, None]

@@ -31,21 +31,16 @@ from dqforge.machines.topologies.topology import TOPOLOGIES, leg_signs
 class LegWaveforms:
     """Half bridges at K points over N angles.
 
-    Parameters
-    ----------
-    duty, current:
-        Duty cycles of the upper switches and currents out of the legs in A, shape (K, legs, N).
-    clamped:
-        True where a leg does not switch, shape (K, legs, N).
-    ripple:
-        Covariance of the ripple of the phase currents in A^2 for v_dc / f_sw = 1 V s, shape
-        (K, N, 3, 3).
-    rising:
-        Ripple of each leg's current in A at its rising edge, for v_dc / f_sw = 1 V s, shape
-        (K, legs, N); at the falling one it has the other sign.
-    harmonic_voltage:
-        Mean square of the switched voltage vector beside its mean, over v_dc^2, shape (K,);
-        the vector is amplitude-invariant and has no zero sequence.
+    Args:
+        duty, current: Duty cycles of the upper switches and currents out of the legs in A, shape
+            (K, legs, N).
+        clamped: True where a leg does not switch, shape (K, legs, N).
+        ripple: Covariance of the ripple of the phase currents in A^2 for v_dc / f_sw = 1 V s, shape
+            (K, N, 3, 3).
+        rising: Ripple of each leg's current in A at its rising edge, for v_dc / f_sw = 1 V s, shape
+            (K, legs, N); at the falling one it has the other sign.
+        harmonic_voltage: Mean square of the switched voltage vector beside its mean, over v_dc^2,
+            shape (K,); the vector is amplitude-invariant and has no zero sequence.
     """
 
     duty: FloatArray
@@ -60,17 +55,13 @@ class LegWaveforms:
 class LegAverages:
     """Averages over a period of each leg, arrays (2, J, T, K, legs) as in `BridgeAverages`.
 
-    Parameters
-    ----------
-    conduction, switching, dead:
-        As in `BridgeAverages`, but of each leg of its own.
-    switched:
-        Mean magnitude of the leg's current in A while it switches, shape (K, legs).
-    link_current:
-        Mean in A of what flows from the link, both links of isolated ones together, shape (K,).
-    capacitor_square:
-        Mean square in A^2 of what its capacitors carry, shape (K,); of a split link both halves
-        together, for their resistances in series.
+    Args:
+        conduction, switching, dead: As in `BridgeAverages`, but of each leg of its own.
+        switched: Mean magnitude of the leg's current in A while it switches, shape (K, legs).
+        link_current: Mean in A of what flows from the link, both links of isolated ones together,
+            shape (K,).
+        capacitor_square: Mean square in A^2 of what its capacitors carry, shape (K,); of a split
+            link both halves together, for their resistances in series.
     """
 
     conduction: FloatArray
@@ -84,10 +75,8 @@ class LegAverages:
 def links_of_legs(topology: Topology) -> tuple[slice, ...]:
     """Legs of each dc link.
 
-    Parameters
-    ----------
-    topology:
-        How the phases are fed.
+    Args:
+        topology: How the phases are fed.
     """
     if topology == "six-leg-isolated":
         return slice(0, 3), slice(3, 6)
@@ -115,20 +104,13 @@ def leg_waveforms(
 ) -> LegWaveforms:
     """Duty cycles, currents and ripple of the legs.
 
-    Parameters
-    ----------
-    topology:
-        How the phases are fed.
-    voltage, current:
-        Of the phases in V and A, shape (K, 3, N).
-    v_dc:
-        Link voltage in V (of each of two isolated links).
-    inductance:
-        Matrices of the phases in H, with a choke in the neutral, shape (N, 3, 3).
-    modulation:
-        Modulator of three legs without neutral; the other topologies have their own.
-    open_phase:
-        A phase that is not connected; its legs rest.
+    Args:
+        topology: How the phases are fed.
+        voltage, current: Of the phases in V and A, shape (K, 3, N).
+        v_dc: Link voltage in V (of each of two isolated links).
+        inductance: Matrices of the phases in H, with a choke in the neutral, shape (N, 3, 3).
+        modulation: Modulator of three legs without neutral; the other topologies have their own.
+        open_phase: A phase that is not connected; its legs rest.
     """
     matrix = leg_signs(topology)
     lost = None if open_phase is None else "abc".index(open_phase)
@@ -182,12 +164,9 @@ def leg_ripple(topology: Topology, wave: LegWaveforms) -> FloatArray:
     """Mean square of the ripple of each leg's current in A^2 for v_dc / f_sw = 1 V s,
     shape (K, legs, N).
 
-    Parameters
-    ----------
-    topology:
-        How the phases are fed.
-    wave:
-        Waveforms of the legs.
+    Args:
+        topology: How the phases are fed.
+        wave: Waveforms of the legs.
     """
     matrix = leg_signs(topology)
     return np.asarray(np.einsum("kl,...jkm,ml->...lj", matrix, wave.ripple, matrix, optimize=True))
@@ -198,16 +177,11 @@ def leg_averages(
 ) -> LegAverages:
     """Averages of the losses of each leg, and of the current from the link.
 
-    Parameters
-    ----------
-    tables:
-        The device, T temperatures.
-    topology:
-        How the phases are fed.
-    wave:
-        Waveforms of K points.
-    flux:
-        v_dc / f_sw in V s, of the ripple that the devices see; 0 leaves it out.
+    Args:
+        tables: The device, T temperatures.
+        topology: How the phases are fed.
+        wave: Waveforms of K points.
+        flux: v_dc / f_sw in V s, of the ripple that the devices see; 0 leaves it out.
     """
     points, legs, _ = wave.current.shape
     away = flux * np.sqrt(np.maximum(leg_ripple(topology, wave), 0.0))

@@ -25,25 +25,18 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
 from dqforge.machines.records import dataclass
 
-COPPER_COEFFICIENT = 0.00393
-
-"""Relative change of the resistance of copper per kelvin, at 20 degC."""
+COPPER_COEFFICIENT = 0.00393  # Relative change of the resistance of copper per kelvin, at 20 degC.
 
 
 @dataclass(frozen=True, slots=True)
 class WindingHeat:
     """How warm the winding becomes.
 
-    Parameters
-    ----------
-    thermal_resistance:
-        Winding to coolant in K/W.
-    coolant_temperature:
-        In degC.
-    reference_temperature:
-        Temperature in degC at which the machine's r_s holds.
-    coefficient:
-        Relative change of r_s per kelvin, in 1/K, at the reference temperature.
+    Args:
+        thermal_resistance: Winding to coolant in K/W.
+        coolant_temperature: In degC.
+        reference_temperature: Temperature in degC at which the machine's r_s holds.
+        coefficient: Relative change of r_s per kelvin, in 1/K, at the reference temperature.
     """
 
     thermal_resistance: float
@@ -78,21 +71,15 @@ class WindingHeat:
 class MachineBudget:
     """Losses of a machine and what its terminals see, arrays of the shape (...).
 
-    Parameters
-    ----------
-    torque, shaft_power:
-        In N m and W.
-    copper, iron, magnet:
-        Losses in W; copper with the AC factor, at the winding temperature.
-    resistance:
-        Resistance in Ohm that makes the copper loss.
-    winding_temperature:
-        In degC, NaN without data of the winding's heat or where it is not steady.
-    steady:
-        False where the winding temperature runs away; copper loss,
-        resistance and voltages are NaN there.
-    i_d, i_q, v_d, v_q:
-        Currents in A and voltages in V at the terminals (peak).
+    Args:
+        torque, shaft_power: In N m and W.
+        copper, iron, magnet: Losses in W; copper with the AC factor, at the winding temperature.
+        resistance: Resistance in Ohm that makes the copper loss.
+        winding_temperature: In degC, NaN without data of the winding's heat or where it is not
+            steady.
+        steady: False where the winding temperature runs away; copper loss, resistance and voltages
+            are NaN there.
+        i_d, i_q, v_d, v_q: Currents in A and voltages in V at the terminals (peak).
     """
 
     torque: FloatArray
@@ -114,20 +101,15 @@ def warm_ratio(
 ) -> tuple[FloatArray, BoolArray]:
     """Resistance over r_s of the steady winding, shape (...), and where it is steady.
 
-    Parameters
-    ----------
-    heat:
-        How warm the winding becomes.
-    cold_loss:
-        Copper loss c in W with r_s, shape (...).
-    extra:
-        Relative rise k of the resistance by eddy currents in cold copper, shape (...).
+    Args:
+        heat: How warm the winding becomes.
+        cold_loss: Copper loss c in W with r_s, shape (...).
+        extra: Relative rise k of the resistance by eddy currents in cold copper, shape (...).
 
-    Notes
-    -----
-    With r = 1 + alpha (T - T_ref) and the copper loss c (r + k / r), whose eddy currents
-    warm copper damps:
-    (1 - g) r^2 - b r - g k = 0 with g = alpha R_th c and b = 1 + alpha (T_coolant - T_ref).
+    Notes:
+        With r = 1 + alpha (T - T_ref) and the copper loss c (r + k / r), whose eddy currents warm
+        copper damps: (1 - g) r^2 - b r - g k = 0 with g = alpha R_th c and b = 1 + alpha (T_coolant
+        - T_ref).
     """
     gain = heat.coefficient * heat.thermal_resistance * cold_loss
     base = 1.0 + heat.coefficient * (heat.coolant_temperature - heat.reference_temperature)
@@ -157,22 +139,16 @@ def machine_budget(
         v     = (R + 2/3 k_m omega_e^2) i_t + e
         3/2 Re(v i_t*) = 3/2 R |i_t|^2 + k_m omega_e^2 |i_t|^2 + P_iron + T omega_m
 
-    Parameters
-    ----------
-    machine:
-        Any machine, or one per point.
-    i_d, i_q, omega_m:
-        Currents in A (peak) that make the torque, and mechanical speed in rad/s,
-        of one shape (...).
-    loss:
-        AC copper, iron and magnet loss.
-    heat:
-        How warm the winding becomes; None keeps r_s. Only the copper loss of
-        the fundamental heats it.
+    Args:
+        machine: Any machine, or one per point.
+        i_d, i_q, omega_m: Currents in A (peak) that make the torque, and mechanical speed in rad/s,
+            of one shape (...).
+        loss: AC copper, iron and magnet loss.
+        heat: How warm the winding becomes; None keeps r_s. Only the copper loss of the fundamental
+            heats it.
 
-    Returns
-    -------
-    MachineBudget
+    Returns:
+        MachineBudget
     """
     omega_e = machine.pole_pairs * omega_m
     psi_d, psi_q = machine.flux(i_d, i_q)

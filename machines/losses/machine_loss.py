@@ -21,16 +21,12 @@ from dqforge.machines.records import dataclass
 class MachineLoss:
     """Losses of the machine beyond the dc copper loss; all zero by default.
 
-    Parameters
-    ----------
-    ac_copper:
-        k_ac in s^2/rad^2: the resistance that makes heat is R (1 + k_ac omega_e^2).
-    hysteresis, eddy:
-        k_h in W s/(rad Wb^2) and k_c in W s^2/(rad^2 Wb^2): iron loss (k_h |omega_e| + k_c
-        omega_e^2) |psi|^2 with the peak dq flux linkage.
-    magnet:
-        k_m in W s^2/(rad^2 A^2): eddy-current loss k_m omega_e^2 |i|^2 of the magnets under the
-        field of the winding, with the peak dq current.
+    Args:
+        ac_copper: k_ac in s^2/rad^2: the resistance that makes heat is R (1 + k_ac omega_e^2).
+        hysteresis, eddy: k_h in W s/(rad Wb^2) and k_c in W s^2/(rad^2 Wb^2): iron loss (k_h
+            |omega_e| + k_c omega_e^2) |psi|^2 with the peak dq flux linkage.
+        magnet: k_m in W s^2/(rad^2 A^2): eddy-current loss k_m omega_e^2 |i|^2 of the magnets under
+            the field of the winding, with the peak dq current.
     """
 
     ac_copper: float = 0.0
@@ -69,16 +65,14 @@ class MachineLoss:
     ) -> MachineLoss:
         """Coefficients from a measurement or a computation.
 
-        Parameters
-        ----------
-        frequency, flux:
-            Electrical frequency in Hz and flux linkage in Wb (peak) of the two iron losses.
-        hysteresis, eddy:
-            The two parts of the iron loss there, in W.
-        resistance_ratio, resistance_frequency:
-            AC over dc resistance at an electrical frequency in Hz.
-        magnet, magnet_frequency, magnet_current:
-            Magnet loss in W at an electrical frequency in Hz and a current in A (peak).
+        Args:
+            frequency, flux: Electrical frequency in Hz and flux linkage in Wb (peak) of the two
+                iron losses.
+            hysteresis, eddy: The two parts of the iron loss there, in W.
+            resistance_ratio, resistance_frequency: AC over dc resistance at an electrical frequency
+                in Hz.
+            magnet, magnet_frequency, magnet_current: Magnet loss in W at an electrical frequency in
+                Hz and a current in A (peak).
         """
         omega, square = 2.0 * math.pi * frequency, flux * flux
         return cls(

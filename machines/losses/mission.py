@@ -16,6 +16,7 @@ from dqforge.machines.files.text_table import TextTable
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import Reading, read_quantity
 
+# What files call the columns; single letters count with their case, T is a torque and t a time.
 _NAMES: dict[str, tuple[str, ...]] = {
     "time": ("t", "time", "zeit", "seconds"),
     "speed": (
@@ -45,44 +46,28 @@ _NAMES: dict[str, tuple[str, ...]] = {
     ),
 }
 
-"""What files call the columns; single letters count with their case, T is a torque and t a time."""
-
-
 _SI = {"time": "s", "speed": "rad/s", "torque": "N m"}
 
-
+# Revolutions per minute as drives people write them, beyond the vocabulary of units.
 _PER_MINUTE = re.compile(
     r"(?:1|u|r|rev|umdr\.?)\s*/\s*min|min\s*(?:\^|\*\*)?\s*[-\N{MINUS SIGN}]\s*1|min⁻¹",
     re.IGNORECASE,
 )
 
-"""Revolutions per minute as drives people write them, beyond the vocabulary of units."""
-
-
 _MOST_ROWS = 200_000
-
-
-MOST_BYTES = 50_000_000
-
-"""Bytes of the largest file of a mission."""
+MOST_BYTES = 50_000_000  # Bytes of the largest file of a mission.
 
 
 @dataclass(frozen=True, slots=True)
 class Mission:
     """Torque and speed over time; what stands in a row holds until the time of the next.
 
-    Parameters
-    ----------
-    time:
-        Instants in s, shape (N + 1,), strictly ascending.
-    torque, omega_m:
-        In N m and rad/s (mechanical) from each instant to the next, shape (N,).
-    lines:
-        Line of the file of each interval, shape (N,).
-    source:
-        Name of the file.
-    findings:
-        Sentences on what was assumed.
+    Args:
+        time: Instants in s, shape (N + 1,), strictly ascending.
+        torque, omega_m: In N m and rad/s (mechanical) from each instant to the next, shape (N,).
+        lines: Line of the file of each interval, shape (N,).
+        source: Name of the file.
+        findings: Sentences on what was assumed.
     """
 
     time: FloatArray
@@ -201,20 +186,15 @@ def read_mission(content: bytes, source: str, *, omega_max: float | None = None)
     without units the numbers are SI. Without titles the columns are time, speed and torque. The
     last row ends the mission.
 
-    Parameters
-    ----------
-    content:
-        Bytes of the file.
-    source:
-        Name of the file, for messages.
-    omega_max:
-        Largest permitted mechanical speed in rad/s, or None.
+    Args:
+        content: Bytes of the file.
+        source: Name of the file, for messages.
+        omega_max: Largest permitted mechanical speed in rad/s, or None.
 
-    Raises
-    ------
-    InputError
-        With file and line: no table, a missing or doubled column, a foreign unit, a cell without a
-        number, times that do not ascend, a speed above the largest, or too many rows.
+    Raises:
+        InputError: With file and line: no table, a missing or doubled column, a foreign unit, a
+            cell without a number, times that do not ascend, a speed above the largest, or too many
+            rows.
     """
     table = read_table(content, source)
     if table.lines.size > _MOST_ROWS:

@@ -17,15 +17,11 @@ from dqforge.machines.topologies.neutral_ripple import neutral_ripple
 class NeutralBalance:
     """Copper that the neutral saves and costs.
 
-    Parameters
-    ----------
-    saved:
-        Copper loss that currents of constant torque save with a zero sequence, in W/(N m)^2.
-    ripple:
-        Neutral current of the pulses at standstill in A, r.m.s., where it is largest on a split
-        link.
-    cost:
-        Its copper loss in W.
+    Args:
+        saved: Copper loss that currents of constant torque save with a zero sequence, in W/(N m)^2.
+        ripple: Neutral current of the pulses at standstill in A, r.m.s., where it is largest on a
+            split link.
+        cost: Its copper loss in W.
     """
 
     saved: float
@@ -45,18 +41,12 @@ def neutral_balance(
 
     A third of the neutral current flows in each phase, so that its copper loss is R I_n^2/3.
 
-    Parameters
-    ----------
-    machine:
-        The machine.
-    topology:
-        How its phases are fed.
-    v_dc:
-        Link voltage in V.
-    f_sw:
-        Carrier frequency in Hz.
-    l_0:
-        Inductance in H that a zero-sequence current meets.
+    Args:
+        machine: The machine.
+        topology: How its phases are fed.
+        v_dc: Link voltage in V.
+        f_sw: Carrier frequency in Hz.
+        l_0: Inductance in H that a zero-sequence current meets.
     """
     alpha, beta, zero = flux_axes(machine)
     plane = 1.5 * (alpha**2 + beta**2)

@@ -22,34 +22,25 @@ from dqforge.machines.phase_machines.salient_phase_machine import (
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 
-_STANDSTILL = 1e-9
-
-"""Electrical speed in rad/s below which the iron loses nothing."""
+_STANDSTILL = 1e-9  # Electrical speed in rad/s below which the iron loses nothing.
 
 
 @dataclass(frozen=True, slots=True)
 class PhaseTerminals:
     """A machine at K points over an electrical period of N angles; arrays (K,) unless said.
 
-    Parameters
-    ----------
-    torque, shaft_power:
-        Mean torque in N m and its power in W.
-    copper, iron, magnet:
-        Losses in W; copper at the winding temperature, without the ripple of switching.
-    neutral:
-        Loss in W of the neutral's conductor.
-    resistance:
-        Resistance of a phase in Ohm that makes the copper loss.
-    winding_temperature:
-        In degC, NaN without data of the winding's heat or where it is not steady.
-    steady:
-        False where the winding temperature runs away.
-    currents, voltages:
-        Of the phases at the terminals in A and V, shape (K, 3, N).
-    between:
-        Voltages in V half a step behind each angle, shape (K, 3, N), where corners show: what the
-        link must reach.
+    Args:
+        torque, shaft_power: Mean torque in N m and its power in W.
+        copper, iron, magnet: Losses in W; copper at the winding temperature, without the ripple of
+            switching.
+        neutral: Loss in W of the neutral's conductor.
+        resistance: Resistance of a phase in Ohm that makes the copper loss.
+        winding_temperature: In degC, NaN without data of the winding's heat or where it is not
+            steady.
+        steady: False where the winding temperature runs away.
+        currents, voltages: Of the phases at the terminals in A and V, shape (K, 3, N).
+        between: Voltages in V half a step behind each angle, shape (K, 3, N), where corners show:
+            what the link must reach.
     """
 
     torque: FloatArray
@@ -69,12 +60,9 @@ class PhaseTerminals:
 def allowed_currents(topology: Topology, open_phase: OpenPhase | None = None) -> FloatArray:
     """Orthonormal basis (3, m) of the phase currents that can flow.
 
-    Parameters
-    ----------
-    topology:
-        Without a neutral the phase currents add to zero.
-    open_phase:
-        A phase that carries none.
+    Args:
+        topology: Without a neutral the phase currents add to zero.
+        open_phase: A phase that carries none.
     """
     barred = [] if TOPOLOGIES[topology].neutral else [np.ones(3)]
     if open_phase is not None:
@@ -88,10 +76,8 @@ def allowed_currents(topology: Topology, open_phase: OpenPhase | None = None) ->
 def inductance_over_angle(machine: AnyPhaseMachine) -> FloatArray:
     """Inductance matrices of the phases in H, shape (N, 3, 3).
 
-    Parameters
-    ----------
-    machine:
-        With or without saliency.
+    Args:
+        machine: With or without saliency.
     """
     if isinstance(machine, SalientPhaseMachine):
         return machine.inductance
@@ -121,20 +107,14 @@ def phase_terminals(
     Derivatives are central differences on the angles, which are antisymmetric: with constant
     inductances the power at the terminals is that of the losses and the shaft to rounding.
 
-    Parameters
-    ----------
-    machine:
-        The machine in phase quantities.
-    currents:
-        Phase currents in A that make the torque, shape (K, 3, N).
-    omega_m:
-        Mechanical speeds in rad/s, shape (K,).
-    topology, open_phase:
-        How the phases are fed.
-    loss, heat:
-        AC copper, iron and magnet loss; how warm the winding becomes, None keeps its resistance.
-    neutral_resistance, neutral_inductance:
-        Of the neutral's conductor and choke in Ohm and H.
+    Args:
+        machine: The machine in phase quantities.
+        currents: Phase currents in A that make the torque, shape (K, 3, N).
+        omega_m: Mechanical speeds in rad/s, shape (K,).
+        topology, open_phase: How the phases are fed.
+        loss, heat: AC copper, iron and magnet loss; how warm the winding becomes, None keeps its
+            resistance.
+        neutral_resistance, neutral_inductance: Of the neutral's conductor and choke in Ohm and H.
     """
     omega = machine.pole_pairs * np.asarray(omega_m, dtype=np.float64)
     linked = np.einsum("jkl,...lj->...kj", inductance_over_angle(machine), currents)

@@ -34,13 +34,10 @@ _THICK = 50.0
 def harmonic_voltage_square(amplitude: ArrayLike, v_dc: FloatArray | float) -> FloatArray:
     """Mean square of the harmonic voltage vector in V^2, shape (...): 4/(sqrt 3 pi) V v_dc - V^2.
 
-    Parameters
-    ----------
-    amplitude:
-        Fundamental phase voltage V in V (peak), any shape (...), within the linear range; the
-        vector is amplitude-invariant.
-    v_dc:
-        DC-link voltage in V, a number or of a shape that fits.
+    Args:
+        amplitude: Fundamental phase voltage V in V (peak), any shape (...), within the linear
+            range; the vector is amplitude-invariant.
+        v_dc: DC-link voltage in V, a number or of a shape that fits.
     """
     volts = np.asarray(amplitude, dtype=np.float64)
     return np.asarray(
@@ -56,13 +53,10 @@ def sheet_factor(frequency: ArrayLike, corner: float) -> FloatArray:
 
         F = 3/x (sinh x - sin x) / (cosh x - cos x),   x = sqrt(f / corner)
 
-    Parameters
-    ----------
-    frequency:
-        In Hz, not negative.
-    corner:
-        Frequency in Hz at which the skin depth equals the thickness d of the sheet: rho / (pi mu
-        d^2), some 1 kHz for sheets of 0.35 mm.
+    Args:
+        frequency: In Hz, not negative.
+        corner: Frequency in Hz at which the skin depth equals the thickness d of the sheet: rho /
+            (pi mu d^2), some 1 kHz for sheets of 0.35 mm.
     """
     x = np.sqrt(np.asarray(frequency, dtype=np.float64) / corner)
     between = np.clip(x, _THIN, _THICK)
@@ -85,18 +79,13 @@ def ripple_iron_loss(
 ) -> FloatArray:
     """Iron loss in W by the switching, shape (...): k_c < |v_h|^2 > F(f_sw).
 
-    Parameters
-    ----------
-    eddy:
-        k_c in W s^2/(rad^2 Wb^2), as in `MachineLoss`.
-    amplitude, v_dc:
-        Fundamental phase voltage in V (peak) and DC-link voltage in V.
-    f_sw:
-        Carrier frequency in Hz, broadcastable with the amplitude;
-        it matters by the skin effect alone.
-    corner:
-        As in `sheet_factor`; None leaves the skin effect out, which overestimates at
-        high carrier frequencies.
+    Args:
+        eddy: k_c in W s^2/(rad^2 Wb^2), as in `MachineLoss`.
+        amplitude, v_dc: Fundamental phase voltage in V (peak) and DC-link voltage in V.
+        f_sw: Carrier frequency in Hz, broadcastable with the amplitude; it matters by the skin
+            effect alone.
+        corner: As in `sheet_factor`; None leaves the skin effect out, which overestimates at high
+            carrier frequencies.
     """
     loss = eddy * harmonic_voltage_square(amplitude, v_dc)
     return np.asarray(

@@ -6,15 +6,14 @@ the lowest at the negative. The modulators differ in nothing but this choice: by
 rail (DPWMMAX, DPWMMIN), by the magnitudes of the references seen from another angle (DPWM0 to
 DPWM3, GDPWM) or by those of the currents (DDT-GDPWM).
 
-References
-----------
-A. M. Hava, R. J. Kerkman, T. A. Lipo, "A high-performance generalized discontinuous PWM algorithm",
-IEEE Transactions on Industry Applications 34(5), 1998, doi:10.1109/28.720446 (clamping angle psi,
-DPWM0 to DPWM3). A. M. Hava, R. J. Kerkman, T. A. Lipo, "Simple analytical and graphical methods for
-carrier-based PWM-VSI drives", IEEE Transactions on Power Electronics 14(1), 1999,
-doi:10.1109/63.737592 (switching loss function). T. D. Nguyen et al., "A direct digital technique
-implementation of general discontinuous pulse width modulation strategy", IEEE Transactions on
-Industrial Electronics 58(9), 2011, doi:10.1109/TIE.2010.2102311 (DDT-GDPWM).
+References:
+    A. M. Hava, R. J. Kerkman, T. A. Lipo, "A high-performance generalized discontinuous PWM
+    algorithm", IEEE Transactions on Industry Applications 34(5), 1998, doi:10.1109/28.720446
+    (clamping angle psi, DPWM0 to DPWM3). A. M. Hava, R. J. Kerkman, T. A. Lipo, "Simple analytical
+    and graphical methods for carrier-based PWM-VSI drives", IEEE Transactions on Power Electronics
+    14(1), 1999, doi:10.1109/63.737592 (switching loss function). T. D. Nguyen et al., "A direct
+    digital technique implementation of general discontinuous pulse width modulation strategy", IEEE
+    Transactions on Industrial Electronics 58(9), 2011, doi:10.1109/TIE.2010.2102311 (DDT-GDPWM).
 """
 
 from __future__ import annotations
@@ -29,12 +28,10 @@ from dqforge.machines.modulation.zero_sequence import compared, extremes, highes
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import DOUBLES, Pair, Reals, Triple, clarke
 
+# Those of the package's modulators that keep one phase at a rail at every instant.
 DISCONTINUOUS: frozenset[ModulationName] = frozenset(
     name for name, modulator in MODULATORS.items() if modulator.rests
 )
-
-"""Those of the package's modulators that keep one phase at a rail at every instant."""
-
 
 # Eight Gauss points integrate products of three sines over at most 60 degrees to rounding.
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -46,12 +43,9 @@ def compared_at(
     """References and currents of the phases, and for GDPWM the references' vector and
     the turn of the load angle.
 
-    Parameters
-    ----------
-    name:
-        The modulator.
-    voltage, current:
-        Phase references in V and phase currents in A, shape (..., 3).
+    Args:
+        name: The modulator.
+        voltage, current: Phase references in V and phase currents in A, shape (..., 3).
     """
     v, i = (Triple(*np.moveaxis(phases, -1, 0)) for phases in (voltage, current))
     if MODULATORS[name].compared != "load angle":
@@ -69,14 +63,11 @@ def resting_phase(
     Of equal references the first is the highest and the last is the lowest, so that the two are
     never the same phase; where both might rest equally well it is the highest.
 
-    Parameters
-    ----------
-    name:
-        A modulator that rests a phase.
-    voltage, current:
-        Phase references in V and phase currents in A, shape (..., 3). GDPWM takes the load angle
-        from the space vectors of both, DDT-GDPWM compares currents, the others look at the
-        references alone.
+    Args:
+        name: A modulator that rests a phase.
+        voltage, current: Phase references in V and phase currents in A, shape (..., 3). GDPWM takes
+            the load angle from the space vectors of both, DDT-GDPWM compares currents, the others
+            look at the references alone.
     """
     v, i, vector, turn = compared_at(name, voltage, current)
     number = Triple(*np.arange(3))
@@ -98,12 +89,9 @@ def hand_over(name: ModulationName, load_angle: FloatArray) -> FloatArray:
     DDT-GDPWM it is where the magnitudes of the two currents cross, with the others at the clamping
     angle.
 
-    Parameters
-    ----------
-    name:
-        The modulator.
-    load_angle:
-        Angle in rad by which the current lags the voltage, shape (...).
+    Args:
+        name: The modulator.
+        load_angle: Angle in rad by which the current lags the voltage, shape (...).
     """
     return MODULATORS[name].hand_over(load_angle)
 
@@ -119,15 +107,11 @@ def sector_rule(
     the resting phase changes, and each part gets its own Gauss rule: 24 angles. With modulators of
     one rail the next sector follows with the same 24.
 
-    Parameters
-    ----------
-    name:
-        The modulator.
-    lag:
-        Angle in rad by which the current lags the voltage, shape (...).
-    parts:
-        Equal parts of the sector that get a rule of their own besides, even for waveforms that
-        change at its middle.
+    Args:
+        name: The modulator.
+        lag: Angle in rad by which the current lags the voltage, shape (...).
+        parts: Equal parts of the sector that get a rule of their own besides, even for waveforms
+            that change at its middle.
     """
     current_zero = np.mod(lag + THIRTY, SIXTY)
     change = hand_over(name, lag)
@@ -165,16 +149,11 @@ def switching_loss_factor(name: ModulationName, load_angle: ArrayLike) -> FloatA
     (DPWM3), psi - 60 to psi (GDPWM), and -60 to 60 in every other half wave (DPWMMIN, DPWMMAX).
     DDT-GDPWM: see docs/methods/loss-budget.md.
 
-    Parameters
-    ----------
-    name:
-        The modulator; 1 for continuous ones.
-    load_angle:
-        Angle phi in rad by which the current lags the voltage, any shape.
+    Args:
+        name: The modulator; 1 for continuous ones.
+        load_angle: Angle phi in rad by which the current lags the voltage, any shape.
 
-    Returns
-    -------
-    FloatArray
+    Returns:
         Of the shape of `load_angle`.
     """
     return MODULATORS[name].loss_factor(np.asarray(load_angle, dtype=np.float64))

@@ -31,16 +31,12 @@ def dead_time_factor(name: ModulationName, dead_time: ArrayLike, f_sw: ArrayLike
     The line-to-line duty cycle of two phases that switch reaches 1 - 2 t_d f_sw where their
     currents flow against it, as they do in motoring; more in generating, which is not counted on.
 
-    Parameters
-    ----------
-    name:
-        The modulator.
-    dead_time, f_sw:
-        Dead time t_d in s and carrier frequencies in Hz, broadcast to the shape (...).
+    Args:
+        name: The modulator.
+        dead_time, f_sw: Dead time t_d in s and carrier frequencies in Hz, broadcast to the shape
+            (...).
 
-    Returns
-    -------
-    FloatArray, shape (...)
+    Returns:
         0 where the dead time takes the whole period.
     """
     gaps = 1.0 if MODULATORS[name].rests else 2.0

@@ -14,14 +14,14 @@ The radius fed, and the reciprocals that rise without bound towards six-step ope
 polynomials of a square root: in it they are smooth up to the end, where their slope over m is
 infinite.
 
-References
-----------
-J. Holtz, W. Lotzkat, A. M. Khambadkone, "On continuous control of PWM inverters in the
-overmodulation range including the six-step mode", IEEE Transactions on Power Electronics 8(4),
-1993, doi:10.1109/63.261026 (two ranges, hold of the corners). A. M. Hava, R. J. Kerkman, T. A.
-Lipo, "Carrier-based PWM-VSI overmodulation strategies: analysis, comparison, and design", IEEE
-Transactions on Power Electronics 13(4), 1998, doi:10.1109/63.704136 (least magnitude error is what
-saturated space-vector modulation does). The polynomials and the stretched side are our own.
+References:
+    J. Holtz, W. Lotzkat, A. M. Khambadkone, "On continuous control of PWM inverters in the
+    overmodulation range including the six-step mode", IEEE Transactions on Power Electronics 8(4),
+    1993, doi:10.1109/63.261026 (two ranges, hold of the corners). A. M. Hava, R. J. Kerkman, T. A.
+    Lipo, "Carrier-based PWM-VSI overmodulation strategies: analysis, comparison, and design", IEEE
+    Transactions on Power Electronics 13(4), 1998, doi:10.1109/63.704136 (least magnitude error is
+    what saturated space-vector modulation does). The polynomials and the stretched side are our
+    own.
 """
 
 from __future__ import annotations
@@ -38,50 +38,33 @@ from dqforge.machines.names import ModulationName, OvermodulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Floats, Pair, Reals, clarke_inverse
 
+# Radius over v_dc of the circle in the hexagon: the largest fundamental without overmodulation.
 INSCRIBED = 1.0 / math.sqrt(3.0)
 
-"""Radius over v_dc of the circle in the hexagon: the largest fundamental without overmodulation."""
-
-
+# Fundamental over v_dc of a vector that follows the hexagon at constant speed, 0.6057.
 HEXAGON = math.sqrt(3.0) * math.log(3.0) / math.pi
+SIX_STEP = 2.0 / math.pi  # Fundamental over v_dc of six-step operation.
 
-"""Fundamental over v_dc of a vector that follows the hexagon at constant speed, 0.6057."""
-
-
-SIX_STEP = 2.0 / math.pi
-
-"""Fundamental over v_dc of six-step operation."""
-
-
+# Least of the reciprocals that go to zero at six-step operation; it leaves a fundamental of 1e-7
+# less.
 LEAST_HOLD = 1.0e-3
-
-"""Least of the reciprocals that go to zero at six-step operation; it leaves a fundamental of 1e-7
-less."""
 
 
 @dataclass(frozen=True, slots=True)
 class HexagonMethod:
     """One method of overmodulation.
 
-    Parameters
-    ----------
-    name:
-        As in a design file.
-    text:
-        What it does, in a line.
-    radial:
-        Whether the vector is shortened along its direction.
-    turning:
-        Fundamental over v_dc from which on corners are held.
-    arc_end:
-        Fundamental whose distance from m goes into the root of ``arc``.
-    arc:
-        Polynomial of sqrt(arc_end - m), lowest power first: radius over v_dc of the circle that
-        the method is fed below ``turning``.
-    hold:
-        Polynomial of sqrt(SIX_STEP - m), lowest power first, from ``turning`` on. Least phase
-        error: reciprocal of the stretch along the side. Least magnitude error: v_dc over the
-        radius of the circle.
+    Args:
+        name: As in a design file.
+        text: What it does, in a line.
+        radial: Whether the vector is shortened along its direction.
+        turning: Fundamental over v_dc from which on corners are held.
+        arc_end: Fundamental whose distance from m goes into the root of ``arc``.
+        arc: Polynomial of sqrt(arc_end - m), lowest power first: radius over v_dc of the circle
+            that the method is fed below ``turning``.
+        hold: Polynomial of sqrt(SIX_STEP - m), lowest power first, from ``turning`` on. Least phase
+            error: reciprocal of the stretch along the side. Least magnitude error: v_dc over the
+            radius of the circle.
     """
 
     name: OvermodulationName
@@ -95,6 +78,7 @@ class HexagonMethod:
 
 # Fitted in the largest relative error of the fundamental: 3e-5 (arc) and 3e-6 (hold) with least
 # phase error, 2.5e-5 and 4e-7 with least magnitude error; float32 as they are written.
+# The methods by name.
 METHODS: Mapping[OvermodulationName, HexagonMethod] = MappingProxyType(
     {
         "least-phase-error": HexagonMethod(
@@ -118,8 +102,6 @@ METHODS: Mapping[OvermodulationName, HexagonMethod] = MappingProxyType(
     }
 )
 
-"""The methods by name."""
-
 
 def follows_hexagon(modulation: ModulationName) -> bool:
     """Whether a modulator's duty cycles make every vector of the hexagon.
@@ -127,10 +109,8 @@ def follows_hexagon(modulation: ModulationName) -> bool:
     Those that add nothing or a third harmonic do not: at the corners their zero sequence would take
     two phases beyond the rails.
 
-    Parameters
-    ----------
-    modulation:
-        The modulator.
+    Args:
+        modulation: The modulator.
     """
     return MODULATORS[modulation].kind not in ("sine", "third-harmonic")
 
@@ -142,14 +122,10 @@ def overmodulated(name: OvermodulationName, vector: Pair[Reals], v_dc: Reals) ->
     The operations and their order are those of the emitted C, of which this is the model in
     float32.
 
-    Parameters
-    ----------
-    name:
-        The method; ``none`` leaves the vectors as they are.
-    vector:
-        Alpha and beta in V, arrays of one floating-point type and shape (...).
-    v_dc:
-        DC-link voltage in V, of the same type, shape (...). Without it nothing is changed.
+    Args:
+        name: The method; ``none`` leaves the vectors as they are.
+        vector: Alpha and beta in V, arrays of one floating-point type and shape (...).
+        v_dc: DC-link voltage in V, of the same type, shape (...). Without it nothing is changed.
     """
     if name == "none":
         return vector

@@ -28,18 +28,13 @@ from dqforge.machines.names import OvermodulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Pair
 
-ORDERS = (5, 7, 11, 13, 17, 19)
-
-"""Orders of the phase voltage that are told by number."""
-
+ORDERS = (5, 7, 11, 13, 17, 19)  # Orders of the phase voltage that are told by number.
 
 # Angles in the 60 degrees after which everything repeats.
 _ANGLES = 720
 
-
 # Operating points at once: some arrays of 256 x 720 x 2 numbers are 3 MB each.
 _CHUNK = 256
-
 
 # A point on the voltage limit exceeds it by what its solver leaves.
 _ROUNDING = 1e-6
@@ -51,24 +46,16 @@ class LowHarmonics:
 
     Zero within the linear range, NaN beyond six-step operation.
 
-    Parameters
-    ----------
-    index:
-        Fundamental of the phase voltage over that of six-step operation.
-    voltage:
-        Amplitudes of the orders `ORDERS` of the phase voltage in V (peak), shape (N, 6).
-    distortion:
-        R.m.s. of all harmonics of the phase voltage over that of the fundamental.
-    current:
-        Root mean square in A of the harmonics of a phase current.
-    peak_current:
-        Largest length in A of the current vector with its harmonics.
-    torque:
-        Peak-to-peak torque in N m.
-    torque_6, torque_12:
-        Amplitudes in N m of the torque at 6 and 12 times the fundamental frequency.
-    copper:
-        Copper loss in W of the harmonics, with the resistance of the fundamental.
+    Args:
+        index: Fundamental of the phase voltage over that of six-step operation.
+        voltage: Amplitudes of the orders `ORDERS` of the phase voltage in V (peak), shape (N, 6).
+        distortion: R.m.s. of all harmonics of the phase voltage over that of the fundamental.
+        current: Root mean square in A of the harmonics of a phase current.
+        peak_current: Largest length in A of the current vector with its harmonics.
+        torque: Peak-to-peak torque in N m.
+        torque_6, torque_12: Amplitudes in N m of the torque at 6 and 12 times the fundamental
+            frequency.
+        copper: Copper loss in W of the harmonics, with the resistance of the fundamental.
     """
 
     index: FloatArray
@@ -85,16 +72,11 @@ class LowHarmonics:
 def waveform(name: OvermodulationName, share: FloatArray) -> NDArray[np.complex128]:
     """Vectors made, over v_dc and seen from the asked one, at 720 angles in 60 degrees.
 
-    Parameters
-    ----------
-    name:
-        The method.
-    share:
-        Fundamentals over v_dc, shape (N,).
+    Args:
+        name: The method.
+        share: Fundamentals over v_dc, shape (N,).
 
-    Returns
-    -------
-    Complex array, shape (N, 720)
+    Returns:
         With the mean of the fundamental; angles at the middle of equal intervals from -30 degrees
         off a side's middle on.
     """
@@ -108,12 +90,9 @@ def waveform(name: OvermodulationName, share: FloatArray) -> NDArray[np.complex1
 def voltage_harmonics(name: OvermodulationName, share: ArrayLike) -> FloatArray:
     """Amplitudes over v_dc of the orders `ORDERS` of the phase voltage, shape (N, 6).
 
-    Parameters
-    ----------
-    name:
-        The method.
-    share:
-        Fundamentals over v_dc, shape (N,).
+    Args:
+        name: The method.
+        share: Fundamentals over v_dc, shape (N,).
     """
     wave = waveform(name, np.asarray(share, dtype=np.float64))
     bins = np.fft.fft(wave, axis=-1) / _ANGLES
@@ -134,20 +113,15 @@ def low_harmonics(
 ) -> LowHarmonics:
     """What overmodulation adds at operating points.
 
-    Parameters
-    ----------
-    name:
-        The method; with ``none`` everything is zero.
-    machine:
-        Any machine, or one per point; a saturated one is linearised at the operating point.
-    i_d, i_q, omega_m:
-        Currents in A (peak) and mechanical speed in rad/s, broadcastable to N points; NaN where
-        there is none.
-    v_dc:
-        DC-link voltage in V.
-    voltage:
-        v_d and v_q at the terminals in V, shape (N,) each; those of the currents and the machine's
-        resistance when None.
+    Args:
+        name: The method; with ``none`` everything is zero.
+        machine: Any machine, or one per point; a saturated one is linearised at the operating
+            point.
+        i_d, i_q, omega_m: Currents in A (peak) and mechanical speed in rad/s, broadcastable to N
+            points; NaN where there is none.
+        v_dc: DC-link voltage in V.
+        voltage: v_d and v_q at the terminals in V, shape (N,) each; those of the currents and the
+            machine's resistance when None.
     """
     d, q, omega = (
         np.ravel(value)

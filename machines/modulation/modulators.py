@@ -6,13 +6,13 @@ refers them to the negative rail, and division by v_dc makes the duty cycles of 
 u_x = (V_x + V0) / v_dc (paper 000, (13)). Phase quantities have a last axis of 3 (a, b, c); the
 axis of angles, where there is one, comes just before it.
 
-References
-----------
-A. M. Hava, R. J. Kerkman, T. A. Lipo, "Simple analytical and graphical methods for carrier-based
-PWM-VSI drives", IEEE Transactions on Power Electronics 14(1), 1999, doi:10.1109/63.737592 (linear
-limits, modulation index, waveforms). T. D. Nguyen et al., "A direct digital technique
-implementation of general discontinuous pulse width modulation strategy", IEEE Transactions on
-Industrial Electronics 58(9), 2011, doi:10.1109/TIE.2010.2102311 (DDT-GDPWM).
+References:
+    A. M. Hava, R. J. Kerkman, T. A. Lipo, "Simple analytical and graphical methods for
+    carrier-based PWM-VSI drives", IEEE Transactions on Power Electronics 14(1), 1999,
+    doi:10.1109/63.737592 (linear limits, modulation index, waveforms). T. D. Nguyen et al., "A
+    direct digital technique implementation of general discontinuous pulse width modulation
+    strategy", IEEE Transactions on Industrial Electronics 58(9), 2011, doi:10.1109/TIE.2010.2102311
+    (DDT-GDPWM).
 """
 
 from __future__ import annotations
@@ -51,19 +51,14 @@ __all__ = [
     "zero_sequence",
 ]
 
-
+# Fundamental phase-voltage amplitude of six-step operation, as a fraction of v_dc.
 SIX_STEP_AMPLITUDE = 2.0 / math.pi
-
-"""Fundamental phase-voltage amplitude of six-step operation, as a fraction of v_dc."""
-
 
 # A reference that was computed to lie on the limit exceeds it by a few roundings at most.
 _LIMIT_ROUNDING = 1e-12
 
-
 # Beyond the circle in the hexagon two phases reach their rails but for this.
 _RAIL_ROUNDING = 1e-12
-
 
 # Parts of a sector that overmodulation gives a rule of their own; even, since six-step operation
 # jumps at its middle.
@@ -74,15 +69,12 @@ _OVERMODULATED_PARTS = 12
 class Modulation:
     """What a modulator makes of phase references.
 
-    Parameters
-    ----------
-    zero_sequence:
-        Zero-sequence voltage V0 in V between star point and negative rail, shape (...).
-    duty:
-        Duty cycles of the upper switches, shape (..., 3). Not clipped: outside [0, 1] the reference
-        is beyond the linear range.
-    clamped:
-        True where the phase does not switch, shape (..., 3).
+    Args:
+        zero_sequence: Zero-sequence voltage V0 in V between star point and negative rail, shape
+            (...).
+        duty: Duty cycles of the upper switches, shape (..., 3). Not clipped: outside [0, 1] the
+            reference is beyond the linear range.
+        clamped: True where the phase does not switch, shape (..., 3).
     """
 
     zero_sequence: FloatArray
@@ -94,18 +86,12 @@ class Modulation:
 class PhaseWaveforms:
     """Phase quantities at n angles, for any number of operating points.
 
-    Parameters
-    ----------
-    theta_e:
-        Electrical angle of the d axis from phase a in rad, shape (..., n).
-    weight:
-        Weights of the angles in an average, shape (..., n), sum 1 over the last axis.
-    voltage:
-        Phase voltage references in V from the star point, shape (..., n, 3).
-    current:
-        Phase currents in A, shape (..., n, 3).
-    modulation:
-        Zero sequence (..., n), duty cycles and clamped phases (..., n, 3).
+    Args:
+        theta_e: Electrical angle of the d axis from phase a in rad, shape (..., n).
+        weight: Weights of the angles in an average, shape (..., n), sum 1 over the last axis.
+        voltage: Phase voltage references in V from the star point, shape (..., n, 3).
+        current: Phase currents in A, shape (..., n, 3).
+        modulation: Zero sequence (..., n), duty cycles and clamped phases (..., n, 3).
     """
 
     theta_e: FloatArray
@@ -147,14 +133,10 @@ def in_linear_range(name: ModulationName, amplitude: FloatArray | float, v_dc: f
 
     False for NaN.
 
-    Parameters
-    ----------
-    name:
-        The modulator.
-    amplitude:
-        Phase-voltage amplitude in V (peak), any shape.
-    v_dc:
-        DC-link voltage in V.
+    Args:
+        name: The modulator.
+        amplitude: Phase-voltage amplitude in V (peak), any shape.
+        v_dc: DC-link voltage in V.
     """
     return np.asarray(amplitude <= linear_limit(name, v_dc) * (1.0 + _LIMIT_ROUNDING))
 
@@ -165,20 +147,14 @@ def zero_sequence(
     """Zero-sequence voltage V0 in V from the negative rail, by the rules of
     `dqforge.machines.modulation.zero_sequence`.
 
-    Parameters
-    ----------
-    name:
-        The modulator.
-    voltage:
-        Phase references in V from the star point, shape (..., 3).
-    current:
-        Phase currents in A, shape (..., 3); only GDPWM and DDT-GDPWM look at them.
-    v_dc:
-        DC-link voltage in V.
+    Args:
+        name: The modulator.
+        voltage: Phase references in V from the star point, shape (..., 3).
+        current: Phase currents in A, shape (..., 3); only GDPWM and DDT-GDPWM look at them.
+        v_dc: DC-link voltage in V.
 
-    Returns
-    -------
-    FloatArray, shape (...)
+    Returns:
+        FloatArray, shape (...)
     """
     v, i, vector, turn = compared_at(name, *np.broadcast_arrays(voltage, current))
     link = np.full(v.a.shape, v_dc, dtype=np.float64)
@@ -189,14 +165,10 @@ def clamped_phases(name: ModulationName, voltage: FloatArray, current: FloatArra
     """Mark the phase that does not switch, shape (..., 3): exactly one with discontinuous
     modulators, else none.
 
-    Parameters
-    ----------
-    name:
-        The modulator.
-    voltage:
-        Phase references in V from the star point, shape (..., 3).
-    current:
-        Phase currents in A, shape (..., 3).
+    Args:
+        name: The modulator.
+        voltage: Phase references in V from the star point, shape (..., 3).
+        current: Phase currents in A, shape (..., 3).
     """
     voltage, current = np.broadcast_arrays(voltage, current)
     if not MODULATORS[name].rests:
@@ -214,16 +186,11 @@ def modulate(
     The duty cycle of a clamped phase is exactly 0 or 1. Nothing is clipped: test the amplitude of
     the reference with `in_linear_range`.
 
-    Parameters
-    ----------
-    name:
-        The modulator.
-    voltage:
-        Phase references in V from the star point, shape (..., 3).
-    current:
-        Phase currents in A, shape (..., 3); only GDPWM and DDT-GDPWM look at them.
-    v_dc:
-        DC-link voltage in V.
+    Args:
+        name: The modulator.
+        voltage: Phase references in V from the star point, shape (..., 3).
+        current: Phase currents in A, shape (..., 3); only GDPWM and DDT-GDPWM look at them.
+        v_dc: DC-link voltage in V.
     """
     v_zero = zero_sequence(name, voltage, current, v_dc)
     clamped = clamped_phases(name, voltage, current)
@@ -285,23 +252,17 @@ def period_waveforms(
 ) -> PhaseWaveforms:
     """Waveforms over one electrical period, for display and for harmonics.
 
-    Parameters
-    ----------
-    name:
-        The modulator.
-    v_d, v_q, i_d, i_q:
-        Phase voltages in V and currents in A in rotor coordinates (peak),
-        broadcastable to the shape (...).
-    v_dc:
-        DC-link voltage in V.
-    angles:
-        Number n of angles. They are the midpoints of n equal intervals from theta_e = 0, all with
-        the weight 1/n. The average of a quantity that jumps where the clamped phase changes is in
-        error by at most about one jump in n; `sector_waveforms` has no such error.
+    Args:
+        name: The modulator.
+        v_d, v_q, i_d, i_q: Phase voltages in V and currents in A in rotor coordinates (peak),
+            broadcastable to the shape (...).
+        v_dc: DC-link voltage in V.
+        angles: Number n of angles. They are the midpoints of n equal intervals from theta_e = 0,
+            all with the weight 1/n. The average of a quantity that jumps where the clamped phase
+            changes is in error by at most about one jump in n; `sector_waveforms` has no such
+            error.
 
-    Returns
-    -------
-    PhaseWaveforms
+    Returns:
         With n = `angles` for arrays of the shape (..., n) and (..., n, 3).
     """
     v_d, v_q, i_d, i_q = _operating_points(v_d, v_q, i_d, i_q)
@@ -331,18 +292,13 @@ def sector_waveforms(
 
     Without voltage the direction of the voltage vector is taken as that of the d axis.
 
-    Parameters
-    ----------
-    name:
-        The modulator.
-    v_d, v_q, i_d, i_q:
-        Phase voltages in V and currents in A in rotor coordinates (peak), broadcastable to
-        the shape (...).
-    v_dc:
-        DC-link voltage in V.
-    overmodulation:
-        What becomes of voltages beyond the circle in the hexagon; there the angles are four times
-        as many, and the averages good to 1e-4.
+    Args:
+        name: The modulator.
+        v_d, v_q, i_d, i_q: Phase voltages in V and currents in A in rotor coordinates (peak),
+            broadcastable to the shape (...).
+        v_dc: DC-link voltage in V.
+        overmodulation: What becomes of voltages beyond the circle in the hexagon; there the angles
+            are four times as many, and the averages good to 1e-4.
     """
     v_d, v_q, i_d, i_q = _operating_points(v_d, v_q, i_d, i_q)
     voltage_angle = np.arctan2(v_q, v_d)

@@ -9,11 +9,10 @@ same line voltages, in phase with the references, up to six-step operation. (Sat
 rule turns the fundamental of DPWM0 and DPWM2 by up to 30 degrees, and takes that of DPWM3 and of
 DPWMMIN and DPWMMAX back to 0.466 and 0.551 v_dc, below the linear range.)
 
-References
-----------
-A. M. Hava, R. J. Kerkman, T. A. Lipo, "Carrier-based PWM-VSI overmodulation strategies: analysis,
-comparison, and design", IEEE Transactions on Power Electronics 13(4), 1998, doi:10.1109/63.704136
-(voltage gain by saturation). The integrals here were derived anew.
+References:
+    A. M. Hava, R. J. Kerkman, T. A. Lipo, "Carrier-based PWM-VSI overmodulation strategies:
+    analysis, comparison, and design", IEEE Transactions on Power Electronics 13(4), 1998,
+    doi:10.1109/63.704136 (voltage gain by saturation). The integrals here were derived anew.
 """
 
 from __future__ import annotations
@@ -46,14 +45,11 @@ def saturate(
     Within the linear range the same as `dqforge.machines.modulation.modulators.modulate`, save that
     any phase whose duty cycle is exactly 0 or 1 counts as resting.
 
-    Parameters
-    ----------
-    name:
-        The modulator.
-    voltage, current:
-        Phase references in V from the star point and phase currents in A, shape (..., 3).
-    v_dc:
-        DC-link voltage in V.
+    Args:
+        name: The modulator.
+        voltage, current: Phase references in V from the star point and phase currents in A, shape
+            (..., 3).
+        v_dc: DC-link voltage in V.
     """
     voltage, current = np.broadcast_arrays(voltage, current)
     v_zero = zero_sequence(name, voltage, current, v_dc)
@@ -73,19 +69,13 @@ def fundamental(name: ModulationName, amplitude: ArrayLike, v_dc: float) -> Floa
     """Amplitude of the fundamental phase voltage in V (peak) that the saturated
     modulator makes of a reference.
 
-    Parameters
-    ----------
-    name:
-        The modulator.
-    amplitude:
-        Amplitude of the phase-voltage reference in V (peak), any shape;
-        infinity is six-step operation.
-    v_dc:
-        DC-link voltage in V.
+    Args:
+        name: The modulator.
+        amplitude: Amplitude of the phase-voltage reference in V (peak), any shape; infinity is
+            six-step operation.
+        v_dc: DC-link voltage in V.
 
-    Returns
-    -------
-    FloatArray
+    Returns:
         Of the shape of `amplitude`: the reference itself in the linear range, rising from there to
         2 v_dc / pi, which discontinuous modulators reach at 2 v_dc / sqrt 3 and the others in the
         limit. Always in phase with the reference.
@@ -102,18 +92,12 @@ def reference_for(name: ModulationName, wanted: ArrayLike, v_dc: float) -> Float
     """Amplitude of the reference in V (peak) of which the saturated modulator
     makes a wanted fundamental.
 
-    Parameters
-    ----------
-    name:
-        The modulator.
-    wanted:
-        Fundamental amplitude of the phase voltage in V (peak), any shape.
-    v_dc:
-        DC-link voltage in V.
+    Args:
+        name: The modulator.
+        wanted: Fundamental amplitude of the phase voltage in V (peak), any shape.
+        v_dc: DC-link voltage in V.
 
-    Returns
-    -------
-    FloatArray
+    Returns:
         Of the shape of `wanted`. At six-step operation infinity, or 2 v_dc / sqrt 3 for
         discontinuous modulators; NaN beyond, which no modulator makes.
     """

@@ -14,14 +14,10 @@ HALF_PI = 0.5 * math.pi
 def wave_integral(start: FloatArray, end: FloatArray, shift: float, order: int = 1) -> FloatArray:
     """Integral of cos(order x - shift) cos(x) over an interval.
 
-    Parameters
-    ----------
-    start, end:
-        Its ends in rad, any shape.
-    shift:
-        Angle in rad.
-    order:
-        1 or an odd order.
+    Args:
+        start, end: Its ends in rad, any shape.
+        shift: Angle in rad.
+        order: 1 or an odd order.
     """
 
     def primitive(x: FloatArray) -> FloatArray:

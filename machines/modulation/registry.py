@@ -28,25 +28,19 @@ def _found() -> dict[ModulationName, Modulator]:
 
 _RECORDS = _found()
 
-
+# The modulators by name, continuous ones first.
 MODULATORS: Mapping[ModulationName, Modulator] = MappingProxyType(_RECORDS)
-
-"""The modulators by name, continuous ones first."""
 
 
 @contextmanager
 def registered(*modulators: Modulator) -> Iterator[None]:
     """Let further modulators count as those of the package, as long as the context lasts.
 
-    Parameters
-    ----------
-    modulators:
-        Their records, whose names are new.
+    Args:
+        modulators: Their records, whose names are new.
 
-    Raises
-    ------
-    ValueError
-        A name is taken.
+    Raises:
+        ValueError: A name is taken.
     """
     taken = [record.name for record in modulators if record.name in _RECORDS]
     if taken:

@@ -1,11 +1,11 @@
 """Angles between which phases rest, and what that saves of the switching loss.
 
-References
-----------
-A. M. Hava, R. J. Kerkman, T. A. Lipo, "A high-performance generalized discontinuous PWM algorithm",
-IEEE Transactions on Industry Applications 34(5), 1998, doi:10.1109/28.720446 (clamping angle psi);
-"Simple analytical and graphical methods for carrier-based PWM-VSI drives", IEEE Transactions on
-Power Electronics 14(1), 1999, doi:10.1109/63.737592 (switching loss function).
+References:
+    A. M. Hava, R. J. Kerkman, T. A. Lipo, "A high-performance generalized discontinuous PWM
+    algorithm", IEEE Transactions on Industry Applications 34(5), 1998, doi:10.1109/28.720446
+    (clamping angle psi); "Simple analytical and graphical methods for carrier-based PWM-VSI
+    drives", IEEE Transactions on Power Electronics 14(1), 1999, doi:10.1109/63.737592 (switching
+    loss function).
 """
 
 from __future__ import annotations
@@ -34,10 +34,8 @@ def folded(sine: FloatArray, cosine: FloatArray) -> FloatArray:
     """Angle from -90 to 90 degrees (rad) that a lag has when generating counts as motoring with
     current reversed.
 
-    Parameters
-    ----------
-    sine, cosine:
-        Of the lag, times any positive factor, any shape.
+    Args:
+        sine, cosine: Of the lag, times any positive factor, any shape.
     """
     generating = cosine < -REACTIVE * np.hypot(sine, cosine)
     return np.asarray(
@@ -51,12 +49,10 @@ def clamping_angle(load_angle: ArrayLike) -> FloatArray:
     psi = 0, 30 and 60 degrees is DPWM0, DPWM1 and DPWM2: each phase rests from psi - 60
     degrees to psi after its peaks.
 
-    Parameters
-    ----------
-    load_angle:
-        Angle phi in rad by which the current lags the voltage, any shape. Loss depends on the
-        magnitude of the current alone, so that generating (phi beyond 90 degrees) is as motoring
-        with the current reversed.
+    Args:
+        load_angle: Angle phi in rad by which the current lags the voltage, any shape. Loss depends
+            on the magnitude of the current alone, so that generating (phi beyond 90 degrees) is as
+            motoring with the current reversed.
     """
     phi = np.asarray(load_angle, dtype=np.float64)
     return np.clip(folded(np.sin(phi), np.cos(phi)) + THIRTY, 0.0, SIXTY)
@@ -77,13 +73,10 @@ def saving(
 ) -> Callable[[FloatArray], FloatArray]:
     """Make the ``loss_factor`` of a phase that rests in given intervals.
 
-    Parameters
-    ----------
-    intervals:
-        First and last angle in rad from the positive peak of the phase's reference,
-        for each half wave.
-    one_rail:
-        Whether it rests in every other half wave only.
+    Args:
+        intervals: First and last angle in rad from the positive peak of the phase's reference, for
+            each half wave.
+        one_rail: Whether it rests in every other half wave only.
     """
 
     def loss_factor(load_angle: FloatArray) -> FloatArray:
@@ -100,10 +93,8 @@ def saturated_resting(r: FloatArray) -> FloatArray:
     """``overmodulated`` of all discontinuous modulators: u = 1 up to 30 degrees, sqrt(3) r cos(x -
     30 deg) from there.
 
-    Parameters
-    ----------
-    r:
-        Amplitude over v_dc, any shape.
+    Args:
+        r: Amplitude over v_dc, any shape.
     """
     edge = np.minimum(THIRTY + angle_of(1.0 / (math.sqrt(3.0) * r)), HALF_PI)
     end = np.full_like(r, HALF_PI)

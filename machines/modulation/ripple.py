@@ -13,12 +13,11 @@ whose products integrate in closed form:
 
     < g_j g_k > = a (1 - b) (1 - a^2 - (1 - b)^2) / 24,   a <= b the two values of 1 - u
 
-References
-----------
-A. M. Hava, R. J. Kerkman, T. A. Lipo, "Simple analytical and graphical methods for carrier-based
-PWM-VSI drives", IEEE Transactions on Power Electronics 14(1), 1999, doi:10.1109/63.737592 (harmonic
-flux trajectories, harmonic distortion function). The closed forms here were derived anew with
-computer algebra.
+References:
+    A. M. Hava, R. J. Kerkman, T. A. Lipo, "Simple analytical and graphical methods for
+    carrier-based PWM-VSI drives", IEEE Transactions on Power Electronics 14(1), 1999,
+    doi:10.1109/63.737592 (harmonic flux trajectories, harmonic distortion function). The closed
+    forms here were derived anew with computer algebra.
 """
 
 from __future__ import annotations
@@ -69,14 +68,11 @@ _CHUNK = 512
 class Ripple:
     """Ripple at operating points, arrays of the shape (...).
 
-    Parameters
-    ----------
-    current:
-        Root mean square of the ripple of a phase current in A, over the electrical period.
-    i_d, i_q:
-        Root mean squares of the ripple in rotor coordinates in A.
-    torque:
-        Largest peak-to-peak torque within a carrier period in N m, over the electrical period.
+    Args:
+        current: Root mean square of the ripple of a phase current in A, over the electrical period.
+        i_d, i_q: Root mean squares of the ripple in rotor coordinates in A.
+        torque: Largest peak-to-peak torque within a carrier period in N m, over the electrical
+            period.
     """
 
     current: FloatArray
@@ -89,16 +85,11 @@ def switching_instants(duty: FloatArray, t_s: float = 1.0) -> FloatArray:
     """When the upper switches of a carrier period turn on and off: (1 -+ u) t_s / 2,
     pulses centred in the period.
 
-    Parameters
-    ----------
-    duty:
-        Duty cycles, any shape (...), saturated at 0 and 1.
-    t_s:
-        Carrier period in s.
+    Args:
+        duty: Duty cycles, any shape (...), saturated at 0 and 1.
+        t_s: Carrier period in s.
 
-    Returns
-    -------
-    FloatArray, shape (..., 2)
+    Returns:
         Times in s from the start of the period. At the duty cycle 1 they are its ends and at 0 both
         are its middle: the phase does not switch.
     """
@@ -109,15 +100,13 @@ def switching_instants(duty: FloatArray, t_s: float = 1.0) -> FloatArray:
 def flux_moments(duty: FloatArray) -> FloatArray:
     """Averages < g_j g_k > over a carrier period, in (v_dc T)^2.
 
-    Parameters
-    ----------
-    duty:
-        Duty cycles of any number n of legs, shape (..., n), within 0 and 1; of one leg g is the
-        flux of its own potential, and what legs have in common falls out where it does not act.
+    Args:
+        duty: Duty cycles of any number n of legs, shape (..., n), within 0 and 1; of one leg g is
+            the flux of its own potential, and what legs have in common falls out where it does not
+            act.
 
-    Returns
-    -------
-    FloatArray, shape (..., n, n)
+    Returns:
+        FloatArray, shape (..., n, n)
     """
     off = 1.0 - duty
     a = np.minimum(off[..., :, None], off[..., None, :])
@@ -145,16 +134,12 @@ def harmonic_distortion_factor(
     At the same carrier frequency. Discontinuous modulators commutate at 2/3 of the rate: for equal
     commutations divide by the square of 3/2.
 
-    Parameters
-    ----------
-    name:
-        The modulator.
-    index:
-        Modulation index M relative to six-step operation, any shape;
-        meaningful in the linear range only.
-    load_angle:
-        Angle in rad by which the current lags the voltage, broadcastable;
-        only GDPWM and DDT-GDPWM depend on it.
+    Args:
+        name: The modulator.
+        index: Modulation index M relative to six-step operation, any shape; meaningful in the
+            linear range only.
+        load_angle: Angle in rad by which the current lags the voltage, broadcastable; only GDPWM
+            and DDT-GDPWM depend on it.
     """
     m, phi = np.broadcast_arrays(
         2.0 * SIX_STEP_AMPLITUDE * np.asarray(index, dtype=np.float64),
@@ -168,12 +153,9 @@ def inverse_inductance(machine: MachineOrBatch, i_d: FloatArray, i_q: FloatArray
     """Inverse of the incremental inductances in 1/H, shape (N, 2, 2), at currents in A,
     shape (N,).
 
-    Parameters
-    ----------
-    machine:
-        Any machine, or one per point.
-    i_d, i_q:
-        Currents in A (peak), shape (N,).
+    Args:
+        machine: Any machine, or one per point.
+        i_d, i_q: Currents in A (peak), shape (N,).
     """
     jet = machine.jet(i_d, i_q)
     matrix = np.stack(
@@ -187,12 +169,9 @@ def ripple_squares(wave: PhaseWaveforms, stiffness: FloatArray) -> FloatArray:
 
     Multiply by (v_dc / f_sw)^2; half of their sum is the mean square of a phase.
 
-    Parameters
-    ----------
-    wave:
-        Waveforms of N points from `sector_waveforms`.
-    stiffness:
-        Inverse of the incremental inductances in 1/H, shape (N, 2, 2).
+    Args:
+        wave: Waveforms of N points from `sector_waveforms`.
+        stiffness: Inverse of the incremental inductances in 1/H, shape (N, 2, 2).
     """
     axes = stiffness[:, None] @ rotor_axes(wave.theta_e)
     through = axes @ flux_moments(np.clip(wave.modulation.duty, 0.0, 1.0))
@@ -312,20 +291,14 @@ def ripple(
     Squares are averaged over the electrical period to rounding; the largest torque ripple is that
     of 50 angles in 60 degrees.
 
-    Parameters
-    ----------
-    name:
-        The modulator.
-    machine:
-        Any machine; a saturated one is linearised at the operating point.
-    i_d, i_q, omega_m:
-        Currents in A (peak) and mechanical speed in rad/s, broadcastable to the shape (...).
-    v_dc, f_sw:
-        DC-link voltage in V and carrier frequency in Hz.
+    Args:
+        name: The modulator.
+        machine: Any machine; a saturated one is linearised at the operating point.
+        i_d, i_q, omega_m: Currents in A (peak) and mechanical speed in rad/s, broadcastable to the
+            shape (...).
+        v_dc, f_sw: DC-link voltage in V and carrier frequency in Hz.
 
-    Returns
-    -------
-    Ripple
+    Returns:
         Arrays of the shape (...); NaN where the voltage is beyond the linear range.
     """
     points = np.broadcast_arrays(

@@ -28,14 +28,11 @@ ComplexArray = NDArray[np.complex128]
 class SwitchedPeriod:
     """One electrical period of pulses, N carrier periods of equal length.
 
-    Parameters
-    ----------
-    duty:
-        Duty cycles, shape (N, 3), within [0, 1].
-    edges:
-        Electrical angles in rad at which the upper switches turn on and off, shape (N, 3, 2).
-    v_dc:
-        DC-link voltage in V.
+    Args:
+        duty: Duty cycles, shape (N, 3), within [0, 1].
+        edges: Electrical angles in rad at which the upper switches turn on and off, shape (N, 3,
+            2).
+        v_dc: DC-link voltage in V.
     """
 
     duty: FloatArray
@@ -47,10 +44,8 @@ class SwitchedPeriod:
 
         The phasor X of the order n stands for Re(X exp(j n theta)).
 
-        Parameters
-        ----------
-        orders:
-            Orders n from 1 on, shape (H,).
+        Args:
+            orders: Orders n from 1 on, shape (H,).
         """
         order = np.asarray(orders, dtype=np.int64)
         harmonics = np.empty((order.size, 3), dtype=np.complex128)
@@ -102,10 +97,8 @@ class SwitchedPeriod:
         included. Exact: the integral of the switched voltage is straight between the instants, and
         its fundamental is taken out by Parseval's theorem.
 
-        Parameters
-        ----------
-        omega_e:
-            Electrical speed in rad/s.
+        Args:
+            omega_e: Electrical speed in rad/s.
         """
         length, voltage = self._states()
         voltage = voltage - np.sum(length[:, None] * voltage, axis=0) / (2.0 * math.pi)
@@ -122,11 +115,9 @@ class SwitchedPeriod:
     def current_thd(self, omega_e: float, inductance: float, current: float) -> float:
         """Distortion of the phase currents: r.m.s. of all harmonics over that of the fundamental.
 
-        Parameters
-        ----------
-        omega_e, inductance, current:
-            Electrical speed in rad/s, phase inductance in H (the same in both axes),
-            fundamental current in A (peak).
+        Args:
+            omega_e, inductance, current: Electrical speed in rad/s, phase inductance in H (the same
+                in both axes), fundamental current in A (peak).
         """
         return self.harmonic_flux(omega_e) / inductance * math.sqrt(2.0) / current
 
@@ -141,24 +132,19 @@ def switched_period(
 ) -> SwitchedPeriod:
     """Pulses of one electrical period with regular sampling in the middle of each carrier period.
 
-    Parameters
-    ----------
-    name:
-        The modulator; its duty cycles saturate beyond the linear range
-        (`dqforge.machines.modulation.modulators.overmodulation.saturate`).
-    amplitude:
-        Amplitude of the phase-voltage reference in V (peak); phase a peaks at the angle 0.
-    v_dc:
-        DC-link voltage in V.
-    carrier_ratio:
-        Carrier periods N per electrical period. Multiples of 3 make the three phases alike.
-    load_angle:
-        Angle in rad by which the current lags the voltage; only GDPWM and DDT-GDPWM depend on it.
+    Args:
+        name: The modulator; its duty cycles saturate beyond the linear range
+            (`dqforge.machines.modulation.modulators.overmodulation.saturate`).
+        amplitude: Amplitude of the phase-voltage reference in V (peak); phase a peaks at the angle
+            0.
+        v_dc: DC-link voltage in V.
+        carrier_ratio: Carrier periods N per electrical period. Multiples of 3 make the three phases
+            alike.
+        load_angle: Angle in rad by which the current lags the voltage; only GDPWM and DDT-GDPWM
+            depend on it.
 
-    Raises
-    ------
-    InputError
-        With less than 3 carrier periods, which make no three-phase voltage.
+    Raises:
+        InputError: With less than 3 carrier periods, which make no three-phase voltage.
     """
     if carrier_ratio < 3:
         raise InputError(

@@ -47,19 +47,14 @@ def zero_sequence_of(
 ) -> N:
     """Zero sequence from the negative rail, in the unit of the references.
 
-    Parameters
-    ----------
-    o:
-        The arithmetic.
-    name:
-        The modulator.
-    v, i:
-        References of the phases from the star point, and phase currents,
-        of which DDT-GDPWM compares the magnitudes.
-    v_dc:
-        DC-link voltage in the unit of the references.
-    vector, turn:
-        As of `compared`; with ``vector`` the third harmonic takes its square from there too.
+    Args:
+        o: The arithmetic.
+        name: The modulator.
+        v, i: References of the phases from the star point, and phase currents, of which DDT-GDPWM
+            compares the magnitudes.
+        v_dc: DC-link voltage in the unit of the references.
+        vector, turn: As of `compared`; with ``vector`` the third harmonic takes its square from
+            there too.
     """
     rule = MODULATORS[name]
     if rule.kind == "sine":
@@ -85,17 +80,12 @@ def third_harmonic(
     """The third harmonic V cos(3 alpha) times a share, from cos(3 alpha) V^3 = 4 a b
     c of balanced references.
 
-    Parameters
-    ----------
-    o:
-        The arithmetic.
-    v:
-        References of the phases in any unit.
-    share:
-        Share of the harmonic, 1/4 at the most.
-    vector:
-        Alpha and beta of the references, if V^2 is to be theirs; else it is 2/3 of the
-        sum of the phases' squares.
+    Args:
+        o: The arithmetic.
+        v: References of the phases in any unit.
+        share: Share of the harmonic, 1/4 at the most.
+        vector: Alpha and beta of the references, if V^2 is to be theirs; else it is 2/3 of the sum
+            of the phases' squares.
     """
     if vector is None:
         squares = [o.product("third harmonic: square", phase, phase) for phase in v]
@@ -120,14 +110,10 @@ def extremes(
 ) -> tuple[tuple[N, ...], tuple[N, ...]]:
     """The highest and the lowest of three phases: its value, then what each view has of that phase.
 
-    Parameters
-    ----------
-    o:
-        The arithmetic.
-    v:
-        References of the phases.
-    views:
-        Other values of the phases, that of the found phase is returned for each.
+    Args:
+        o: The arithmetic.
+        v: References of the phases.
+        views: Other values of the phases, that of the found phase is returned for each.
     """
     high = low = (v.a, *(view.a for view in views))
     for k in (1, 2):
@@ -153,19 +139,13 @@ def compared(
     the emitted floating-point code turns the vector for them as GDPWM must, for which the load
     angle is any.
 
-    Parameters
-    ----------
-    o:
-        The arithmetic.
-    name:
-        A discontinuous modulator that uses both rails.
-    v, i:
-        References and currents of the phases.
-    vector, turn:
-        Alpha and beta of the references and the delay at which they are compared, that of
-        the modulator or `load_turn`, as cosine and sine; GDPWM needs both, DPWM0 and DPWM2 take
-        them where they are
-        given, the others have no use for them.
+    Args:
+        o: The arithmetic.
+        name: A discontinuous modulator that uses both rails.
+        v, i: References and currents of the phases.
+        vector, turn: Alpha and beta of the references and the delay at which they are compared,
+            that of the modulator or `load_turn`, as cosine and sine; GDPWM needs both, DPWM0 and
+            DPWM2 take them where they are given, the others have no use for them.
     """
     rule = MODULATORS[name]
     if rule.compared == "currents":
@@ -184,14 +164,10 @@ def compared(
 def highest_rests(o: Numbers[N, Any], name: ModulationName, of_high: N, of_low: N) -> Any:
     """Condition that of the highest and the lowest phase the highest rests.
 
-    Parameters
-    ----------
-    o:
-        The arithmetic.
-    name:
-        A discontinuous modulator that uses both rails.
-    of_high, of_low:
-        What `compared` has of the two phases.
+    Args:
+        o: The arithmetic.
+        name: A discontinuous modulator that uses both rails.
+        of_high, of_low: What `compared` has of the two phases.
     """
     of_high, of_low = o.magnitude(of_high), o.magnitude(of_low)
     if MODULATORS[name].smaller:
@@ -206,13 +182,11 @@ def load_turn(voltage: Pair[Reals], current: Pair[Reals], reactive: float = 0.0)
     Loss depends on the magnitude of the current alone, so that generating counts as motoring
     with the current reversed.
 
-    Parameters
-    ----------
-    voltage, current:
-        Alpha and beta in any units, numpy arrays of one type and any shapes that fit together.
-    reactive:
-        Loads whose power is above this share of the apparent power, taken negative, count as
-        motoring, so that rounding does not turn the angle to and fro.
+    Args:
+        voltage, current: Alpha and beta in any units, numpy arrays of one type and any shapes that
+            fit together.
+        reactive: Loads whose power is above this share of the apparent power, taken negative, count
+            as motoring, so that rounding does not turn the angle to and fro.
     """
     number = np.result_type(voltage.x, current.x).type
     zero, half, one = number(0.0), number(0.5), number(1.0)

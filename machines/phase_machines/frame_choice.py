@@ -14,17 +14,13 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import clarke_matrix
 
+# Distance of the back-EMF from its fundamental, over the fundamental's peak, up to which constant
+# dq currents serve: the torque ripple stays below twice that.
 SINUSOIDAL = 0.005
 
-"""Distance of the back-EMF from its fundamental, over the fundamental's peak, up to which
-constant dq currents serve: the torque ripple stays below twice that."""
-
-
+# Least length of the back-EMF vector over its largest for constant torque: the current for a torque
+# grows as the inverse.
 WEAKEST = 0.05
-
-"""Least length of the back-EMF vector over its largest for constant torque: the current for a
-torque grows as the inverse."""
-
 
 _NO_NEUTRAL = {
     "three-wire": "its star point is not connected",
@@ -48,10 +44,8 @@ def flux_axes(machine: AnyPhaseMachine) -> FloatArray:
     """Back-EMF over electrical speed in Wb on alpha, beta and 0 (mean of the phases),
     shape (3, N).
 
-    Parameters
-    ----------
-    machine:
-        The machine in phase quantities.
+    Args:
+        machine: The machine in phase quantities.
     """
     return np.asarray(clarke_matrix() @ machine.flux)
 
@@ -62,12 +56,9 @@ def uses_zero_sequence(frame: CurrentFrame, topology: Topology) -> bool:
     Only dqy and the table share the torque among all three axes; dqx is the frame of currents
     without zero sequence on any topology, and dq that of sinusoidal ones.
 
-    Parameters
-    ----------
-    frame:
-        The frame.
-    topology:
-        How the phases are fed.
+    Args:
+        frame: The frame.
+        topology: How the phases are fed.
     """
     return TOPOLOGIES[topology].neutral and frame in ("dqy", "table")
 
@@ -77,12 +68,9 @@ def zero_sequence_inductance(machine: AnyPhaseMachine, choke: float = 0.0) -> fl
 
     That of a salient machine is the mean over the angle.
 
-    Parameters
-    ----------
-    machine:
-        The machine in phase quantities.
-    choke:
-        Inductance L_n in the neutral in H.
+    Args:
+        machine: The machine in phase quantities.
+        choke: Inductance L_n in the neutral in H.
     """
     if isinstance(machine, SalientPhaseMachine):
         return float(np.mean(np.sum(machine.inductance, axis=(1, 2))) / 3.0) + 3.0 * choke
@@ -94,12 +82,9 @@ def distance_from_sine(machine: AnyPhaseMachine, topology: Topology) -> float:
 
     The zero sequence counts where the legs drive one.
 
-    Parameters
-    ----------
-    machine:
-        The machine in phase quantities.
-    topology:
-        How its phases are fed.
+    Args:
+        machine: The machine in phase quantities.
+        topology: How its phases are fed.
     """
     phases = machine.phases if isinstance(machine, SalientPhaseMachine) else machine
     axes = flux_axes(machine)
@@ -127,10 +112,8 @@ def _weakest(machine: AnyPhaseMachine, *, zero: bool) -> tuple[float, float]:
 def tables_obstacle(machine: AnyPhaseMachine | None) -> str:
     """Why a machine has no frame tables, and what to write instead; empty where it has.
 
-    Parameters
-    ----------
-    machine:
-        The machine, None where its back-EMF is sinusoidal.
+    Args:
+        machine: The machine, None where its back-EMF is sinusoidal.
     """
     if machine is None:
         return (
@@ -150,14 +133,10 @@ def frame_obstacle(frame: CurrentFrame, machine: AnyPhaseMachine, topology: Topo
 
     Empty where it can.
 
-    Parameters
-    ----------
-    frame:
-        The frame.
-    machine:
-        The machine in phase quantities.
-    topology:
-        How its phases are fed.
+    Args:
+        frame: The frame.
+        machine: The machine in phase quantities.
+        topology: How its phases are fed.
     """
     if frame == "dq":
         return ""
@@ -194,12 +173,9 @@ def frame_obstacle(frame: CurrentFrame, machine: AnyPhaseMachine, topology: Topo
 def choose_frame(machine: AnyPhaseMachine, topology: Topology) -> FrameChoice:
     """The frame of a design that names none.
 
-    Parameters
-    ----------
-    machine:
-        The machine in phase quantities.
-    topology:
-        How its phases are fed.
+    Args:
+        machine: The machine in phase quantities.
+        topology: How its phases are fed.
     """
     distance = distance_from_sine(machine, topology)
     away = f"the back-EMF is up to {100.0 * distance:.2g} % of its peak off a sine"
@@ -216,13 +192,9 @@ def controlled_frame(
 ) -> CurrentFrame:
     """The frame that a design has: the one it names, else the one that its machine asks for.
 
-    Parameters
-    ----------
-    wanted:
-        What the design names, None for nothing.
-    machine:
-        The machine in phase quantities.
-    topology:
-        How its phases are fed.
+    Args:
+        wanted: What the design names, None for nothing.
+        machine: The machine in phase quantities.
+        topology: How its phases are fed.
     """
     return choose_frame(machine, topology).frame if wanted is None else wanted

@@ -68,32 +68,24 @@ def frame_model(
                      C_00 = -C_qq = 3/2 M_s sin 2 theta_y theta_y'          (E.30), (E.34)
                      C_q0 = L_f,qq theta_y', C_0q = -L_f,00 theta_y'        (E.31), (E.33)
 
-    Parameters
-    ----------
-    frame:
-        The frame.
-    theta:
-        Angles in rad, shape (N,).
-    shape, slope:
-        Back-EMF shape F at these angles and its derivative by theta in 1/rad, shape (3, N).
-    l_s, m_s:
-        Self inductance of a phase and mutual inductance of two, in H.
-    scaled:
-        Whether currents, voltages and back-EMF are divided by a_x in dqx and a_y in dqy, as in
-        paper 002. This adds (da/dtheta) / a times L_f to C, (D.9) and (E.13). The 0 axis of dqx,
-        which the paper does without, is divided too.
+    Args:
+        frame: The frame.
+        theta: Angles in rad, shape (N,).
+        shape, slope: Back-EMF shape F at these angles and its derivative by theta in 1/rad, shape
+            (3, N).
+        l_s, m_s: Self inductance of a phase and mutual inductance of two, in H.
+        scaled: Whether currents, voltages and back-EMF are divided by a_x in dqx and a_y in dqy, as
+            in paper 002. This adds (da/dtheta) / a times L_f to C, (D.9) and (E.13). The 0 axis of
+            dqx, which the paper does without, is divided too.
 
-    Returns
-    -------
-    DynamicModel, with ``inductance`` and ``coupling`` of shape (N, 3, 3) in H,
-    ``emf`` of shape (N, 3) without unit
+    Returns:
+        DynamicModel, with ``inductance`` and ``coupling`` of shape (N, 3, 3) in H,
+        ``emf`` of shape (N, 3) without unit
 
-    Raises
-    ------
-    InputError
-        The inductances are not finite, or as
-        :func:`dqforge.machines.phase_machines.frame_transforms.to_frame`: dqx and dqy need a
-        back-EMF whose alpha-beta vector vanishes at no angle; the first where it does is named.
+    Raises:
+        InputError: The inductances are not finite, or as
+            :func:`dqforge.machines.phase_machines.frame_transforms.to_frame`: dqx and dqy need a
+            back-EMF whose alpha-beta vector vanishes at no angle; the first where it does is named.
     """
     if not np.all(np.isfinite([l_s, m_s])):
         raise InputError(f"the inductances must be finite, got l_s = {l_s:g} H and m_s = {m_s:g} H")

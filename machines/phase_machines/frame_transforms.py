@@ -76,12 +76,9 @@ def spectral_derivative(waveform: FloatArray, turns: int = 1) -> FloatArray:
     left out. At kinks and jumps it rings over the whole period;
     :func:`dqforge.machines.phase_machines.phase_machine.derivative` keeps errors local.
 
-    Parameters
-    ----------
-    waveform:
-        Values in any unit, shape (..., N).
-    turns:
-        Electrical periods after which they repeat.
+    Args:
+        waveform: Values in any unit, shape (..., N).
+        turns: Electrical periods after which they repeat.
     """
     count = waveform.shape[-1]
     spectrum = 1j * (np.arange(count // 2 + 1) / turns) * np.fft.rfft(waveform)
@@ -92,12 +89,9 @@ def spectral_derivative(waveform: FloatArray, turns: int = 1) -> FloatArray:
 def resampled(waveform: FloatArray, count: int) -> FloatArray:
     """Trigonometric interpolation of periodic rows at even angles.
 
-    Parameters
-    ----------
-    waveform:
-        Values in any unit, shape (..., N).
-    count:
-        Number of angles wanted.
+    Args:
+        waveform: Values in any unit, shape (..., N).
+        count: Number of angles wanted.
     """
     lines = np.fft.rfft(waveform, axis=-1)
     return np.asarray(np.fft.irfft(lines, n=count, axis=-1) * (count / waveform.shape[-1]))
@@ -122,26 +116,19 @@ def to_frame(
 ) -> FloatArray:
     """Quantities of the phases a, b, c on the axes of a frame.
 
-    Parameters
-    ----------
-    frame, theta, shape:
-        As in :func:`transform`: angles in rad, shape (N,), and the back-EMF shape F at them,
-        shape (3, N).
-    phases:
-        Phase quantities in any unit, shape (3, N).
-    scaled:
-        Whether to divide by :func:`amplitude_factor`, as paper 002 does in (2.28) and (3.2). Its
-        (4.2) and (4.3) together would divide by a_x and by a_y; (3.2) and (4.7) divide by a_y
-        alone, which is done here.
+    Args:
+        frame, theta, shape: As in :func:`transform`: angles in rad, shape (N,), and the back-EMF
+            shape F at them, shape (3, N).
+        phases: Phase quantities in any unit, shape (3, N).
+        scaled: Whether to divide by :func:`amplitude_factor`, as paper 002 does in (2.28) and
+            (3.2). Its (4.2) and (4.3) together would divide by a_x and by a_y; (3.2) and (4.7)
+            divide by a_y alone, which is done here.
 
-    Returns
-    -------
-    FloatArray, shape (3, N), power-invariant unless scaled
+    Returns:
+        FloatArray, shape (3, N), power-invariant unless scaled
 
-    Raises
-    ------
-    InputError
-        As :func:`transform`, or the quantities do not fit the shape.
+    Raises:
+        InputError: As :func:`transform`, or the quantities do not fit the shape.
     """
     _require_same_size(shape, phases)
     seen: FloatArray = np.einsum("jkm,mj->kj", transform(frame, theta, shape), phases)
@@ -156,18 +143,12 @@ def from_frame(
     The matrices are orthogonal, their inverses the transposes: paper 002 (C.2), (D.2), (E.6).
     Parameters, shapes and errors are those of :func:`to_frame`.
 
-    Parameters
-    ----------
-    frame:
-        The frame.
-    theta:
-        Angles in rad, shape (N,).
-    shape:
-        Back-EMF shape F at these angles, shape (3, N).
-    axes:
-        Quantities on the axes of the frame in any unit, shape (3, N).
-    scaled:
-        Whether the quantities were divided by `amplitude_factor`.
+    Args:
+        frame: The frame.
+        theta: Angles in rad, shape (N,).
+        shape: Back-EMF shape F at these angles, shape (3, N).
+        axes: Quantities on the axes of the frame in any unit, shape (3, N).
+        scaled: Whether the quantities were divided by `amplitude_factor`.
     """
     _require_same_size(shape, axes)
     phases: FloatArray = np.einsum("jkm,kj->mj", transform(frame, theta, shape), axes)
@@ -182,17 +163,14 @@ def frame_rates(theta: FloatArray, shape: FloatArray, slope: FloatArray) -> Fram
     theta_y = atan2(-F_qx, F_0) and the factors. Paper 002 uses these derivatives from (2.30) on and
     gives no formula for them.
 
-    Parameters
-    ----------
-    theta:
-        Angles in rad, shape (N,), any.
-    shape, slope:
-        Back-EMF shape F at these angles and its derivative F' by theta in 1/rad, shape (3, N).
+    Args:
+        theta: Angles in rad, shape (N,), any.
+        shape, slope: Back-EMF shape F at these angles and its derivative F' by theta in 1/rad,
+            shape (3, N).
 
-    Raises
-    ------
-    InputError
-        As :func:`to_frame`; in particular, F gives dqx no direction at an angle, which is named.
+    Raises:
+        InputError: As :func:`to_frame`; in particular, F gives dqx no direction at an angle, which
+            is named.
     """
     _, size, zero = to_frame("dqx", theta, shape, shape)
     aside, size_rate, zero_rate = to_frame("dqx", theta, shape, slope)
@@ -233,14 +211,11 @@ def transform_rate(
     Parameters and errors are those of :func:`frame_rates`; alphabeta0 and dq0 exist for any
     shape and ignore the slope.
 
-    Parameters
-    ----------
-    frame:
-        The frame.
-    theta:
-        Angles in rad, shape (N,).
-    shape, slope:
-        Back-EMF shape F at these angles and its derivative by theta in 1/rad, shape (3, N).
+    Args:
+        frame: The frame.
+        theta: Angles in rad, shape (N,).
+        shape, slope: Back-EMF shape F at these angles and its derivative by theta in 1/rad, shape
+            (3, N).
     """
     matrix = transform(frame, theta, shape)
     if frame == "alphabeta0":

@@ -29,38 +29,20 @@ from dqforge.machines.phase_machines.phase_machine import derivative, grid
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import DOUBLES, POWER_INVARIANT, clarke_matrix, park
 
+# Amplitude-invariant (peak of phase) over power-invariant quantity on the alpha, beta,
+# d and q axes.
+#
+# On the 0 axis the factor is 1/sqrt 3 where the amplitude-invariant zero sequence
+# is the mean of the phases.
 Frame = Literal["alphabeta0", "dq0", "dqx", "dqy"]
-
-
 Entry = FloatArray | float
-
-
 Entries = tuple[tuple[Entry, Entry, Entry], tuple[Entry, Entry, Entry], tuple[Entry, Entry, Entry]]
-
-
 AMPLITUDE_INVARIANT = 1.0 / POWER_INVARIANT
 
-"""Amplitude-invariant (peak of phase) over power-invariant quantity on the alpha, beta,
-d and q axes.
-
-On the 0 axis the factor is 1/sqrt 3 where the amplitude-invariant zero sequence
-is the mean of the phases.
-"""
-
-
+# Orthogonal matrix (3, 3) from phases to alpha, beta and 0; paper 002 (2.13).
 CLARKE = clarke_matrix(power_invariant=True)
-
-"""Orthogonal matrix (3, 3) from phases to alpha, beta and 0; paper 002 (2.13)."""
-
-
-LEAST_ANGLES = 24
-
-"""Angles of a period below which derivatives and means tell nothing."""
-
-
+LEAST_ANGLES = 24  # Angles of a period below which derivatives and means tell nothing.
 _TURN = 2.0 * math.pi / 3.0
-
-
 _ROUNDING = 1e-9
 
 
@@ -130,24 +112,18 @@ def transform(frame: Frame, theta: FloatArray, shape: FloatArray) -> FloatArray:
     Paper 002 also divides quantities in dqx and dqy by a_x and a_y of :func:`frame_angles`; that is
     not part of these matrices.
 
-    Parameters
-    ----------
-    frame:
-        dq0 turns by theta (2.19), dqx by theta + theta_x with a 1 on the 0 axis (2.29), dqy then
-        within the plane of qx and 0 by theta_y (3.1).
-    theta:
-        Angles in rad, shape (N,), any.
-    shape:
-        Back-EMF shape F at these angles, shape (3, N); only dqx and dqy depend on it.
+    Args:
+        frame: dq0 turns by theta (2.19), dqx by theta + theta_x with a 1 on the 0 axis (2.29), dqy
+            then within the plane of qx and 0 by theta_y (3.1).
+        theta: Angles in rad, shape (N,), any.
+        shape: Back-EMF shape F at these angles, shape (3, N); only dqx and dqy depend on it.
 
-    Returns
-    -------
-    FloatArray, shape (N, 3, 3)
+    Returns:
+        FloatArray, shape (N, 3, 3)
 
-    Raises
-    ------
-    InputError
-        The shapes do not fit, F is beyond 1, or F gives dqx or dqy no direction at an angle.
+    Raises:
+        InputError: The shapes do not fit, F is beyond 1, or F gives dqx or dqy no direction at an
+            angle.
     """
     alpha, beta, zero = _clarke_axes(shape)
     if theta.shape != alpha.shape:
@@ -183,10 +159,9 @@ def frame_angles(shape: FloatArray, turns: int = 1) -> FrameAngles:
 
     ``shape`` is the back-EMF shape F on the grid, shape (3, N), over ``turns`` electrical periods.
 
-    Raises
-    ------
-    InputError
-        The array is no shape, or its alpha-beta vector vanishes at an angle or between two.
+    Raises:
+        InputError: The array is no shape, or its alpha-beta vector vanishes at an angle or between
+            two.
     """
     alpha, beta, zero = _clarke_axes(shape)
     theta = grid(alpha.size, turns)
@@ -220,26 +195,18 @@ def dynamic_model(
     Sources: paper 002 (2.14)-(2.16), (2.20)-(2.22), (2.30), (2.31), (E.13)-(E.49), as corrected in
     :func:`coupling_entries`.
 
-    Parameters
-    ----------
-    frame:
-        The frame.
-    shape:
-        Back-EMF shape F on the grid, shape (3, N).
-    l_s, m_s:
-        Self inductance of a phase and mutual inductance of two, in H.
-    scaled:
-        Whether currents, voltages and back-EMF in dqx and dqy are divided by a_x and a_y, as in
-        paper 002. This adds (da/dtheta) / a times L_f to C. (E.48) prints that term with sin^2
-        theta_y outside; it belongs inside, as in L_s + 2 M_s - 3 M_s sin^2 theta_y. The 0 axis of
-        dqx, which the paper does without, is divided too.
-    turns:
-        Electrical periods that the grid spans.
+    Args:
+        frame: The frame.
+        shape: Back-EMF shape F on the grid, shape (3, N).
+        l_s, m_s: Self inductance of a phase and mutual inductance of two, in H.
+        scaled: Whether currents, voltages and back-EMF in dqx and dqy are divided by a_x and a_y,
+            as in paper 002. This adds (da/dtheta) / a times L_f to C. (E.48) prints that term with
+            sin^2 theta_y outside; it belongs inside, as in L_s + 2 M_s - 3 M_s sin^2 theta_y. The 0
+            axis of dqx, which the paper does without, is divided too.
+        turns: Electrical periods that the grid spans.
 
-    Raises
-    ------
-    InputError
-        As :func:`frame_angles`; alphabeta0 and dq0 exist for any shape.
+    Raises:
+        InputError: As :func:`frame_angles`; alphabeta0 and dq0 exist for any shape.
     """
     axes = _clarke_axes(shape)
     theta = grid(axes.shape[1], turns)
@@ -274,15 +241,11 @@ def inductance_entries(frame: Frame, sine: Entry, cosine: Entry, l_s: Entry, m_s
 
     Paper 002 (2.14)-(2.16) and (E.38)-(E.46).
 
-    Parameters
-    ----------
-    frame:
-        The frame.
-    sine, cosine:
-        Those of theta_y, numbers or shape (N,).
-    l_s, m_s:
-        Self inductance of a phase and mutual inductance of two, in H, numbers or shape
-        (N,).
+    Args:
+        frame: The frame.
+        sine, cosine: Those of theta_y, numbers or shape (N,).
+        l_s, m_s: Self inductance of a phase and mutual inductance of two, in H, numbers or shape
+            (N,).
     """
     plane, zero = l_s - m_s, l_s + 2.0 * m_s
     if frame != "dqy":
@@ -307,17 +270,12 @@ def coupling_entries(
     the 0 axis, where (2.22), (C.7) and (C.12) print one, and the factor of sin theta_y is L_s -
     M_s, where (E.27) and (E.29) print L_s + 2 M_s.
 
-    Parameters
-    ----------
-    frame:
-        The frame.
-    sine, cosine:
-        Those of theta_y, numbers or shape (N,).
-    turn, rate:
-        Speeds of both turns of the frame over that of theta, numbers or shape (N,).
-    l_s, m_s:
-        Self inductance of a phase and mutual inductance of two, in H, numbers or shape
-        (N,).
+    Args:
+        frame: The frame.
+        sine, cosine: Those of theta_y, numbers or shape (N,).
+        turn, rate: Speeds of both turns of the frame over that of theta, numbers or shape (N,).
+        l_s, m_s: Self inductance of a phase and mutual inductance of two, in H, numbers or shape
+            (N,).
     """
     if frame == "alphabeta0":
         return ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -340,10 +298,8 @@ def frame_rms(shape: FloatArray, turns: int = 1) -> FrameRms:
 
     ``shape`` is the back-EMF shape F on the grid, shape (3, N), over ``turns`` electrical periods.
 
-    Raises
-    ------
-    InputError
-        The array is no shape.
+    Raises:
+        InputError: The array is no shape.
     """
     alpha, beta, zero = _clarke_axes(shape)
     theta = grid(alpha.size, turns)
@@ -370,10 +326,8 @@ def loss_ratio_x_over_y(shape: FloatArray) -> float:
 
     ``shape`` is the back-EMF shape F on the grid, shape (3, N), over any number of periods.
 
-    Raises
-    ------
-    InputError
-        As :func:`frame_angles`.
+    Raises:
+        InputError: As :func:`frame_angles`.
     """
     alpha, beta, zero = _clarke_axes(shape)
     size = _directed(alpha, beta, grid(alpha.size))

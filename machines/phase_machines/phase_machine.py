@@ -19,49 +19,27 @@ from dqforge.machines.checked_numbers import MACHINE, Wanted, check_numbers, own
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 
+# What part of the period tells all: one sixth (equal phases, mirrored half waves), one third (equal
+# phases), all.
 Symmetry = Literal["sixth", "third", "none"]
 
-"""What part of the period tells all: one sixth (equal phases, mirrored half waves),
-one third (equal phases), all."""
-
-
+# Weights of the central difference of sixth order at distances 1, 2 and 3.
 STENCIL = (3.0 / 4.0, -3.0 / 20.0, 1.0 / 60.0)
 
-"""Weights of the central difference of sixth order at distances 1, 2 and 3."""
-
-
+# Weights of value and slope in the middle between two angles, at these offsets from the first of
+# them.
 OFFSETS = (-1, 0, 1, 2)
-
-
 MIDDLE = (-1.0 / 16.0, 9.0 / 16.0, 9.0 / 16.0, -1.0 / 16.0)
-
-
 SLOPE = (1.0 / 24.0, -27.0 / 24.0, 27.0 / 24.0, -1.0 / 24.0)
-
-"""Weights of value and slope in the middle between two angles, at these
-offsets from the first of them."""
-
-
-ANGLES = 360
-
-"""Angles of an electrical period, where nothing else is said."""
-
-
+ANGLES = 360  # Angles of an electrical period, where nothing else is said.
 _FEWER_ANGLES = 120
 _MANY_TURNS = 8
-
-
 _SAME = 1e-9
-
-
 _TURN = 2.0 * np.pi / 3.0
-
 
 # How the phases at theta + 120 degrees, or + 60 degrees with mirrored half waves,
 # follow from those at theta.
 SHIFT_THIRD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-
-
 SHIFT_SIXTH = -np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 
 
@@ -69,12 +47,9 @@ def shift_of(parts: int, turns: int = 1) -> FloatArray:
     """How the phases a sixth (6), a third (3) or all (1) of a waveform over ``turns`` electrical
     periods later follow from those at an angle, matrix (3, 3).
 
-    Parameters
-    ----------
-    parts:
-        How many of these make the whole waveform: 6, 3 or 1.
-    turns:
-        Electrical periods that it spans.
+    Args:
+        parts: How many of these make the whole waveform: 6, 3 or 1.
+        turns: Electrical periods that it spans.
     """
     # Of the mechanical turn; in electrical angle that is turns times as much.
     power = turns * 6 // parts
@@ -100,12 +75,9 @@ def _whole(orders: FloatArray) -> NDArray[np.bool_]:
 def grid(count: int, turns: int = 1) -> FloatArray:
     """Even angles in rad over a number of electrical periods, shape (count,).
 
-    Parameters
-    ----------
-    count:
-        Number of angles.
-    turns:
-        Electrical periods that they span.
+    Args:
+        count: Number of angles.
+        turns: Electrical periods that they span.
     """
     return np.asarray(2.0 * np.pi * turns * np.arange(count) / count, dtype=np.float64)
 
@@ -113,10 +85,8 @@ def grid(count: int, turns: int = 1) -> FloatArray:
 def angles_of(turns: int) -> int:
     """Number of angles that a waveform is held at.
 
-    Parameters
-    ----------
-    turns:
-        Electrical periods that it spans.
+    Args:
+        turns: Electrical periods that it spans.
     """
     return ANGLES * turns if turns <= _MANY_TURNS else _FEWER_ANGLES * turns
 
@@ -124,12 +94,9 @@ def angles_of(turns: int) -> int:
 def derivative(waveform: FloatArray, turns: int = 1) -> FloatArray:
     """Derivative by the angle in 1/rad along the last axis, periodic, of sixth order.
 
-    Parameters
-    ----------
-    waveform:
-        Values in any unit over ``turns`` electrical periods, shape (..., N).
-    turns:
-        Electrical periods after which it repeats.
+    Args:
+        waveform: Values in any unit over ``turns`` electrical periods, shape (..., N).
+        turns: Electrical periods after which it repeats.
     """
     step = 2.0 * np.pi * turns / waveform.shape[-1]
     found: FloatArray = np.zeros_like(waveform)
@@ -167,28 +134,20 @@ _NUMBERS = {name: MACHINE[name] for name in ("pole_pairs", "r_s", "i_max")} | {
 class PhaseMachine:
     """A three-phase machine whose back-EMF has any shape.
 
-    Parameters
-    ----------
-    pole_pairs:
-        Number of pole pairs p.
-    r_s:
-        Phase resistance in Ohm.
-    l_s, m_s:
-        Self inductance of a phase, and mutual inductance between two (usually negative), in H.
-    flux:
-        Back-EMF over electrical speed, e_k = omega_e flux_k(theta_j), in V s/rad, shape (3, N),
-        N a multiple of 12 turns.
-    i_max:
-        Largest phase current in A, peak.
-    turns:
-        Electrical periods after which the waveform repeats: 1, or the pole pairs where they differ
-        from each other.
+    Args:
+        pole_pairs: Number of pole pairs p.
+        r_s: Phase resistance in Ohm.
+        l_s, m_s: Self inductance of a phase, and mutual inductance between two (usually negative),
+            in H.
+        flux: Back-EMF over electrical speed, e_k = omega_e flux_k(theta_j), in V s/rad, shape (3,
+            N), N a multiple of 12 turns.
+        i_max: Largest phase current in A, peak.
+        turns: Electrical periods after which the waveform repeats: 1, or the pole pairs where they
+            differ from each other.
 
-    Raises
-    ------
-    InputError
-        The shape does not fit, a value is not finite, the inductances store no energy in some
-        current, or the turns are neither 1 nor the pole pairs.
+    Raises:
+        InputError: The shape does not fit, a value is not finite, the inductances store no energy
+            in some current, or the turns are neither 1 nor the pole pairs.
     """
 
     pole_pairs: int
@@ -260,10 +219,9 @@ class PhaseMachine:
         :func:`phase_displacement`. ``angles`` is the number of angles, None for that of
         :func:`angles_of`.
 
-        Raises
-        ------
-        InputError
-            An order is neither whole nor a multiple of 1/pole_pairs, or as for the machine.
+        Raises:
+            InputError: An order is neither whole nor a multiple of 1/pole_pairs, or as for the
+                machine.
         """
         order = np.asarray(orders, dtype=np.float64)
         turns = 1 if np.all(_whole(order)) else pole_pairs
@@ -323,11 +281,9 @@ class PhaseMachine:
         Over several turns only the phases are averaged, each a third of the mechanical turn behind
         the one before: half waves and pole pairs keep their differences.
 
-        Raises
-        ------
-        InputError
-            The pole pairs differ, and their number is a multiple of 3: a third of a mechanical turn
-            then leads from a phase to itself.
+        Raises:
+            InputError: The pole pairs differ, and their number is a multiple of 3: a third of a
+                mechanical turn then leads from a phase to itself.
         """
         if self.turns > 1 and self.turns % 3 == 0:
             raise InputError(

@@ -20,8 +20,6 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import DOUBLES, park
 
 _SAME = 1e-9
-
-
 _TURN = 2.0 * np.pi / 3.0
 
 
@@ -31,19 +29,15 @@ class SalientPhaseMachine:
 
     No saturation.
 
-    Parameters
-    ----------
-    phases:
-        Pole pairs, resistance, back-EMF and current limit; its constant inductances play no part.
-    inductance:
-        Inductance matrices L(theta_j) of the phases in H, shape (N, 3, 3),
-        on the angles of the back-EMF.
+    Args:
+        phases: Pole pairs, resistance, back-EMF and current limit; its constant inductances play no
+            part.
+        inductance: Inductance matrices L(theta_j) of the phases in H, shape (N, 3, 3), on the
+            angles of the back-EMF.
 
-    Raises
-    ------
-    InputError
-        The shape does not fit, a value is not finite, or a matrix is not
-        symmetric and positive definite.
+    Raises:
+        InputError: The shape does not fit, a value is not finite, or a matrix is not symmetric and
+            positive definite.
     """
 
     phases: PhaseMachine
@@ -201,7 +195,5 @@ class SalientPhaseMachine:
         )
 
 
+# A machine in phase quantities, with constant inductances or with such that vary over the angle.
 AnyPhaseMachine = PhaseMachine | SalientPhaseMachine
-
-"""A machine in phase quantities, with constant inductances or with such
-that vary over the angle."""

@@ -7,11 +7,10 @@ switching instants (`dqforge.machines.plants.fed_machine`), and comparators act 
 at which their inputs cross. Nothing is random. Many operating points are stepped together, each
 with a clock of its own.
 
-References
-----------
-L. B. Bezerra, COPPE/UFRJ 2004 (paper 001), sections 6.2.4.1, 6.2.4.2 and 6.2.4.4.
-D. M. Brod, D. W. Novotny, "Current control of VSI-PWM inverters", IEEE Transactions on Industry
-Applications IA-21(3), 1985, pp. 562-570 (error of twice the band, slopes of ramp comparison).
+References:
+    L. B. Bezerra, COPPE/UFRJ 2004 (paper 001), sections 6.2.4.1, 6.2.4.2 and 6.2.4.4. D. M. Brod,
+    D. W. Novotny, "Current control of VSI-PWM inverters", IEEE Transactions on Industry
+    Applications IA-21(3), 1985, pp. 562-570 (error of twice the band, slopes of ramp comparison).
 """
 
 from __future__ import annotations
@@ -55,10 +54,8 @@ class Hysteresis:
     """Three independent comparators (paper 001, 6.2.4.1): a leg goes down at the error +band,
     up at -band.
 
-    Parameters
-    ----------
-    band:
-        Half of the tolerance band h in A.
+    Args:
+        band: Half of the tolerance band h in A.
     """
 
     band: float
@@ -72,18 +69,13 @@ class RampComparison:
     while v exceeds the triangle, which reaches from -v_dc/2 to v_dc/2. The triangle runs on its
     own, asynchronous to the currents.
 
-    Parameters
-    ----------
-    kp, ki:
-        Gains in V/A and V/(A s); ki may be 0.
-    f_carrier:
-        Frequency of the triangle in Hz.
-    frame:
-        Coordinates in which the error is integrated: ``synchronous`` leaves no
-        error of the fundamental.
-    comparator_band:
-        Hysteresis of the comparators in V, from edge to edge. Without it a loop that is steeper
-        than the triangle chatters infinitely fast (`slope_ratio`).
+    Args:
+        kp, ki: Gains in V/A and V/(A s); ki may be 0.
+        f_carrier: Frequency of the triangle in Hz.
+        frame: Coordinates in which the error is integrated: ``synchronous`` leaves no error of the
+            fundamental.
+        comparator_band: Hysteresis of the comparators in V, from edge to edge. Without it a loop
+            that is steeper than the triangle chatters infinitely fast (`slope_ratio`).
     """
 
     kp: float
@@ -102,10 +94,8 @@ class Predictive:
     sample would change nothing, since the switching state until then is known; errors of the model
     would.
 
-    Parameters
-    ----------
-    t_s:
-        Sampling period in s.
+    Args:
+        t_s: Sampling period in s.
     """
 
     t_s: float
@@ -179,14 +169,11 @@ def best_states(
     Of equally good states (both zero vectors are) the one with the fewest commutations, then the
     first of `BRIDGE_STATES`. The prediction is exact for the machine of the plant.
 
-    Parameters
-    ----------
-    plant:
-        The drive at N points.
-    state, time, legs:
-        State (N, 9), time in s from the angle 0 (N,), and the present switching state (N, 3).
-    t_s:
-        Sampling period in s.
+    Args:
+        plant: The drive at N points.
+        state, time, legs: State (N, 9), time in s from the angle 0 (N,), and the present switching
+            state (N, 3).
+        t_s: Sampling period in s.
     """
     tried = np.broadcast_to(BRIDGE_STATES[:, None, :], (8, *legs.shape))
     ends = plant.advance(
@@ -215,12 +202,10 @@ def slope_ratio(
     The integral part and the turning of the references, which are slow beside the carrier,
     are left out.
 
-    Parameters
-    ----------
-    drive, scheme:
-        The drive and its regulators.
-    i_d, i_q, omega_m:
-        References in A (peak) and mechanical speed in rad/s, broadcastable to the shape (...).
+    Args:
+        drive, scheme: The drive and its regulators.
+        i_d, i_q, omega_m: References in A (peak) and mechanical speed in rad/s, broadcastable to
+            the shape (...).
     """
     d, q, omega = (np.asarray(value, dtype=np.float64) for value in (i_d, i_q, omega_m))
     machine = drive.machine
@@ -241,13 +226,11 @@ def hysteresis_frequency(
         f = ((v_dc/2)^2 - v^2) / (2 v_dc h L),   average over a sinusoid v of amplitude V:
             v^2 -> V^2 / 2
 
-    Parameters
-    ----------
-    v_dc, inductance, band:
-        DC-link voltage in V, inductance of the phase in H, half of the band h in A.
-    voltage:
-        Voltage v in V that the reference current needs, any shape;
-        its root mean square for the average.
+    Args:
+        v_dc, inductance, band: DC-link voltage in V, inductance of the phase in H, half of the band
+            h in A.
+        voltage: Voltage v in V that the reference current needs, any shape; its root mean square
+            for the average.
     """
     v = np.asarray(voltage, dtype=np.float64)
     return np.asarray((0.25 * v_dc**2 - v**2) / (2.0 * v_dc * band * inductance))
@@ -306,31 +289,21 @@ def simulate_currents(
 ) -> CurrentTrace:
     """Simulate a current regulator at constant speed with sinusoidal back-EMF.
 
-    Parameters
-    ----------
-    drive:
-        Machine and bridge.
-    scheme:
-        The regulator.
-    i_d, i_q, omega_m:
-        References in A (peak) and mechanical speed in rad/s, not 0; broadcast, N points in all.
-    periods:
-        Electrical periods that are observed.
-    settling:
-        Electrical periods before them; the currents start on their references.
+    Args:
+        drive: Machine and bridge.
+        scheme: The regulator.
+        i_d, i_q, omega_m: References in A (peak) and mechanical speed in rad/s, not 0; broadcast, N
+            points in all.
+        periods: Electrical periods that are observed.
+        settling: Electrical periods before them; the currents start on their references.
 
-    Returns
-    -------
-    CurrentTrace
+    Returns:
         Currents, switching instants and what follows from them, for N points in C order.
 
-    Raises
-    ------
-    InputError
-        A parameter is out of range, or a band so narrow that a point would commutate
-        more than a million times.
-    NoSolutionError
-        The comparators of ramp comparison chatter.
+    Raises:
+        InputError: A parameter is out of range, or a band so narrow that a point would commutate
+            more than a million times.
+        NoSolutionError: The comparators of ramp comparison chatter.
     """
     if isinstance(scheme, Sampled | Circle | Trajectory):
         check_further(drive, scheme)

@@ -58,17 +58,12 @@ class SwitchingFrequency:
 class CurrentTrace:
     """The observed time at N operating points, in S pieces without commutation inside.
 
-    Parameters
-    ----------
-    plant:
-        The drive at the N points.
-    time, length:
-        Start in s from the angle 0, and length in s, of each piece, shape (S, N).
-        Some have the length 0.
-    state:
-        State at the start of each piece, shape (S, N, 9).
-    legs:
-        True where the upper switch is on, shape (S, N, 3).
+    Args:
+        plant: The drive at the N points.
+        time, length: Start in s from the angle 0, and length in s, of each piece, shape (S, N).
+            Some have the length 0.
+        state: State at the start of each piece, shape (S, N, 9).
+        legs: True where the upper switch is on, shape (S, N, 3).
     """
 
     plant: Plant
@@ -158,11 +153,9 @@ class CurrentTrace:
 
         The phasor X of the order n stands for Re(X exp(j n theta_e)). Orders up to some 450.
 
-        Parameters
-        ----------
-        orders:
-            Orders n, shape (H,); fractions with the denominator of the observed
-            periods show subharmonics.
+        Args:
+            orders: Orders n, shape (H,); fractions with the denominator of the observed periods
+                show subharmonics.
         """
         order = np.atleast_1d(np.asarray(orders, dtype=np.float64))
         weight, theta, states = self._samples()

@@ -104,19 +104,14 @@ def plants(
 ) -> Plants:
     """N machines that differ from ``machine`` by relative errors.
 
-    Parameters
-    ----------
-    errors:
-        Relative errors, e.g. ``{"r_s": [0.0, 0.3]}`` for a second drive whose resistance is 30 %
-        higher than ``machine`` says; of ``r_s``, ``l_d``, ``l_q``, ``psi_pm``, scalars or shape
-        (N,).
-    count:
-        Least number of drives N.
+    Args:
+        errors: Relative errors, e.g. ``{"r_s": [0.0, 0.3]}`` for a second drive whose resistance is
+            30 % higher than ``machine`` says; of ``r_s``, ``l_d``, ``l_q``, ``psi_pm``, scalars or
+            shape (N,).
+        count: Least number of drives N.
 
-    Raises
-    ------
-    InputError
-        An unknown parameter is named.
+    Raises:
+        InputError: An unknown parameter is named.
     """
     given = dict(errors or {})
     names = ("r_s", "l_d", "l_q", "psi_pm")
@@ -142,16 +137,11 @@ def next_flux(
 ) -> ComplexArray:
     """Flux linkage alpha + j beta in Wb one period later, all arrays of shape (N,).
 
-    Parameters
-    ----------
-    psi:
-        Flux linkage at the start, in Wb.
-    v:
-        Voltage alpha + j beta in V, held.
-    theta:
-        Electrical angle at the start, in rad.
-    omega:
-        Electrical speed in rad/s at the start and at the end; linear in between.
+    Args:
+        psi: Flux linkage at the start, in Wb.
+        v: Voltage alpha + j beta in V, held.
+        theta: Electrical angle at the start, in rad.
+        omega: Electrical speed in rad/s at the start and at the end; linear in between.
     """
     step, ramp = t_s / substeps, (omega[1] - omega[0]) / t_s
 
@@ -232,31 +222,21 @@ def drive_motion(
     """Drives that follow speeds and current references with the true angle,
     from the steady state of their first row.
 
-    Parameters
-    ----------
-    machine:
-        What the controller knows.
-    t_s:
-        Sampling period in s.
-    omega_e:
-        Electrical speed at the sampling instants in rad/s, shape (steps, N) or (steps, 1).
-    i_dq:
-        Current references i_d + j i_q in A, broadcast against (steps, N).
-    errors:
-        What the true machines differ by, as for `plants`.
-    theta_0:
-        Electrical angle at the first instant in rad, scalar or shape (N,).
-    bandwidth:
-        Bandwidth of the current control in rad/s; None for 2 pi/(12 t_s),
-        a twelfth of the sampling rate.
-    v_dq_added:
-        Voltage d + j q in V added to what the controller commands at instant k (injection),
-        broadcast to (steps, N).
+    Args:
+        machine: What the controller knows.
+        t_s: Sampling period in s.
+        omega_e: Electrical speed at the sampling instants in rad/s, shape (steps, N) or (steps, 1).
+        i_dq: Current references i_d + j i_q in A, broadcast against (steps, N).
+        errors: What the true machines differ by, as for `plants`.
+        theta_0: Electrical angle at the first instant in rad, scalar or shape (N,).
+        bandwidth: Bandwidth of the current control in rad/s; None for 2 pi/(12 t_s), a twelfth of
+            the sampling rate.
+        v_dq_added: Voltage d + j q in V added to what the controller commands at instant k
+            (injection), broadcast to (steps, N).
 
-    References
-    ----------
-    docs/methods/current-and-speed-loops.md (controller with decoupling, delay of one period and a
-    half).
+    References:
+        docs/methods/current-and-speed-loops.md (controller with decoupling, delay of one period and
+        a half).
     """
     omega = np.asarray(omega_e, dtype=np.float64)
     plant = plants(machine, errors, max(omega.shape[1], np.shape(i_dq)[-1] if np.ndim(i_dq) else 1))

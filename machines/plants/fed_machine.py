@@ -41,21 +41,15 @@ _RELATIVE_STEP = 0.1
 class BridgeDrive:
     """A star-connected machine at an ideal two-level bridge.
 
-    Parameters
-    ----------
-    machine:
-        Machine with constant inductances; r_s may be 0.
-    v_dc:
-        DC-link voltage in V, constant.
-    neutral_inductance:
-        Zero-sequence inductance in H of a star point that is tied to the middle of the DC link,
-        None where the star point is isolated. Phases without mutual coupling have l_d = l_q =
-        neutral_inductance.
+    Args:
+        machine: Machine with constant inductances; r_s may be 0.
+        v_dc: DC-link voltage in V, constant.
+        neutral_inductance: Zero-sequence inductance in H of a star point that is tied to the middle
+            of the DC link, None where the star point is isolated. Phases without mutual coupling
+            have l_d = l_q = neutral_inductance.
 
-    Raises
-    ------
-    InputError
-        A voltage or an inductance that is not positive.
+    Raises:
+        InputError: A voltage or an inductance that is not positive.
     """
 
     machine: LinearMachine
@@ -78,18 +72,12 @@ class BridgeDrive:
 class Plant:
     """The drive at N operating points of constant speed and constant references.
 
-    Parameters
-    ----------
-    drive:
-        Machine and bridge.
-    i_d, i_q:
-        Current references in A (peak), shape (N,).
-    omega_e:
-        Electrical speed in rad/s, shape (N,), not 0.
-    matrix:
-        M of x' = M x, shape (N, 9, 9).
-    number:
-        Number of each point, shape (N,), by which a controller with a memory finds its own.
+    Args:
+        drive: Machine and bridge.
+        i_d, i_q: Current references in A (peak), shape (N,).
+        omega_e: Electrical speed in rad/s, shape (N,), not 0.
+        matrix: M of x' = M x, shape (N, 9, 9).
+        number: Number of each point, shape (N,), by which a controller with a memory finds its own.
     """
 
     drive: BridgeDrive
@@ -123,12 +111,9 @@ class Plant:
     ) -> FloatArray:
         """State (N, 9) at the angle 0 with the currents on their references.
 
-        Parameters
-        ----------
-        legs:
-            True where the upper switch is on, shape (N, 3).
-        integral:
-            Integrals of the current errors in A s, shape (N,) each; zero if None.
+        Args:
+            legs: True where the upper switch is on, shape (N, 3).
+            integral: Integrals of the current errors in A s, shape (N,) each; zero if None.
         """
         state = np.zeros((self.i_d.size, STATES))
         state[:, I_D], state[:, I_Q], state[:, ONE] = self.i_d, self.i_q, 1.0
@@ -190,14 +175,10 @@ def build_plant(
 ) -> Plant:
     """The drive at N operating points.
 
-    Parameters
-    ----------
-    drive:
-        Machine and bridge.
-    i_d, i_q, omega_e:
-        Current references in A (peak) and electrical speed in rad/s, shape (N,).
-    rotating:
-        Whether the errors are integrated in rotor coordinates, or in those of the stator.
+    Args:
+        drive: Machine and bridge.
+        i_d, i_q, omega_e: Current references in A (peak) and electrical speed in rad/s, shape (N,).
+        rotating: Whether the errors are integrated in rotor coordinates, or in those of the stator.
     """
     machine = drive.machine
     matrix = np.zeros((i_d.size, STATES, STATES))

@@ -33,21 +33,15 @@ class Profile:
 
     Before its first point and behind its last one the value is that of the point.
 
-    Parameters
-    ----------
-    times:
-        In s, strictly ascending, at least one.
-    values:
-        In the unit of what they describe, as many.
-    shape:
-        ``hold`` or ``linear``.
-    amplitude, frequency:
-        Of amplitude sin(2 pi frequency t), in the unit of the values and in Hz.
+    Args:
+        times: In s, strictly ascending, at least one.
+        values: In the unit of what they describe, as many.
+        shape: ``hold`` or ``linear``.
+        amplitude, frequency: Of amplitude sin(2 pi frequency t), in the unit of the values and in
+            Hz.
 
-    Raises
-    ------
-    InputError
-        No point, times that do not ascend, or a number that is not finite.
+    Raises:
+        InputError: No point, times that do not ascend, or a number that is not finite.
     """
 
     times: tuple[float, ...] = (0.0,)
@@ -127,10 +121,8 @@ class Sensorless:
     It begins where the speed that the controller knows reaches ``above`` and ends where that falls
     under ``below``, both mechanical in rad/s.
 
-    Raises
-    ------
-    InputError
-        A speed is negative, or ``below`` exceeds ``above``.
+    Raises:
+        InputError: A speed is negative, or ``below`` exceeds ``above``.
     """
 
     above: float
@@ -216,49 +208,31 @@ class ElasticBrake:
 class Scenario:
     """One simulation.
 
-    Parameters
-    ----------
-    duration:
-        In s.
-    mode:
-        What `reference` is: mechanical speed in rad/s, torque in N m, i_q in A (then `reference_d`
-        is i_d in A), or for ``open-loop`` the duty cycle of phase a (and `reference_d` that of b; c
-        takes what is missing to 1.5).
-    reference, reference_d:
-        References over time; the controller sees them at its samples.
-    load:
-        Load torque in N m, against positive speed.
-    shaft:
-        Mechanical speed in rad/s that a load machine imposes; None where the shaft is free.
-    v_dc:
-        DC-link voltage in V over time; None for that of the inverter.
-    inverter:
-        ``averaged``: duty cycles act as voltages; ``switched``: every switching
-        instant of a symmetric carrier.
-    dead_time:
-        In s; None for that of the inverter.
-    encoder, sensor, errors:
-        Sensors, and differences between plant and data.
-    omega_m, theta_e:
-        Speed in rad/s (mechanical) and electrical angle in rad at the start.
-    seed:
-        Of the noise.
-    sensorless:
-        When angle and speed come from the position observer; None for never.
-    sub_steps:
-        Integration steps per control period; None for as many as the accuracy needs.
-    open_phase:
-        Phase that opens; None for none. Phase machines only.
-    duties:
-        Duty cycles of all legs over time for ``open-loop``, in the order of `TOPOLOGIES`, instead
-        of the references; empty for none.
-    load_kind:
-        ``active``: the load acts always, as a hoist does; ``friction``: it is the magnitude of a
-        torque that acts against the motion, whichever way, and holds a shaft at rest.
-    brake:
-        A brake that grips during the run; None for none.
-    stop:
-        Instant in s at which the command of a drive without encoder goes; None for never.
+    Args:
+        duration: In s.
+        mode: What `reference` is: mechanical speed in rad/s, torque in N m, i_q in A (then
+            `reference_d` is i_d in A), or for ``open-loop`` the duty cycle of phase a (and
+            `reference_d` that of b; c takes what is missing to 1.5).
+        reference, reference_d: References over time; the controller sees them at its samples.
+        load: Load torque in N m, against positive speed.
+        shaft: Mechanical speed in rad/s that a load machine imposes; None where the shaft is free.
+        v_dc: DC-link voltage in V over time; None for that of the inverter.
+        inverter: ``averaged``: duty cycles act as voltages; ``switched``: every switching instant
+            of a symmetric carrier.
+        dead_time: In s; None for that of the inverter.
+        encoder, sensor, errors: Sensors, and differences between plant and data.
+        omega_m, theta_e: Speed in rad/s (mechanical) and electrical angle in rad at the start.
+        seed: Of the noise.
+        sensorless: When angle and speed come from the position observer; None for never.
+        sub_steps: Integration steps per control period; None for as many as the accuracy needs.
+        open_phase: Phase that opens; None for none. Phase machines only.
+        duties: Duty cycles of all legs over time for ``open-loop``, in the order of `TOPOLOGIES`,
+            instead of the references; empty for none.
+        load_kind: ``active``: the load acts always, as a hoist does; ``friction``: it is the
+            magnitude of a torque that acts against the motion, whichever way, and holds a shaft at
+            rest.
+        brake: A brake that grips during the run; None for none.
+        stop: Instant in s at which the command of a drive without encoder goes; None for never.
     """
 
     duration: float

@@ -30,20 +30,14 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 class SwitchedDrive:
     """Powers in W and currents in A over one electrical period in the periodic steady state.
 
-    Parameters
-    ----------
-    link_power:
-        Mean of v_dc times the current from the DC link into the bridge,
-        whose switches drop no voltage here.
-    copper, shaft_power:
-        Of the machine, ripple and all.
-    conduction, switching:
-        Of the bridge, from its tables at the temperature given.
-    capacitor_current, ripple_current:
-        R.m.s. in A: of the DC-link current less its mean, and of a phase
-        current less its fundamental.
-    current:
-        Mean (i_d, i_q) over the period in A.
+    Args:
+        link_power: Mean of v_dc times the current from the DC link into the bridge, whose switches
+            drop no voltage here.
+        copper, shaft_power: Of the machine, ripple and all.
+        conduction, switching: Of the bridge, from its tables at the temperature given.
+        capacitor_current, ripple_current: R.m.s. in A: of the DC-link current less its mean, and of
+            a phase current less its fundamental.
+        current: Mean (i_d, i_q) over the period in A.
     """
 
     link_power: float
@@ -136,21 +130,16 @@ def simulate_period(
 ) -> SwitchedDrive:
     """Simulate the periodic steady state at a constant speed.
 
-    Parameters
-    ----------
-    machine:
-        A machine with constant inductances.
-    tables:
-        The device, whose losses are counted; transistor and diode have the temperature given.
-    modulation:
-        The modulator.
-    voltage, current:
-        References (v_d, v_q) in V, and (i_d, i_q) in A by which some modulators clamp.
-    omega_m, v_dc, carrier_ratio:
-        Mechanical speed in rad/s (positive), DC-link voltage in V,
-        carrier periods per electrical period.
-    junction_temperature:
-        In degC.
+    Args:
+        machine: A machine with constant inductances.
+        tables: The device, whose losses are counted; transistor and diode have the temperature
+            given.
+        modulation: The modulator.
+        voltage, current: References (v_d, v_q) in V, and (i_d, i_q) in A by which some modulators
+            clamp.
+        omega_m, v_dc, carrier_ratio: Mechanical speed in rad/s (positive), DC-link voltage in V,
+            carrier periods per electrical period.
+        junction_temperature: In degC.
     """
     omega_e = machine.pole_pairs * omega_m
     pulses = _pulses(modulation, voltage, current, omega_e, v_dc, carrier_ratio)

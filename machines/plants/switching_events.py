@@ -238,19 +238,13 @@ def follow(
 ) -> CurrentTrace:
     """Step N operating points, each from event to event, to their ends.
 
-    Parameters
-    ----------
-    plant, controller:
-        The drive and what regulates it.
-    state, legs:
-        State (N, 9) and switching state (N, 3) at the angle 0.
-    settling, observed:
-        Times in s (N,) that are simulated only, and recorded after that.
+    Args:
+        plant, controller: The drive and what regulates it.
+        state, legs: State (N, 9) and switching state (N, 3) at the angle 0.
+        settling, observed: Times in s (N,) that are simulated only, and recorded after that.
 
-    Raises
-    ------
-    NoSolutionError
-        Comparators commutate without end between two turns of the carrier.
+    Raises:
+        NoSolutionError: Comparators commutate without end between two turns of the carrier.
     """
     walk = _Walk(plant, controller, state, legs, (settling, settling + observed))
     walk.decide(np.full(plant.i_d.size, math.isfinite(controller.interval)))

@@ -20,19 +20,9 @@ import numpy as np
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.records import dataclass
 
-LINKS = (24.0, 48.0, 325.0, 560.0)
-
-"""DC-link voltages in V."""
-
-
-LOW_VOLTAGE = 100.0
-
-"""Links below it in V are switched by MOSFETs with a short dead time."""
-
-
+LINKS = (24.0, 48.0, 325.0, 560.0)  # DC-link voltages in V.
+LOW_VOLTAGE = 100.0  # Links below it in V are switched by MOSFETs with a short dead time.
 _SHARE_WITHOUT_SALIENCY = 0.4
-
-
 _VOLTAGE_USED = 0.9
 
 
@@ -40,22 +30,15 @@ _VOLTAGE_USED = 0.9
 class RandomDrive:
     """A drive with its rated point.
 
-    Parameters
-    ----------
-    machine:
-        Its constants; ``i_max`` is the rated current I in A, ``omega_m_max`` the rated speed.
-    v_dc:
-        DC-link voltage in V.
-    f_s:
-        Switching and sampling frequency in Hz.
-    dead_time:
-        In s.
-    saturation:
-        Share s by which the incremental d inductance falls at the rated current.
-    theta_e:
-        Electrical angle at rest in rad.
-    seed:
-        Of the noise of a run.
+    Args:
+        machine: Its constants; ``i_max`` is the rated current I in A, ``omega_m_max`` the rated
+            speed.
+        v_dc: DC-link voltage in V.
+        f_s: Switching and sampling frequency in Hz.
+        dead_time: In s.
+        saturation: Share s by which the incremental d inductance falls at the rated current.
+        theta_e: Electrical angle at rest in rad.
+        seed: Of the noise of a run.
     """
 
     machine: LinearMachine
@@ -90,12 +73,9 @@ def _log_uniform(generator: np.random.Generator, low: float, high: float) -> flo
 def random_drive(number: int, seed: int = 1) -> RandomDrive:
     """One drive; the same for the same number and seed.
 
-    Parameters
-    ----------
-    number:
-        Which, from 0 on.
-    seed:
-        Of the series.
+    Args:
+        number: Which, from 0 on.
+        seed: Of the series.
     """
     generator = np.random.default_rng([seed, number])
     v_dc = float(generator.choice(LINKS))
@@ -132,11 +112,8 @@ def random_drive(number: int, seed: int = 1) -> RandomDrive:
 def random_drives(count: int, seed: int = 1) -> tuple[RandomDrive, ...]:
     """The first drives of a series.
 
-    Parameters
-    ----------
-    count:
-        How many.
-    seed:
-        Of the series.
+    Args:
+        count: How many.
+        seed: Of the series.
     """
     return tuple(random_drive(number, seed) for number in range(count))

@@ -39,23 +39,15 @@ def leg_potentials(
 ) -> tuple[N, ...]:
     """Potentials of the legs from the negative rail, in the order of their duty cycles.
 
-    Parameters
-    ----------
-    o:
-        The arithmetic.
-    topology:
-        The topology.
-    v:
-        Phase voltages, within the region; nothing is clipped.
-    v_dc:
-        DC-link voltage in the unit of the phase voltages.
-    nothing:
-        The number 0.
-    v_m:
-        Midpoint of a split link from the negative rail; half the link where it is not given.
-    zero_sequence:
-        V0 of the design's modulator, which three legs without a neutral take; the mean of the
-        extremes is centred where it is not given.
+    Args:
+        o: The arithmetic.
+        topology: The topology.
+        v: Phase voltages, within the region; nothing is clipped.
+        v_dc: DC-link voltage in the unit of the phase voltages.
+        nothing: The number 0.
+        v_m: Midpoint of a split link from the negative rail; half the link where it is not given.
+        zero_sequence: V0 of the design's modulator, which three legs without a neutral take; the
+            mean of the extremes is centred where it is not given.
     """
     rule = TOPOLOGIES[topology]
     if rule.midpoint:
@@ -97,12 +89,9 @@ def shortened(
     """Phase voltages shortened along their direction into the region, and the condition that they
     had to be.
 
-    Parameters
-    ----------
-    o, topology, v_dc, nothing, v_m:
-        As of `leg_potentials`.
-    v:
-        Phase voltages wanted.
+    Args:
+        o, topology, v_dc, nothing, v_m: As of `leg_potentials`.
+        v: Phase voltages wanted.
     """
     rule = TOPOLOGIES[topology]
     (high,), (low,) = extremes(o, v)
@@ -142,18 +131,12 @@ def duty_cycles(
 ) -> FloatArray:
     """Duty cycles of the upper switches, shape (..., legs), from 0 to 1; 1/2 without a link.
 
-    Parameters
-    ----------
-    topology:
-        The topology.
-    voltages:
-        Phase voltages in V, shape (..., 3).
-    v_dc:
-        DC-link voltage in V, broadcastable to (...).
-    v_m, zero_sequence:
-        As of `leg_potentials`, in V, broadcastable to (...).
-    number:
-        The floating-point type of the arithmetic.
+    Args:
+        topology: The topology.
+        voltages: Phase voltages in V, shape (..., 3).
+        v_dc: DC-link voltage in V, broadcastable to (...).
+        v_m, zero_sequence: As of `leg_potentials`, in V, broadcastable to (...).
+        number: The floating-point type of the arithmetic.
     """
     phases = Triple(*np.moveaxis(np.asarray(voltages, dtype=number), -1, 0))
     link = np.asarray(v_dc, dtype=number)
@@ -181,14 +164,11 @@ def phase_voltages(
 
     Without a neutral they are those whose mean is zero; only their differences act.
 
-    Parameters
-    ----------
-    topology:
-        The topology.
-    duty:
-        Duty cycles of the upper switches, shape (..., legs).
-    v_dc, v_m:
-        Link, and midpoint of a split one (half of it where it is not given), in V, shape (...).
+    Args:
+        topology: The topology.
+        duty: Duty cycles of the upper switches, shape (..., legs).
+        v_dc, v_m: Link, and midpoint of a split one (half of it where it is not given), in V, shape
+            (...).
     """
     rule, link = TOPOLOGIES[topology], np.asarray(v_dc, dtype=np.float64)
     voltages = duty @ leg_signs(topology).T * link[..., np.newaxis]

@@ -24,12 +24,9 @@ _CENTRED: ModulationName = "svpwm"
 def linear_share(topology: Topology, modulation: ModulationName) -> float:
     """Largest amplitude of the fundamental over the link's voltage, without overmodulation.
 
-    Parameters
-    ----------
-    topology:
-        The topology.
-    modulation:
-        The design's modulator, which three legs without a neutral have.
+    Args:
+        topology: The topology.
+        modulation: The design's modulator, which three legs without a neutral have.
     """
     if TOPOLOGIES[topology].modulated:
         return MODULATORS[modulation].linear_limit
@@ -39,12 +36,10 @@ def linear_share(topology: Topology, modulation: ModulationName) -> float:
 def overmodulation_of(inverter: Inverter, modulation: ModulationName) -> OvermodulationName:
     """The method by which voltages go beyond the linear range; ``none`` where they do not.
 
-    Parameters
-    ----------
-    inverter:
-        Topology and method of overmodulation.
-    modulation:
-        The modulator, which must make all of the hexagon; others keep their linear range.
+    Args:
+        inverter: Topology and method of overmodulation.
+        modulation: The modulator, which must make all of the hexagon; others keep their linear
+            range.
     """
     if TOPOLOGIES[inverter.topology].modulated and follows_hexagon(modulation):
         return inverter.overmodulation
@@ -55,12 +50,9 @@ def fundamental_share(inverter: Inverter, modulation: ModulationName) -> float:
     """Largest amplitude of the fundamental over the link's voltage: the one place that says so for
     operating points, maps, references, budgets and the emitted control.
 
-    Parameters
-    ----------
-    inverter:
-        Topology and overmodulation.
-    modulation:
-        As of `linear_share`.
+    Args:
+        inverter: Topology and overmodulation.
+        modulation: As of `linear_share`.
     """
     if overmodulation_of(inverter, modulation) != "none":
         return max(INSCRIBED, inverter.overmodulation_limit * SIX_STEP)
@@ -72,12 +64,9 @@ def contradiction(key: str, topology: Topology, modulation: ModulationName) -> s
 
     The default stands for the topology's own: it is centred likewise.
 
-    Parameters
-    ----------
-    key:
-        What the sentence is about.
-    topology, modulation:
-        As of `linear_share`.
+    Args:
+        key: What the sentence is about.
+        topology, modulation: As of `linear_share`.
     """
     if TOPOLOGIES[topology].modulated or modulation == _CENTRED:
         return ""
@@ -90,14 +79,10 @@ def contradiction(key: str, topology: Topology, modulation: ModulationName) -> s
 def amplitude_limit(inverter: Inverter, modulation: ModulationName, margin: float = 0.0) -> float:
     """Largest phase-voltage amplitude in V (peak) of the fundamental.
 
-    Parameters
-    ----------
-    inverter:
-        Topology, DC link and overmodulation.
-    modulation:
-        As of `linear_share`.
-    margin:
-        Share of 0 to 1 that is kept for control.
+    Args:
+        inverter: Topology, DC link and overmodulation.
+        modulation: As of `linear_share`.
+        margin: Share of 0 to 1 that is kept for control.
     """
     return fundamental_share(inverter, modulation) * inverter.v_dc * (1.0 - margin)
 
@@ -108,12 +93,9 @@ def amplitude_fits(
     """Where a phase-voltage amplitude (V, peak, any shape) is within the linear range, or that of
     overmodulation; false for NaN.
 
-    Parameters
-    ----------
-    inverter, modulation:
-        As of `amplitude_limit`.
-    amplitude:
-        In V, any shape.
+    Args:
+        inverter, modulation: As of `amplitude_limit`.
+        amplitude: In V, any shape.
     """
     linear = overmodulation_of(inverter, modulation) == "none"
     if linear and TOPOLOGIES[inverter.topology].modulated:

@@ -25,10 +25,8 @@ from dqforge.machines.topologies.topology import TOPOLOGIES, leg_signs
 def zero_weights(topology: Topology) -> FloatArray:
     """What each leg adds to the zero sequence of the phases, shape (legs,); all 0 where none acts.
 
-    Parameters
-    ----------
-    topology:
-        The topology.
+    Args:
+        topology: The topology.
     """
     weights = np.mean(leg_signs(topology), axis=0)
     return weights if TOPOLOGIES[topology].neutral else np.zeros_like(weights)
@@ -38,12 +36,9 @@ def neutral_ripple_squares(topology: Topology, duty: FloatArray) -> FloatArray:
     """Mean square of the harmonic flux of the zero sequence in each carrier period, in
     (V_dc T_s)^2, shape (...).
 
-    Parameters
-    ----------
-    topology:
-        The topology.
-    duty:
-        Duty cycles of its legs, shape (..., legs).
+    Args:
+        topology: The topology.
+        duty: Duty cycles of its legs, shape (..., legs).
     """
     weights = zero_weights(topology)
     squares = np.einsum("j,...jk,k->...", weights, flux_moments(duty), weights)
@@ -62,16 +57,12 @@ def neutral_ripple(
     """Root mean square of the neutral current of the pulses over an electrical period in A, shape
     (...).
 
-    Parameters
-    ----------
-    topology:
-        The topology; without a neutral there is none.
-    voltages:
-        Phase voltages in V at evenly spaced angles, shape (..., 3, N), within the region.
-    v_dc, t_s, l_0:
-        Link in V, carrier period in s, zero-sequence inductance in H.
-    v_m:
-        Midpoint of a split link in V, shape (N,) or a number; half the link where it is not given.
+    Args:
+        topology: The topology; without a neutral there is none.
+        voltages: Phase voltages in V at evenly spaced angles, shape (..., 3, N), within the region.
+        v_dc, t_s, l_0: Link in V, carrier period in s, zero-sequence inductance in H.
+        v_m: Midpoint of a split link in V, shape (N,) or a number; half the link where it is not
+            given.
     """
     duty = duty_cycles(topology, np.swapaxes(voltages, -1, -2), v_dc, v_m=v_m)
     squares = np.mean(neutral_ripple_squares(topology, duty), axis=-1)

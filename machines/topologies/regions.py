@@ -24,6 +24,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import Topology
 from dqforge.machines.topologies.topology import TOPOLOGIES
 
+# Rows on the three phase voltages: each of them, and the differences between them.
 VOLTAGE_ROWS = np.array(
     [
         [1.0, 0.0, 0.0],
@@ -35,8 +36,6 @@ VOLTAGE_ROWS = np.array(
     ]
 )
 
-"""Rows on the three phase voltages: each of them, and the differences between them."""
-
 
 def largest_phase_voltage(topology: Topology, v_dc: float) -> float:
     """Largest voltage of a phase in V that a voltage vector of the topology makes.
@@ -44,12 +43,9 @@ def largest_phase_voltage(topology: Topology, v_dc: float) -> float:
     Two thirds of the largest difference where the neutral is not driven; a split link is taken
     with its midpoint anywhere, as far as three legs without it reach.
 
-    Parameters
-    ----------
-    topology:
-        The topology.
-    v_dc:
-        DC-link voltage in V.
+    Args:
+        topology: The topology.
+        v_dc: DC-link voltage in V.
     """
     rule = TOPOLOGIES[topology]
     if rule.neutral and not rule.midpoint:
@@ -63,15 +59,11 @@ def voltage_bounds(
     """Bounds low <= VOLTAGE_ROWS v <= high in V, each of shape (..., 6); infinite where there are
     none.
 
-    Parameters
-    ----------
-    topology:
-        The topology.
-    v_dc:
-        DC-link voltage in V, shape (...).
-    v_m:
-        Midpoint of a split link from the negative rail in V, broadcastable; half the link where
-        it is not given. Others have none.
+    Args:
+        topology: The topology.
+        v_dc: DC-link voltage in V, shape (...).
+        v_m: Midpoint of a split link from the negative rail in V, broadcastable; half the link
+            where it is not given. Others have none.
     """
     rule, link = TOPOLOGIES[topology], np.asarray(v_dc, dtype=np.float64)[..., np.newaxis]
     shares = [math.inf if share is None else share for share in (rule.phase, rule.between)]
@@ -88,12 +80,10 @@ def voltage_bounds(
 def link_demand(voltages: FloatArray, topology: Topology) -> FloatArray:
     """Least dc-link voltage in V, shape (...), that phase voltages over a period need.
 
-    Parameters
-    ----------
-    voltages:
-        Phase voltages in V, shape (..., 3, N).
-    topology:
-        The topology. A split link counts in halves; of two isolated links it is each one's.
+    Args:
+        voltages: Phase voltages in V, shape (..., 3, N).
+        topology: The topology. A split link counts in halves; of two isolated links it is each
+            one's.
     """
     rule, demands = TOPOLOGIES[topology], []
     if rule.phase is not None:
@@ -110,12 +100,9 @@ def voltage_reach(
     """Largest multiple of phase voltages that is within the region, shape (...); infinite for
     those that make no difference.
 
-    Parameters
-    ----------
-    voltages:
-        Phase voltages in V, shape (..., 3).
-    topology, v_dc, v_m:
-        As of `voltage_bounds`.
+    Args:
+        voltages: Phase voltages in V, shape (..., 3).
+        topology, v_dc, v_m: As of `voltage_bounds`.
     """
     rows = voltages @ VOLTAGE_ROWS.T
     low, high = voltage_bounds(topology, v_dc, v_m)
@@ -128,10 +115,8 @@ def voltage_reach(
 def sine_share(topology: Topology) -> float:
     """Largest amplitude of sinusoidal phase voltages over the link's voltage.
 
-    Parameters
-    ----------
-    topology:
-        The topology.
+    Args:
+        topology: The topology.
     """
     rule = TOPOLOGIES[topology]
     single = math.inf if rule.phase is None else rule.phase

@@ -19,21 +19,16 @@ from dqforge.machines.records import dataclass
 class TopologyRule:
     """How the phases are fed.
 
-    Parameters
-    ----------
-    legs:
-        Names of the half bridges, in the order of their duty cycles; ``a2`` is the second one of
-        phase a.
-    neutral:
-        Whether the legs drive a zero-sequence current.
-    phase, between:
-        Largest phase voltage, and largest difference between two, over the voltage of the link;
-        None where the other one is all that limits them.
-    midpoint:
-        Whether the neutral lies on the midpoint of the link, whose voltage moves with its current;
-        ``phase`` is then that of a link in halves.
-    diodes:
-        Whether the neutral hangs on two diodes to the rails, which conduct but are not switched.
+    Args:
+        legs: Names of the half bridges, in the order of their duty cycles; ``a2`` is the second one
+            of phase a.
+        neutral: Whether the legs drive a zero-sequence current.
+        phase, between: Largest phase voltage, and largest difference between two, over the voltage
+            of the link; None where the other one is all that limits them.
+        midpoint: Whether the neutral lies on the midpoint of the link, whose voltage moves with its
+            current; ``phase`` is then that of a link in halves.
+        diodes: Whether the neutral hangs on two diodes to the rails, which conduct but are not
+            switched.
     """
 
     legs: tuple[str, ...]
@@ -67,10 +62,8 @@ def leg_signs(topology: Topology) -> FloatArray:
     """How the legs add up to the phase voltages, shape (3, legs): 1 for the phase's own leg, -1 for
     that on its other end.
 
-    Parameters
-    ----------
-    topology:
-        The topology. Without a neutral only the differences of the rows act.
+    Args:
+        topology: The topology. Without a neutral only the differences of the rows act.
     """
     legs = TOPOLOGIES[topology].legs
     signs = np.zeros((3, len(legs)))

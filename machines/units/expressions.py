@@ -18,7 +18,6 @@ from dqforge.machines.wording import close_matches, shown
 
 _SUPERSCRIPT = str.maketrans("\u2070¹²³\u2074\u207a\u207b", "01234+-")
 
-
 _TOKEN = re.compile(
     r"\s*(?:(?P<symbol>°C|[A-Za-zµμΩ\N{OHM SIGN}](?:[A-Za-z_µμΩ\N{OHM SIGN}])*|[°%])"
     r"(?P<glued>(?:-?[1-4](?![0-9]))?)"
@@ -27,10 +26,9 @@ _TOKEN = re.compile(
     r"|(?P<operator>[*·⋅/()]|-(?=\s*[A-Za-zµμΩ\N{OHM SIGN}])))"
 )
 
-
 _TIMES_SIGNS = ("*", "·", "⋅", "-")
 
-
+# What data sheets write, and what it is in full.
 _ABBREVIATED = (
     (re.compile(r"\br\.\s?p\.\s?m\.?", re.IGNORECASE), "rpm"),
     (re.compile(r"(?<=[A-Za-zµμΩ])\."), " "),  # N.m, oz.-in.
@@ -44,8 +42,6 @@ _ABBREVIATED = (
         r"\1(\2)",
     ),
 )
-"""What data sheets write, and what it is in full."""
-
 
 Token = tuple[str, str]
 
@@ -54,10 +50,9 @@ def parse_unit(unit: str, wanted: Dimension) -> Powers:
     """Powers of the names in full in a unit expression, reciprocals of times and
     powers of ten named apart.
 
-    Raises
-    ------
-    InputError
-        The text is no unit expression, holds an unknown symbol, or can be read in two ways.
+    Raises:
+        InputError: The text is no unit expression, holds an unknown symbol, or can be read in two
+            ways.
     """
     return weighed(_Parser(unit, wanted).powers(), wanted)
 

@@ -19,7 +19,7 @@ _TO = r"[\s_-]*(?:to|2)?[\s_-]*"
 _OF = r"(?:(?:per|of|each|one|a|the)[\s_-]+)*"
 _BETWEEN = r"between[\s_-]+(?:(?:the|two)[\s_-]+)*"
 
-
+# What each place is called, where ``phase`` is one phase to the star point.
 _PLACES = {
     "line-to-line": (
         rf"(?:motor[\s_-]+)?line{_TO}line|l{_TO}l|phase{_TO}phase|ph{_TO}ph|{_BETWEEN}(?:phases|lines)"
@@ -29,8 +29,6 @@ _PLACES = {
     "winding": rf"{_OF}winding",
     "line": rf"{_OF}line",
 }
-"""What each place is called, where ``phase`` is one phase to the star point."""
-
 
 _MEASURES = {
     "rms": r"r\.?m\.?s\.?|eff(?:ective)?",
@@ -38,7 +36,7 @@ _MEASURES = {
     "power-invariant": r"power[\s_-]*invariant",
 }
 
-
+# Words that leave the kind open, and what to say of them.
 _OPEN = {
     "peak to peak": (
         rf"(?:peak|pk|p){_TO}(?:peak|pk|p)",
@@ -49,8 +47,6 @@ _OPEN = {
     "direct": (r"dc", "is none of the kinds that are read; write peak or rms"),
     "alternating": (r"ac", "does not say of which kind the value is; write peak or rms"),
 }
-"""Words that leave the kind open, and what to say of them."""
-
 
 _PHRASES = [
     *((name, pattern) for name, (pattern, _) in _OPEN.items()),
@@ -62,16 +58,14 @@ _GAP = r"[\s,;_-]*"
 # At most six, so that a hostile text is not tried in every way to cut it.
 _CHAIN = rf"(?i:{_PHRASE}(?:{_GAP}{_PHRASE}){{0,5}})"
 _LETTER = r"A-Za-zµμΩ\N{OHM SIGN}°"
+# Units that kinds are glued to: ``Arms``, ``mV_pk``.
 _CARRIER = r"[munkµμM]?[AV]|(?i:amp(?:ere)?s?|volts?)"
-"""Units that kinds are glued to: ``Arms``, ``mV_pk``."""
-
 
 _FOUND = re.compile(
     rf"(?:(?<![{_LETTER}])(?P<unit>{_CARRIER})|(?<![{_LETTER}])|(?=[\s,;_(\[-])){_GAP}"
     rf"(?:\(\s*(?P<round>{_CHAIN})\s*\)|\[\s*(?P<square>{_CHAIN})\s*\]|(?P<plain>{_CHAIN}))"
     rf"(?![{_LETTER}0-9])"
 )
-
 
 _SINGLE = (
     "lines?|phases?|to|2|l|ph|neutral|n|star|point|between|two|the|terminals?|t|motor|per|of|each"
@@ -107,10 +101,8 @@ class KindWords:
 def kind_words(text: str) -> KindWords | None:
     """Marks of a text that consists of such words, None where it holds others.
 
-    Raises
-    ------
-    InputError
-        Its words leave the kind open (``max``), or contradict each other.
+    Raises:
+        InputError: Its words leave the kind open (``max``), or contradict each other.
     """
     names = _phrases(text.strip(" ,;_-()[]"))
     if not names:
@@ -130,10 +122,8 @@ def kind_words(text: str) -> KindWords | None:
 def without_kind(unit: str) -> tuple[str, str]:
     """A unit as it is without the words of kinds, and these words.
 
-    Examples
-    --------
-    >>> without_kind("Vrms/krpm line-to-line")
-    ('V/krpm', 'rms line-to-line')
+    Examples:
+        >>> without_kind("Vrms/krpm line-to-line") ('V/krpm', 'rms line-to-line')
     """
     words = []
 

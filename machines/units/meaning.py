@@ -31,14 +31,8 @@ from dqforge.machines.units.si_factors import (
 )
 from dqforge.machines.wording import shown
 
-TEN = "ten"
-
-"""Name that a power of ten has among the powers: the 1000 of ``V/1000 rpm``."""
-
-
+TEN = "ten"  # Name that a power of ten has among the powers: the 1000 of ``V/1000 rpm``.
 _TURN = 2.0 * math.pi
-
-
 _RECIPROCAL = "1/"
 
 
@@ -60,10 +54,8 @@ class _RefusedError(Exception):
 def convert(number: float, powers: Powers, wanted: Dimension, text: str) -> Converted:
     """Value of a number with a unit in the wanted unit.
 
-    Raises
-    ------
-    InputError
-        The unit has another dimension, another meaning, or more than one.
+    Raises:
+        InputError: The unit has another dimension, another meaning, or more than one.
     """
     got = f"expected {wanted.name} such as '{wanted.example}', got {shown(text)}"
     try:

@@ -80,18 +80,13 @@ class Reading:
 def parse_quantity(value: str | float, dimension: str) -> float:
     """Value of a quantity in the SI unit of a dimension.
 
-    Parameters
-    ----------
-    value:
-        A number in SI units, or text such as ``1.61 mH``.
-    dimension:
-        A key of `dqforge.machines.units.registry.DIMENSIONS`.
+    Args:
+        value: A number in SI units, or text such as ``1.61 mH``.
+        dimension: A key of `dqforge.machines.units.registry.DIMENSIONS`.
 
-    Raises
-    ------
-    InputError
-        Without a position: the number or the unit is not understood, has another dimension,
-        or is not finite.
+    Raises:
+        InputError: Without a position: the number or the unit is not understood, has another
+            dimension, or is not finite.
     """
     return read_quantity(value, dimension).si
 
@@ -101,10 +96,9 @@ def parse_option(text: str | None, dimension: str, option: str) -> float | None:
 
     A speed needs its unit there: what is typed in haste is rpm more often than rad/s.
 
-    Raises
-    ------
-    InputError
-        The text is no quantity of the dimension, or a speed without a unit; names the option.
+    Raises:
+        InputError: The text is no quantity of the dimension, or a speed without a unit; names the
+            option.
     """
     if text is None:
         return None
@@ -283,19 +277,14 @@ _OUTPUT_PREFIXES = (
 def format_quantity(value: float, unit: str, digits: int = 5) -> str:
     """Text of an SI value for people, with a prefix where that is customary.
 
-    Parameters
-    ----------
-    value:
-        In SI units; rad/s for ``rpm``, rad for ``deg``, 1 for ``%``, degree Celsius for ``degC``.
-    unit:
-        Unit to print; empty for a plain number.
-    digits:
-        Significant digits, trailing zeros are not printed.
+    Args:
+        value: In SI units; rad/s for ``rpm``, rad for ``deg``, 1 for ``%``, degree Celsius for
+            ``degC``.
+        unit: Unit to print; empty for a plain number.
+        digits: Significant digits, trailing zeros are not printed.
 
-    Examples
-    --------
-    >>> format_quantity(0.00161, "H")
-    '1.61 mH'
+    Examples:
+        >>> format_quantity(0.00161, "H") '1.61 mH'
     """
     scaled = float(f"{value * _OUTPUT_SCALE.get(unit, 1.0):.{digits}g}")
     scale, prefix = _prefix(abs(scaled), unit)

@@ -27,7 +27,6 @@ _PREFIXES = {
     "G": "giga",
 }
 
-
 # symbol: (name in full, prefixes that engineers write in front of it)
 _BASES = {
     "Ohm": ("ohm", "nuµμmkM"),
@@ -65,7 +64,6 @@ _BASES = {
     "kgf": ("force_kilogram", ""),
 }
 
-
 # Words, also with a capital or in capitals; an ounce and a pound may be a mass or a force (FORCES).
 _WORDS = {
     "ohm": ("ohm", "nuµμmk"),
@@ -88,7 +86,6 @@ _WORDS = {
     "ft": ("foot", ""),
 }
 
-
 SYMBOLS: dict[str, str] = {
     prefix + symbol: _PREFIXES[prefix] + name
     for symbol, (name, prefixes) in _BASES.items()
@@ -100,16 +97,13 @@ SYMBOLS: dict[str, str] = {
     for prefix in ("", *prefixes)
 }
 
-
+# Masses whose names stand for their weight as well: oz-in and kg cm of a torque.
 FORCES = {
     "ounce": "force_ounce",
     "pound": "force_pound",
     "kilogram": "force_kilogram",
     "gram": "force_gram",
 }
-
-"""Masses whose names stand for their weight as well: oz-in and kg cm of a torque."""
-
 
 # Written as one word on many data sheets; an exponent belongs to the last part ("kgm2", "kgcm^2").
 COMPOUNDS: dict[str, tuple[str, str]] = {
@@ -142,23 +136,12 @@ COMPOUNDS: dict[str, tuple[str, str]] = {
     "gmm": ("gram", "millimeter"),
 }
 
-
 # Names whose presence tells an angular speed from a frequency, which have one dimension.
 TURNS = frozenset({"turn", "revolutions_per_minute", "krpm", "rps"})
-
-
 ANGULAR = TURNS | {"radian", "milliradian", "kiloradian", "degree"}
-
-
 CYCLIC = frozenset({"hertz", "millihertz", "kilohertz", "megahertz", "gigahertz"})
-
-
 LONG_TIMES = frozenset({"minute", "hour"})
-
-
 TIMES = LONG_TIMES | {prefix + "second" for prefix in ("", "pico", "nano", "micro", "milli")}
-
-
 RELATIVE = frozenset({"percent", "ppm"})
 
 
@@ -168,17 +151,9 @@ def _prefixed(*names: str) -> frozenset[str]:
 
 
 ENERGETIC = _prefixed("joule")
-
-
 POWERS = _prefixed("watt") | {"horsepower", "metric_horsepower"}
-
-
 MECHANICAL = _prefixed("joule", "newton", "gram") | {*FORCES, *FORCES.values()}
-
-
 ELECTRICAL = _prefixed("volt", "weber", "henry", "farad")
-
-
 Unnamed = Literal["refused", "radians", "revolutions"]
 
 
@@ -186,39 +161,25 @@ Unnamed = Literal["refused", "radians", "revolutions"]
 class Dimension:
     """One physical meaning that a key can have.
 
-    Parameters
-    ----------
-    name:
-        With its article, as it stands in a sentence: ``an inductance``.
-    unit:
-        Unit of the numbers inside the program, in the spelling of this package.
-    base:
-        The same unit by the names in full.
-    example:
-        What a user might write.
-    forbidden:
-        Names of units that have this dimension on paper and mean something else,
-        with the reason in `reason`.
-    reciprocal:
-        Whether a value in the reciprocal unit is accepted and inverted.
-    cycles:
-        Whether a value in hertz counts cycles: 2 pi goes with each.
-    angle:
-        Power of the plane angle in the unit, 1 for a speed and -1 for a constant per speed. An
-        angle has no dimension, so that angles are counted by their names.
-    unnamed:
-        What a unit counts that names no angle although `angle` is not 0: 1/min of a speed are
-        revolutions, N m s of a friction is per radian.
-    electrical:
-        Whether the angle is electrical, so that revolutions, which are those of the shaft,
-        do not belong here.
-    told:
-        Whether it is told that the angle was left out.
-    places:
-        What a place of `dqforge.machines.units.kind_words` is called here, where values of this
-        dimension have no kind of its name; empty where it goes without saying.
-    aliases:
-        Units by other names, in lower case: ``kv`` for rpm/V.
+    Args:
+        name: With its article, as it stands in a sentence: ``an inductance``.
+        unit: Unit of the numbers inside the program, in the spelling of this package.
+        base: The same unit by the names in full.
+        example: What a user might write.
+        forbidden: Names of units that have this dimension on paper and mean something else, with
+            the reason in `reason`.
+        reciprocal: Whether a value in the reciprocal unit is accepted and inverted.
+        cycles: Whether a value in hertz counts cycles: 2 pi goes with each.
+        angle: Power of the plane angle in the unit, 1 for a speed and -1 for a constant per speed.
+            An angle has no dimension, so that angles are counted by their names.
+        unnamed: What a unit counts that names no angle although `angle` is not 0: 1/min of a speed
+            are revolutions, N m s of a friction is per radian.
+        electrical: Whether the angle is electrical, so that revolutions, which are those of the
+            shaft, do not belong here.
+        told: Whether it is told that the angle was left out.
+        places: What a place of `dqforge.machines.units.kind_words` is called here, where values of
+            this dimension have no kind of its name; empty where it goes without saying.
+        aliases: Units by other names, in lower case: ``kv`` for rpm/V.
     """
 
     name: str
@@ -241,19 +202,12 @@ _NO_HZ = (
     "hertz may mean mechanical or electrical revolutions, or cycles; write it with rpm or rad/s"
 )
 
-
 _OF_WINDINGS = {"terminal": "line-to-line", "winding": "phase"}
-
 
 # The voltage of a line is the one between two of them; its resistance may be either.
 _OF_VOLTAGES = _OF_WINDINGS | {"line": "line-to-line"}
-
-
 _OF_CURRENTS = {"phase": "", "terminal": "line", "line": ""}
-
-
 _OF_PHASES = {"phase": "", "winding": ""}
-
 
 DIMENSIONS: dict[str, Dimension] = {
     "resistance": Dimension("a resistance", "Ohm", "ohm", "2 mOhm", places=_OF_WINDINGS),

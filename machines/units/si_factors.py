@@ -12,9 +12,7 @@ import math
 import re
 from functools import cache
 
-Factors = tuple[tuple[float, int], ...]
-"""Factors with their powers."""
-
+Factors = tuple[tuple[float, int], ...]  # Factors with their powers.
 Powers = dict[str, int]
 
 _FACTOR = {
@@ -73,8 +71,7 @@ _UNITS: dict[str, tuple[Factors, tuple[int, ...]]] = {
     "degree_Celsius": ((), (0, 0, 0, 0, 1)),
 }
 
-ICE_POINT = 273.15
-"""0 degC in K."""
+ICE_POINT = 273.15  # 0 degC in K.
 
 
 @cache

@@ -14,27 +14,14 @@ from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.start_up.alignment import alignment_damping, alignment_time
 
+# What leads the rotor: the start-up without an encoder, or an encoder whose edges are captured, or
+# counted.
 Kind = Literal["start-up", "edges", "counts"]
-
-"""What leads the rotor: the start-up without an encoder, or an encoder whose edges are captured, or
-counted."""
-
-
 _OFFSET_TIME, _OFFSET_LIMIT = 0.1, 0.05  # in s; of the current limit
-
-
 _TRIP = 1.5  # over the current limit
-
-
 _LOW_LINK, _HIGH_LINK = 0.5, 1.3  # over the dc link's voltage
-
-
 _ALIGN_SHARE, _DAMPING = 0.5, 0.4  # of the current limit; ratio of the swing
-
-
 _STOP_TIME = 1.0  # from the largest speed to rest, in s
-
-
 _REST = 0.01  # of the largest speed: slower counts as at rest
 
 
@@ -42,24 +29,19 @@ _REST = 0.01  # of the largest speed: slower counts as at rest
 class ApplicationPlan:
     """Settings of the program.
 
-    Parameters
-    ----------
-    kind:
-        What leads the rotor.
-    ratio:
-        Current samples per sample of the speed controller.
-    offset_samples, offset_limit:
-        Samples of which the mean is the offset of a sensor, and the largest one in A.
-    trip_current, v_dc_min, v_dc_max:
-        Limits in A and V.
-    align_current, align_samples, align_damping:
-        Current in A and samples of the alignment of an encoder, per step, and the current against
-        the turning rotor in A per rad/s (mechanical).
-    counts, pole_pairs:
-        Counts per revolution (0 without an encoder), and electrical turns in it.
-    stop_step, rest:
-        Change of the speed reference per current sample while it stops, and the speed below which
-        the drive counts as at rest, both mechanical in rad/s.
+    Args:
+        kind: What leads the rotor.
+        ratio: Current samples per sample of the speed controller.
+        offset_samples, offset_limit: Samples of which the mean is the offset of a sensor, and the
+            largest one in A.
+        trip_current, v_dc_min, v_dc_max: Limits in A and V.
+        align_current, align_samples, align_damping: Current in A and samples of the alignment of an
+            encoder, per step, and the current against the turning rotor in A per rad/s
+            (mechanical).
+        counts, pole_pairs: Counts per revolution (0 without an encoder), and electrical turns in
+            it.
+        stop_step, rest: Change of the speed reference per current sample while it stops, and the
+            speed below which the drive counts as at rest, both mechanical in rad/s.
     """
 
     kind: Kind
@@ -91,10 +73,9 @@ def _kind(design: Design) -> Kind:
 def application_plan(design: Design) -> ApplicationPlan | None:
     """Settings of the program that a design asks for, None where it asks for none.
 
-    Parameters
-    ----------
-    design:
-        With ``export.application``, for which it has a speed loop, and a start-up or an encoder.
+    Args:
+        design: With ``export.application``, for which it has a speed loop, and a start-up or an
+            encoder.
     """
     control, machine = design.control, design.machine
     if design.export.application is None:

@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 
 Interval = tuple["fmpq", "fmpq"]
 
+# Ends of cells are rounded outwards to multiples of its inverse, so that they stay short.
 _FRACTION = 2**56
-
-"""Ends of cells are rounded outwards to multiples of its inverse, so that they stay short."""
 
 
 def rational(value: float) -> fmpq:
@@ -66,14 +65,10 @@ class Cell:
 class AxisBox:
     """All drives of one axis.
 
-    Parameters
-    ----------
-    rho:
-        R' t_s/L' of the design.
-    resistance, inductance, gain:
-        Intervals of R/R' without dead time, of L/L' and of g.
-    dead_time:
-        Interval of what the dead time adds to s.
+    Args:
+        rho: R' t_s/L' of the design.
+        resistance, inductance, gain: Intervals of R/R' without dead time, of L/L' and of g.
+        dead_time: Interval of what the dead time adds to s.
     """
 
     rho: fmpq

@@ -19,11 +19,7 @@ from dqforge.optimizer.axis_margins.box_cells import Interval
 if TYPE_CHECKING:
     from flint import fmpq, fmpq_mat
 
-POWERS = (4, 3, 3)
-
-"""Coefficients along c, a and gamma."""
-
-
+POWERS = (4, 3, 3)  # Coefficients along c, a and gamma.
 Terms = dict[tuple[int, int, int], "fmpq"]
 
 

@@ -30,12 +30,10 @@ if TYPE_CHECKING:
     from flint import fmpq_mat
 
 Outcome = Literal["proven", "refuted", "open"]
-
 _FREQUENCIES = np.linspace(0.0, 1.0, 5)
 
+# Shares of a cell's sides at which a drive may refute a claim.
 _DRIVES = ((0.5, 0.5), (0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0))
-
-"""Shares of a cell's sides at which a drive may refute a claim."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,14 +77,10 @@ def phase_claim(gains: AxisGains, margin: float) -> Claim:
 def decide(claim: Claim, box: AxisBox, most: int) -> Decision:
     """Halve cells until each is decided, a drive refutes the claim, or there are too many.
 
-    Parameters
-    ----------
-    claim:
-        What is claimed of every drive at every frequency.
-    box:
-        The drives.
-    most:
-        Most cells that are looked at.
+    Args:
+        claim: What is claimed of every drive at every frequency.
+        box: The drives.
+        most: Most cells that are looked at.
     """
     tables = [tabled(terms) for terms in claim.alternatives]
     queue: list[tuple[float, int, Cell]] = [(0.0, 0, box.root())]

@@ -26,34 +26,25 @@ if TYPE_CHECKING:
 
     from flint import fmpq
 
+# Most cells per claim, of some 0.3 ms each. A loop whose gain stays near 1 over decades would take
+# far more for its phase margin, and is left without a bound of it.
 _BITS = 80
-
 _SENSITIVITY_CELLS, _PHASE_CELLS = 1500, 600
-
-"""Most cells per claim, of some 0.3 ms each. A loop whose gain stays near 1 over decades would take
-far more for its phase margin, and is left without a bound of it."""
-
 _SENSITIVITY = (1.005, 1.02, 1.1)
 
+# What is claimed: the largest M_s found times these, the least phase margin less these.
 _PHASE = tuple(math.radians(value) for value in (0.25, 1.0, 3.0))
-
-"""What is claimed: the largest M_s found times these, the least phase margin less these."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProvenMargins:
     """What holds for every drive of the box and every frequency.
 
-    Parameters
-    ----------
-    stable:
-        Whether all drives are proven stable.
-    max_sensitivity:
-        Bound of M_s, None where none was proven.
-    phase_margin:
-        Bound of the phase margin in rad, None where none was proven.
-    cells:
-        Cells that all of it took.
+    Args:
+        stable: Whether all drives are proven stable.
+        max_sensitivity: Bound of M_s, None where none was proven.
+        phase_margin: Bound of the phase margin in rad, None where none was proven.
+        cells: Cells that all of it took.
     """
 
     stable: bool
@@ -74,12 +65,9 @@ def _factors(deviations: FloatArray) -> tuple[fmpq, fmpq]:
 def axis_box(box: DriveBox, gains: LoopGains) -> AxisBox:
     """The drives that the loop of one axis depends on.
 
-    Parameters
-    ----------
-    box:
-        The drive with its tolerances.
-    gains:
-        A current loop, with the inductance that it is meant for.
+    Args:
+        box: The drive with its tolerances.
+        gains: A current loop, with the inductance that it is meant for.
     """
     from flint import arb, fmpq
 
@@ -117,10 +105,8 @@ def _inductance(gains: LoopGains) -> float:
 def axis_gains(gains: LoopGains) -> AxisGains:
     """The gains of an axis's loop without unit.
 
-    Parameters
-    ----------
-    gains:
-        A current loop, with the inductance that it is meant for.
+    Args:
+        gains: A current loop, with the inductance that it is meant for.
     """
     scale = rational(gains.t_s) / rational(_inductance(gains))
     return AxisGains(scale * rational(gains.kp), scale * rational(gains.ki_ts))
@@ -129,12 +115,9 @@ def axis_gains(gains: LoopGains) -> AxisGains:
 def nominal_is_stable(box: AxisBox, gains: AxisGains) -> bool:
     """Whether the drive of the data is stable, by Jury's conditions of its three poles.
 
-    Parameters
-    ----------
-    box:
-        The drives.
-    gains:
-        The loop's gains.
+    Args:
+        box: The drives.
+        gains: The loop's gains.
     """
     from flint import fmpq
 
@@ -160,14 +143,10 @@ def prove_margins(box: DriveBox, gains: LoopGains, found: LoopRobustness) -> Pro
     M_s that is finite everywhere leaves no pole on the unit circle; the box is connected, and one
     of its drives is stable: so all are.
 
-    Parameters
-    ----------
-    box:
-        The drive with its tolerances.
-    gains:
-        A current loop, with the inductance that it is meant for.
-    found:
-        What corners and samples found.
+    Args:
+        box: The drive with its tolerances.
+        gains: A current loop, with the inductance that it is meant for.
+        found: What corners and samples found.
     """
     from flint import ctx
 

@@ -49,21 +49,12 @@ from dqforge.optimizer.box_proofs.current_loop_search import CELL_WORK, reach_of
 from dqforge.optimizer.box_proofs.interior_point import Blocks, Budget, climb
 
 CELLS = 120
-
-MOST_WORK = 2500
-
-"""Part of `WORK` that the bound may take."""
-
-_OVER = 1.097
-
-"""Bound that is asked for, over the largest value found."""
-
+MOST_WORK = 2500  # Part of `WORK` that the bound may take.
+_OVER = 1.097  # Bound that is asked for, over the largest value found.
 _SPEEDS = 5
 
+# Frequencies in rad per sample at which values are found.
 _FREQUENCIES = np.concatenate([np.geomspace(1e-3, 0.1, 20), np.linspace(0.1, np.pi, 80)[1:]])
-
-"""Frequencies in rad per sample at which values are found."""
-
 _SCALES = 4.0 ** np.arange(-6, 10)
 
 
@@ -85,12 +76,9 @@ class SensitivitySearch:
 def sensitivities(box: CurrentLoopBox, points: FloatArray) -> FloatArray:
     """Largest singular value of S over a grid of frequencies and about its peak, shape (N,).
 
-    Parameters
-    ----------
-    box:
-        The control.
-    points:
-        b_d, b_q, s and x of stable loops, shape (N, 4).
+    Args:
+        box: The control.
+        points: b_d, b_q, s and x of stable loops, shape (N, 4).
     """
     matrices = loop_matrices(box, points)
     resonances = np.abs(np.angle(np.linalg.eigvals(matrices)))
@@ -138,14 +126,10 @@ def bound_sensitivity(
 ) -> SensitivitySearch:
     """The largest sensitivity that is found in a box, and a bound within 10 % of it.
 
-    Parameters
-    ----------
-    box:
-        Control and drives, all of them stable.
-    largest:
-        How many cells are looked at.
-    work:
-        Work that may be done.
+    Args:
+        box: Control and drives, all of them stable.
+        largest: How many cells are looked at.
+        work: Work that may be done.
     """
     left = Budget(work)
     known = _Known(box, left)
@@ -247,18 +231,12 @@ def _bounded_real(
 
     Climbs with t in diag(P, M^2 1) - Z^T diag(P, 1) Z >= t diag(Q, 1), all in the frame.
 
-    Parameters
-    ----------
-    whole:
-        Z = [A B; C 1] of the corners, shape (V, 8, 8).
-    frame:
-        T of the loop in the middle, shape (6, 6).
-    square:
-        M^2.
-    taken:
-        Whether a proposal serves.
-    budget:
-        Steps that may be taken.
+    Args:
+        whole: Z = [A B; C 1] of the corners, shape (V, 8, 8).
+        frame: T of the loop in the middle, shape (6, 6).
+        square: M^2.
+        taken: Whether a proposal serves.
+        budget: Steps that may be taken.
     """
     turn, back = bordered(frame, 1.0), np.linalg.inv(bordered(frame, 1.0))
     seen = turn @ whole @ back

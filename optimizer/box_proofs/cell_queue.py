@@ -127,18 +127,12 @@ def search(
 ) -> Tree[Payload]:
     """Cut a box until all of it is decided, the most urgent cell first.
 
-    Parameters
-    ----------
-    root:
-        The box.
-    examine:
-        What a cell is: empty, proven, to be cut, refuted (which ends the search), or open.
-    urgency:
-        The larger, the sooner a cell is looked at.
-    largest:
-        How many cells are looked at; the others stay open.
-    more:
-        Whether there is work left for another cell.
+    Args:
+        root: The box.
+        examine: What a cell is: empty, proven, to be cut, refuted (which ends the search), or open.
+        urgency: The larger, the sooner a cell is looked at.
+        largest: How many cells are looked at; the others stay open.
+        more: Whether there is work left for another cell.
     """
     tree: Tree[Payload] = Tree([Node(Open(root))])
     waiting = [(-urgency(root), 0)]

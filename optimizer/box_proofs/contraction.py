@@ -22,9 +22,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.box_proofs.interior_point import Blocks, Budget, climb
 
-_SLACK = 1e-5
-
-"""What the left-hand side keeps from 1, so that rounding does not decide."""
+_SLACK = 1e-5  # What the left-hand side keeps from 1, so that rounding does not decide.
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,14 +52,11 @@ def contracts(
 ) -> Contraction:
     """Whether x^T P x falls over a step, at the corners and with the remainder.
 
-    Parameters
-    ----------
-    before, after:
-        P before and after the step, shapes (n, n) and (m, m); the same for one common P.
-    closed:
-        Corners of the step, shape (V, m, n).
-    remainder:
-        What the corners leave out.
+    Args:
+        before, after: P before and after the step, shapes (n, n) and (m, m); the same for one
+            common P.
+        closed: Corners of the step, shape (V, m, n).
+        remainder: What the corners leave out.
     """
     fall = before - np.swapaxes(closed, 1, 2) @ after @ closed
     fall = 0.5 * (fall + np.swapaxes(fall, 1, 2))
@@ -93,10 +88,8 @@ def lyapunov_frame(closed: FloatArray) -> FloatArray | None:
     """The frame T in which one stable loop contracts most evenly: P_0 = T^T T with
     A^T P_0 A - P_0 + 1 = 0; None where the loop is not stable enough for a double.
 
-    Parameters
-    ----------
-    closed:
-        The loop, shape (n, n).
+    Args:
+        closed: The loop, shape (n, n).
     """
     from scipy.linalg import solve_discrete_lyapunov
 
@@ -119,16 +112,11 @@ def common_lyapunov(
     from P = 1, which is the answer of the loop in the middle (t = 1). Slow integrators would drown
     without the frame.
 
-    Parameters
-    ----------
-    closed:
-        Corners, shape (V, n, n).
-    frame:
-        T of the loop in the middle, shape (n, n).
-    taken:
-        Whether a proposal already serves; without it, that with the largest t is returned.
-    budget:
-        Steps that may be taken.
+    Args:
+        closed: Corners, shape (V, n, n).
+        frame: T of the loop in the middle, shape (n, n).
+        taken: Whether a proposal already serves; without it, that with the largest t is returned.
+        budget: Steps that may be taken.
     """
     back = np.linalg.inv(frame)
     seen = frame @ closed @ back

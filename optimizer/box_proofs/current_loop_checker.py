@@ -81,13 +81,10 @@ class _Box:
 def confirm(certificate: Mapping[str, Any], inputs: Mapping[str, Any]) -> Confirmation:
     """Whether a certificate proves that both current loops of given inputs are stable.
 
-    Parameters
-    ----------
-    certificate:
-        As it is stored: ``inputs`` and ``tree``, the verdicts of its cells, cut before what is
-        below and above it.
-    inputs:
-        What it must be about, in the same keys.
+    Args:
+        certificate: As it is stored: ``inputs`` and ``tree``, the verdicts of its cells, cut before
+            what is below and above it.
+        inputs: What it must be about, in the same keys.
     """
     return _in_balls(certificate, inputs, None)
 
@@ -97,12 +94,9 @@ def confirm_sensitivity(
 ) -> Confirmation:
     """Whether a certificate proves a bound of the sensitivity of both axes together.
 
-    Parameters
-    ----------
-    certificate, inputs:
-        As of `confirm`.
-    bound:
-        What the largest singular value may not reach at any frequency.
+    Args:
+        certificate, inputs: As of `confirm`.
+        bound: What the largest singular value may not reach at any frequency.
     """
     return _in_balls(certificate, inputs, bound)
 

@@ -31,38 +31,25 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.box_proofs.cell_queue import Cell
 from dqforge.optimizer.box_proofs.contraction import Remainder
 
+# Relative width by which cells are shrunk too little, so that rounding loses no drive.
 _OUTWARD = 1e-12
-
-"""Relative width by which cells are shrunk too little, so that rounding loses no drive."""
-
-_TERMS = 18
-
-"""Terms of the exponential series, enough for norms up to 1."""
+_TERMS = 18  # Terms of the exponential series, enough for norms up to 1.
 
 
 @dataclass(frozen=True, slots=True)
 class CurrentLoopBox:
     """All that the proof is about: the control, and the drives that it must serve.
 
-    Parameters
-    ----------
-    t_s:
-        Sampling period in s; the voltage is turned ahead by 1.5 of it.
-    kp, ki_ts:
-        Gains of (d, q), both in V/A.
-    decoupling:
-        Inductances (d, q) in H of the control's decoupling.
-    r_s:
-        Least and largest resistance in Ohm, not negative.
-    dead_time:
-        Least and largest resistance in Ohm that the rest of the dead time adds at a voltage gain
-        of 1; it goes with the gain.
-    l_d, l_q:
-        Least and largest inductance in H.
-    gain:
-        Least and largest gain of the voltage.
-    omega_e:
-        Largest electrical speed in rad/s, in either sense.
+    Args:
+        t_s: Sampling period in s; the voltage is turned ahead by 1.5 of it.
+        kp, ki_ts: Gains of (d, q), both in V/A.
+        decoupling: Inductances (d, q) in H of the control's decoupling.
+        r_s: Least and largest resistance in Ohm, not negative.
+        dead_time: Least and largest resistance in Ohm that the rest of the dead time adds at a
+            voltage gain of 1; it goes with the gain.
+        l_d, l_q: Least and largest inductance in H.
+        gain: Least and largest gain of the voltage.
+        omega_e: Largest electrical speed in rad/s, in either sense.
     """
 
     t_s: float
@@ -135,12 +122,9 @@ def shrunk(box: CurrentLoopBox, cell: Cell) -> Cell | None:
 def drive_at(box: CurrentLoopBox, point: FloatArray) -> BoxDrive | None:
     """A drive of the box with given parameters, None where there is none.
 
-    Parameters
-    ----------
-    box:
-        The drives.
-    point:
-        b_d, b_q, s in Ohm and x.
+    Args:
+        box: The drives.
+        point: b_d, b_q, s in Ohm and x.
     """
     low, high = gain_interval(box, Cell(point, point))
     if low > high * (1.0 + 1e-9):
@@ -170,12 +154,9 @@ def parameters_of(box: CurrentLoopBox, drive: BoxDrive) -> FloatArray:
 def loop_matrices(box: CurrentLoopBox, points: FloatArray) -> FloatArray:
     """Closed loops of (phi_d, phi_q, v_d, v_q, I_d, I_q), shape (N, 6, 6).
 
-    Parameters
-    ----------
-    box:
-        The control.
-    points:
-        b_d, b_q, s in Ohm and x, shape (N, 4).
+    Args:
+        box: The control.
+        points: b_d, b_q, s in Ohm and x, shape (N, 4).
     """
     b_d, b_q, s, x = np.asarray(points, dtype=np.float64).T
     scale = box.t_s / np.array(box.decoupling)

@@ -65,24 +65,16 @@ class ProvenSensitivity:
 class CurrentLoopProof:
     """What is known of both current loops together over a box of drives.
 
-    Parameters
-    ----------
-    box:
-        Control and drives.
-    confirmation:
-        What the checker said of the certificate; None with a counterexample.
-    certificate:
-        What it was made of, as it is stored; None with a counterexample.
-    share:
-        Share of the drives that is proven, of uniform random ones where it is not all.
-    still_open:
-        Between which values the drives lie of which nothing is proven; None where all are.
-    counterexample:
-        A drive of the box whose loops are unstable; None where none was met.
-    sensitivity:
-        That of both axes together, where it was asked for.
-    left:
-        Work that the search left.
+    Args:
+        box: Control and drives.
+        confirmation: What the checker said of the certificate; None with a counterexample.
+        certificate: What it was made of, as it is stored; None with a counterexample.
+        share: Share of the drives that is proven, of uniform random ones where it is not all.
+        still_open: Between which values the drives lie of which nothing is proven; None where all
+            are.
+        counterexample: A drive of the box whose loops are unstable; None where none was met.
+        sensitivity: That of both axes together, where it was asked for.
+        left: Work that the search left.
     """
 
     box: CurrentLoopBox
@@ -106,14 +98,10 @@ def prove_current_loops(
 ) -> CurrentLoopProof:
     """Prove both current loops together stable for every drive of a box at every constant speed.
 
-    Parameters
-    ----------
-    box:
-        Control and drives.
-    largest:
-        How many cells are looked at before the rest is left open.
-    work:
-        Work that may be done before it is.
+    Args:
+        box: Control and drives.
+        largest: How many cells are looked at before the rest is left open.
+        work: Work that may be done before it is.
     """
     budget = Budget(work)
     found = find_certificate(box, largest, budget)
@@ -135,12 +123,9 @@ def prove_current_loops(
 def prove_sensitivity(box: CurrentLoopBox, work: int = MOST_WORK) -> ProvenSensitivity:
     """The largest sensitivity of both axes together that is found in a box, with a proven bound.
 
-    Parameters
-    ----------
-    box:
-        Control and drives, all of them proven stable.
-    work:
-        Work that is left; `MOST_WORK` of it at most is done.
+    Args:
+        box: Control and drives, all of them proven stable.
+        work: Work that is left; `MOST_WORK` of it at most is done.
     """
     searched = bound_sensitivity(box, work=min(work, MOST_WORK))
     if np.isfinite(searched.bound):

@@ -44,28 +44,15 @@ from dqforge.optimizer.box_proofs.current_loop_model import (
 )
 from dqforge.optimizer.box_proofs.interior_point import Budget
 
-CELLS = 500
+CELLS = 500  # Cells that are looked at before the rest is left open.
 
-"""Cells that are looked at before the rest is left open."""
-
+# Work of both proofs of both current loops of a design, in steps of the interior point: near the
+# border of stability two to three seconds of a processor core.
 WORK = 4500
-
-"""Work of both proofs of both current loops of a design, in steps of the interior point: near the
-border of stability two to three seconds of a processor core."""
-
-CELL_WORK = 5
-
-"""What looking at a cell, and checking it in balls, counts."""
-
-_NARROWEST = 1e-6
-
-"""Relative width below which a cell is not cut again."""
-
+CELL_WORK = 5  # What looking at a cell, and checking it in balls, counts.
+_NARROWEST = 1e-6  # Relative width below which a cell is not cut again.
 _SPEEDS = 5
-
-_DIGITS = 12
-
-"""Significant digits of a matrix that is kept."""
+_DIGITS = 12  # Significant digits of a matrix that is kept.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,14 +76,10 @@ def find_certificate(
 ) -> CurrentLoopSearch:
     """Cut a box of drives into cells that one matrix each proves.
 
-    Parameters
-    ----------
-    box:
-        Control and drives.
-    largest:
-        How many cells are looked at.
-    budget:
-        Work that may be done, which is taken from it.
+    Args:
+        box: Control and drives.
+        largest: How many cells are looked at.
+        budget: Work that may be done, which is taken from it.
     """
     root = root_cell(box)
     left = Budget(WORK) if budget is None else budget

@@ -14,12 +14,9 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 
+# First weight of the scalar against the barrier, and its growth once the path is near.
 _STEPS = 60
-
 _WEIGHT, _FASTER = 30.0, 6.0
-
-"""First weight of the scalar against the barrier, and its growth once the path is near."""
-
 _HEAVIEST = 1e11
 
 
@@ -61,18 +58,12 @@ def climb(
 ) -> FloatArray | None:
     """Unknowns with the largest last one, or the first that the caller takes.
 
-    Parameters
-    ----------
-    blocks:
-        What must hold.
-    start:
-        Unknowns that satisfy it strictly, shape (N,).
-    taken:
-        Whether unknowns already serve; asked at every step.
-    hopeless:
-        Where the last unknown cannot exceed this, None is returned.
-    budget:
-        Steps that may be taken; with none left None is returned.
+    Args:
+        blocks: What must hold.
+        start: Unknowns that satisfy it strictly, shape (N,).
+        taken: Whether unknowns already serve; asked at every step.
+        hopeless: Where the last unknown cannot exceed this, None is returned.
+        budget: Steps that may be taken; with none left None is returned.
     """
     unknowns, weight = start, _WEIGHT
     degree = blocks.constant.shape[0] * blocks.constant.shape[1]

@@ -91,14 +91,10 @@ def solve_inequalities(
 
     None where the solver ends with numbers that are not finite.
 
-    Parameters
-    ----------
-    inequalities:
-        What must hold.
-    sizes:
-        Rows of each unknown matrix.
-    least:
-        Whether the least scalar is asked for instead of the largest.
+    Args:
+        inequalities: What must hold.
+        sizes: Rows of each unknown matrix.
+        least: Whether the least scalar is asked for instead of the largest.
     """
     import clarabel
     from scipy.sparse import csc_matrix
@@ -160,12 +156,9 @@ def _matrix(entries: FloatArray, size: int) -> FloatArray:
 def common_matrix(closed: FloatArray, weight: FloatArray) -> Proposal | None:
     """P <= 1 with the largest t such that P - A_v^T P A_v >= t Q at every vertex.
 
-    Parameters
-    ----------
-    closed:
-        Closed loops A_v, shape (V, n, n).
-    weight:
-        Q, shape (n, n).
+    Args:
+        closed: Closed loops A_v, shape (V, n, n).
+        weight: Q, shape (n, n).
     """
     size = closed.shape[-1]
     unit = np.eye(size)
@@ -180,15 +173,11 @@ def chained_matrices(
 ) -> Proposal | None:
     """P_1 .. P_K <= 1 with the largest t such that P_a - A_v^T P_b A_v >= t Q_a on every link.
 
-    Parameters
-    ----------
-    links:
-        Numbers a and b of the matrices before and after a step, and the steps A_v between
-        them, shape (V, n_b, n_a).
-    weights:
-        Q of each matrix, shape (n_k, n_k).
-    count:
-        K.
+    Args:
+        links: Numbers a and b of the matrices before and after a step, and the steps A_v between
+            them, shape (V, n_b, n_a).
+        weights: Q of each matrix, shape (n_k, n_k).
+        count: K.
     """
     units = [np.eye(len(weight)) for weight in weights]
     inequalities = [

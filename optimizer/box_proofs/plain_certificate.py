@@ -26,12 +26,9 @@ def plain_certificate(box: CurrentLoopBox, tree: Tree[FloatArray]) -> PlainCerti
     """A tree as JSON has it: a cut is its parameter (b_d, b_q, s, x by number) and value,
     followed by all below and all above; a proven cell the upper triangle of its matrix.
 
-    Parameters
-    ----------
-    box:
-        Control and drives.
-    tree:
-        Its cells, none of them refuted.
+    Args:
+        box: Control and drives.
+        tree: Its cells, none of them refuted.
     """
     return {"inputs": plain_inputs(box), "tree": [_plain(verdict) for verdict in tree.preorder()]}
 

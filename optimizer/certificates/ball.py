@@ -13,19 +13,9 @@ if TYPE_CHECKING:
     from flint import arb
 
 
-Value = Any
-
-"""A ball, or a power series with balls as coefficients."""
-
-
-ORDER = 5
-
-"""Power of the remainder of the Taylor polynomials."""
-
-
-_TINY = 1e-300
-
-"""Least bound that is stated: smaller doubles have fewer digits."""
+Value = Any  # A ball, or a power series with balls as coefficients.
+ORDER = 5  # Power of the remainder of the Taylor polynomials.
+_TINY = 1e-300  # Least bound that is stated: smaller doubles have fewer digits.
 
 
 def upper(value: Any) -> float:
@@ -86,10 +76,8 @@ class Expansion:
     def enclose(self, function: Callable[[Value], Sequence[Value]]) -> list[arb]:
         """Balls that hold everything that functions of the torque take on the interval.
 
-        Raises
-        ------
-        ZeroDivisionError
-            One of them is not finite.
+        Raises:
+            ZeroDivisionError: One of them is not finite.
         """
         from flint import arb_series
 

@@ -16,19 +16,9 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 
-_UNIT = 2.0**-52
-
-"""Twice the rounding error of one operation."""
-
-
-_MORE = 1.0 + 2.0**-47
-
-"""Makes up for the rounding of a radius, which some ten operations make."""
-
-
-_LEAST = 1e-290
-
-"""Above what underflow may take from a result."""
+_UNIT = 2.0**-52  # Twice the rounding error of one operation.
+_MORE = 1.0 + 2.0**-47  # Makes up for the rounding of a radius, which some ten operations make.
+_LEAST = 1e-290  # Above what underflow may take from a result.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -49,58 +49,24 @@ from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 _BITS = 80
-
-
 _FIRST_PARTS = 16
+_CLOSE = 1.01  # Bounds within this factor of the sampled errors are not refined.
 
-
-_CLOSE = 1.01
-
-"""Bounds within this factor of the sampled errors are not refined."""
-
-
+# Further factor for flux maps, of which an interval takes some ten times as long.
 _SPLINE_SLACK = 1.1
 
-"""Further factor for flux maps, of which an interval takes some ten times as long."""
-
-
+# Bounds that halving lowers by less than this factor are left: what remains is rounding.
 _GAIN = 0.98
-
-"""Bounds that halving lowers by less than this factor are left: what remains is rounding."""
-
-
 _DEEPEST = 20
+_MOST_INTERVALS = 1500  # Intervals that are looked at; what is left then keeps its bounds.
+_HELD_POINTS = 201  # Torques at which it is asked whether the data of a flux map hold the currents.
+_FAR = 1.05  # Bounds above this multiple of what was found are worth a second way.
 
-
-_MOST_INTERVALS = 1500
-
-"""Intervals that are looked at; what is left then keeps its bounds."""
-
-
-_HELD_POINTS = 201
-
-"""Torques at which it is asked whether the data of a flux map hold the currents."""
-
-
-_FAR = 1.05
-
-"""Bounds above this multiple of what was found are worth a second way."""
-
-
+# Shares of current limit, torque, full copper loss, loss and voltage below which no bound is
+# refined.
 _RESOLUTION = np.array([1e-9, 1e-9, 1e-9, 1e-5, 1e-9, 1e-9])
-
-"""Shares of current limit, torque, full copper loss, loss and voltage below
-which no bound is refined."""
-
-
-_TORQUE = 2
-
-"""Place of the torque error among the bounds."""
-
-
-_LOSSES = slice(3, 5)
-
-"""Places of both loss penalties."""
+_TORQUE = 2  # Place of the torque error among the bounds.
+_LOSSES = slice(3, 5)  # Places of both loss penalties.
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,18 +222,13 @@ def certify(
 ) -> Certificate | None:
     """Prove bounds of the errors of a reference over its whole domain.
 
-    Parameters
-    ----------
-    choice:
-        What is approximated.
-    reference:
-        The emitted constants.
-    errors:
-        Errors that were found by sampling: bounds that come within 1 % of them are good enough.
+    Args:
+        choice: What is approximated.
+        reference: The emitted constants.
+        errors: Errors that were found by sampling: bounds that come within 1 % of them are good
+            enough.
 
-    Returns
-    -------
-    Certificate
+    Returns:
         For every torque between zero and the end of the domain, by symmetry for both signs, with
         and without fused multiply-add; None for a machine that is neither linear nor a flux map,
         where the data of a flux map hold the currents on their edge, and where nothing could be
@@ -289,15 +250,12 @@ def interval_bounds(
 ) -> IntervalBounds:
     """Bounds interval by interval, of which `certify` states the largest.
 
-    Parameters
-    ----------
-    choice, reference, errors:
-        As for `certify`; the machine is linear or a flux map, and the form is not the square root.
+    Args:
+        choice, reference, errors: As for `certify`; the machine is linear or a flux map, and the
+            form is not the square root.
 
-    Raises
-    ------
-    TypeError
-        The machine is neither linear nor a flux map.
+    Raises:
+        TypeError: The machine is neither linear nor a flux map.
     """
     with _ball_arithmetic():
         task = Task.of(choice, reference)

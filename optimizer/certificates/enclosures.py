@@ -116,12 +116,9 @@ def jets(machine: Machine, i_d: arb, i_q: arb, *, slopes: bool = True) -> list[J
 
     Without ``slopes`` they may leave the derivatives of a flux map at zero.
 
-    Raises
-    ------
-    TypeError
-        The machine is neither linear nor a flux map.
-    ZeroDivisionError
-        The box touches so many cells that nothing sharp can come of it.
+    Raises:
+        TypeError: The machine is neither linear nor a flux map.
+        ZeroDivisionError: The box touches so many cells that nothing sharp can come of it.
     """
     if isinstance(machine, LinearMachine):
         return [_linear(machine)]

@@ -22,17 +22,9 @@ if TYPE_CHECKING:
     from flint import arb
 
 
-Condition = Literal["loss", "no i_d", "voltage"]
-
-"""What fixes the exact currents beside the torque."""
-
-
+Condition = Literal["loss", "no i_d", "voltage"]  # What fixes the exact currents beside the torque.
 _GRID = 1001
-
-
-_KINK_MARGIN = 1e-7
-
-"""Share of the domain around a kink on which both conditions are allowed for."""
+_KINK_MARGIN = 1e-7  # Share of the domain around a kink on which both conditions are allowed for.
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,14 +28,10 @@ if TYPE_CHECKING:
 
 
 _GROWTH = 1.3
-
-
 _NEWTON_TRIES = 5
 
-
+# A box that asks for so much more room than it has would never hold what it encloses.
 _DIVERGING = 3.0
-
-"""A box that asks for so much more room than it has would never hold what it encloses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,10 +100,8 @@ def _series(
 def newton(task: Task, interval: Interval, condition: Condition) -> Bounds:
     """Bounds on an interval where one condition fixes the exact currents.
 
-    Raises
-    ------
-    ZeroDivisionError
-        The interval is too wide, or the exact currents are not isolated there.
+    Raises:
+        ZeroDivisionError: The interval is too wide, or the exact currents are not isolated there.
     """
     from flint import arb
 

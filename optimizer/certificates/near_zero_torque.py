@@ -28,14 +28,8 @@ if TYPE_CHECKING:
     from flint import arb
 
 
-_WIDEST = 1.5
-
-"""Ratio of torques up to which the exact currents for them are enclosed together."""
-
-
-NARROW = 0.02
-
-"""Width over torque to which intervals near rest are halved, whatever that gains."""
+_WIDEST = 1.5  # Ratio of torques up to which the exact currents for them are enclosed together.
+NARROW = 0.02  # Width over torque to which intervals near rest are halved, whatever that gains.
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,9 +32,7 @@ if TYPE_CHECKING:
     from flint import arb
 
 
-_LARGEST = 2.0**127
-
-"""Half of the range of floats: results below overflow nowhere."""
+_LARGEST = 2.0**127  # Half of the range of floats: results below overflow nowhere.
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,11 +196,9 @@ class Piece:
     def rounding(self, torque: arb) -> tuple[arb, arb]:
         """Bounds in A of what rounding adds to i_d and i_q for torques in N m inside a ball.
 
-        Raises
-        ------
-        ZeroDivisionError
-            The ball is so wide that a divisor may vanish, or a result may
-            leave the range of floats.
+        Raises:
+            ZeroDivisionError: The ball is so wide that a divisor may vanish, or a result may leave
+                the range of floats.
         """
         from flint import arb
 

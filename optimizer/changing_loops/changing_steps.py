@@ -77,12 +77,9 @@ def _outwards(balls: tuple[Any, Any]) -> Interval:
 def parallel_step(alpha: float, beta: float, p: float, q: float) -> list[list[float]]:
     """The step of (phi, v, I) with the parallel form, rows of a 3 x 3 matrix.
 
-    Parameters
-    ----------
-    alpha, beta:
-        What is left of the flux linkage, and what a voltage adds to it.
-    p, q:
-        kp t_s g/L and ki t_s^2 g/L.
+    Args:
+        alpha, beta: What is left of the flux linkage, and what a voltage adds to it.
+        p, q: kp t_s g/L and ki t_s^2 g/L.
     """
     return [[alpha, beta, 0.0], [-(p + q), 0.0, 1.0], [-q, 0.0, 1.0]]
 
@@ -92,14 +89,10 @@ def velocity_step(
 ) -> list[list[float]]:
     """The step of (phi, v, i before) with the velocity form, v + kp (e - e before) + ki t_s e.
 
-    Parameters
-    ----------
-    alpha, beta:
-        What is left of the flux linkage, and what a voltage adds to it.
-    share:
-        Current over phi, in some unit.
-    gains:
-        kp and ki t_s at this sample, over that unit.
+    Args:
+        alpha, beta: What is left of the flux linkage, and what a voltage adds to it.
+        share: Current over phi, in some unit.
+        gains: kp and ki t_s at this sample, over that unit.
     """
     kp, ki_ts = gains
     return [[alpha, beta, 0.0], [-(kp + ki_ts) * share, 1.0, kp], [share, 0.0, 0.0]]
@@ -108,12 +101,9 @@ def velocity_step(
 def falls_exactly(matrix: FloatArray, corners: FloatArray) -> bool:
     """Whether P > 0 and P - A^T P A > 0 at every corner, in rational numbers.
 
-    Parameters
-    ----------
-    matrix:
-        P, shape (3, 3), symmetric to the bit.
-    corners:
-        A, shape (V, 3, 3).
+    Args:
+        matrix: P, shape (3, 3), symmetric to the bit.
+        corners: A, shape (V, 3, 3).
     """
     from flint import fmpq_mat
 

@@ -16,10 +16,8 @@ from dqforge.optimizer.changing_loops.changing_steps import LoopRange, falls_exa
 def common_matrix_of(loops: LoopRange) -> FloatArray | None:
     """P that falls along every loop of a range, proven in rational numbers; None without one.
 
-    Parameters
-    ----------
-    loops:
-        What the loop may be at a sample.
+    Args:
+        loops: What the loop may be at a sample.
     """
     corners = loops.corners()
     frame = lyapunov_frame(np.mean(corners, axis=0))
@@ -46,12 +44,9 @@ class Growth:
 def fastest_growth(steps: FloatArray, longest: int = 8) -> Growth | None:
     """The pair of steps that grows most when they take turns, None where none grows.
 
-    Parameters
-    ----------
-    steps:
-        Steps that the loop may take, each stable by itself, shape (N, n, n).
-    longest:
-        Samples that each of both lasts at most.
+    Args:
+        steps: Steps that the loop may take, each stable by itself, shape (N, n, n).
+        longest: Samples that each of both lasts at most.
     """
     best: Growth | None = None
     powers = steps
@@ -70,10 +65,8 @@ def neighbours_fall(cells: Sequence[FloatArray]) -> bool:
 
     A loop that moves by one cell a sample at most then forgets; in doubles.
 
-    Parameters
-    ----------
-    cells:
-        Corners of the steps of each cell, shape (V, n, n).
+    Args:
+        cells: Corners of the steps of each cell, shape (V, n, n).
     """
     frames = [lyapunov_frame(np.mean(cell, axis=0)) for cell in cells]
     kept = [frame for frame in frames if frame is not None]

@@ -37,43 +37,29 @@ from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.schedule.gain_schedule import AxisSchedule, GainSchedule
 from dqforge.optimizer.loops.tolerance_box import Axis, DriveBox
 
-_CELLS = 64
+_CELLS = 64  # Cells of the tolerances at most.
 
-"""Cells of the tolerances at most."""
-
+# Pieces of the range of inductances that are tried where no function serves all of it.
 _STEPS = (2, 4, 8, 16)
-
-"""Pieces of the range of inductances that are tried where no function serves all of it."""
-
-_PLACES = 5
-
-"""Currents between which the velocity form is tried."""
+_PLACES = 5  # Currents between which the velocity form is tried.
 
 
 @dataclass(frozen=True, slots=True)
 class ChangingAxis:
     """What is proven of one axis.
 
-    Parameters
-    ----------
-    axis:
-        Which axis.
-    inductance:
-        Least and largest along the reference, in H.
-    proven:
-        Whether deviations are forgotten however fast the current changes; with scheduled gains
-        small ones, and where the gains are those of the current that flows.
-    any_current:
-        Of scheduled gains whether they may be those of another current, such as the reference of a
-        current on its way, and deviations of any size; None of constant gains.
-    rate:
-        Where it is not proven so: the largest change of the inductance per sample, as a factor, for
-        which it is; None where it is not needed or none was found.
-    cells:
-        Cells of the tolerances that have a function each.
-    velocity:
-        Of scheduled gains a change of the current under which the velocity form grows, with the
-        currents i_q in A; None where none was found.
+    Args:
+        axis: Which axis.
+        inductance: Least and largest along the reference, in H.
+        proven: Whether deviations are forgotten however fast the current changes; with scheduled
+            gains small ones, and where the gains are those of the current that flows.
+        any_current: Of scheduled gains whether they may be those of another current, such as the
+            reference of a current on its way, and deviations of any size; None of constant gains.
+        rate: Where it is not proven so: the largest change of the inductance per sample, as a
+            factor, for which it is; None where it is not needed or none was found.
+        cells: Cells of the tolerances that have a function each.
+        velocity: Of scheduled gains a change of the current under which the velocity form grows,
+            with the currents i_q in A; None where none was found.
     """
 
     axis: Axis
@@ -231,17 +217,12 @@ def prove_changing_currents(
 ) -> tuple[ChangingAxis, ...]:
     """What is proven of both axes while the inductances change; nothing of a linear machine.
 
-    Parameters
-    ----------
-    box:
-        The drive with its tolerances.
-    largest:
-        Largest incremental inductances (l_d, l_q) along the reference in H; the loops are tuned for
-        the least ones.
-    loops:
-        The current loops of d and q.
-    schedule:
-        Their gains over the current, None where they are constant.
+    Args:
+        box: The drive with its tolerances.
+        largest: Largest incremental inductances (l_d, l_q) along the reference in H; the loops are
+            tuned for the least ones.
+        loops: The current loops of d and q.
+        schedule: Their gains over the current, None where they are constant.
     """
     if isinstance(box.design.machine, LinearMachine):
         return ()

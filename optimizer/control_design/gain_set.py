@@ -97,12 +97,9 @@ class GainSet:
 def solve_current_loops(design: Design) -> tuple[LoopGains, LoopGains]:
     """Gains of both current loops alone, with the data as they are.
 
-    Raises
-    ------
-    InputError
-        As `solve_gains`.
-    NoSolutionError
-        A loop is unstable or has too little margin.
+    Raises:
+        InputError: As `solve_gains`.
+        NoSolutionError: A loop is unstable or has too little margin.
     """
     _require_loops(design)
     return _current_loops(design, inductance_range(design.machine, design.i_max)[0], None)
@@ -154,19 +151,14 @@ def solve_gains(design: Design, *, proofs: bool = True) -> GainSet:
     """Gains of the design, every loop checked as it is sampled, and over the
     tolerances where it names any.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    proofs:
-        Whether what takes long is proven and explained, too: margins between the corners of the
-        tolerances, corners of an observed loop. Gains, margins and refusals do without, but for
-        a drive between the corners that is proven unstable.
+    Args:
+        design: The design.
+        proofs: Whether what takes long is proven and explained, too: margins between the corners of
+            the tolerances, corners of an observed loop. Gains, margins and refusals do without, but
+            for a drive between the corners that is proven unstable.
 
-    Raises
-    ------
-    InputError
-        The design is a six-step drive, or its current loop switches the bridge itself.
+    Raises:
+        InputError: The design is a six-step drive, or its current loop switches the bridge itself.
     """
     _require_loops(design)
     machine, control = design.machine, design.control
@@ -369,17 +361,12 @@ def _no_gains(design: Design) -> str:
 def gains_or_reason(design: Design, *, proofs: bool = True) -> tuple[GainSet | None, str]:
     """Gains of the design, or None and why there are none where it can do without.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    proofs:
-        As in `solve_gains`.
+    Args:
+        design: The design.
+        proofs: As in `solve_gains`.
 
-    Raises
-    ------
-    NoSolutionError
-        As `solve_gains`, of a design that asks for control.
+    Raises:
+        NoSolutionError: As `solve_gains`, of a design that asks for control.
     """
     if design.control.six_step is not None:
         return None, "a six-step drive has no loops in rotor coordinates"

@@ -26,19 +26,14 @@ if TYPE_CHECKING:
 class LoopProofs:
     """Proofs of single loops.
 
-    Parameters
-    ----------
-    margins:
-        Of each current loop over the tolerances; empty without them.
-    speed:
-        Of the speed loop over the tolerances; None without them, or with an observer.
-    observed:
-        Whether there is a speed loop with tolerances whose speed is observed, of which nothing is
-        proven.
-    changing:
-        Of both axes of a machine that saturates while the inductances change; empty for others.
-    measured:
-        The same as ``observed`` where an encoder's edges make the speed.
+    Args:
+        margins: Of each current loop over the tolerances; empty without them.
+        speed: Of the speed loop over the tolerances; None without them, or with an observer.
+        observed: Whether there is a speed loop with tolerances whose speed is observed, of which
+            nothing is proven.
+        changing: Of both axes of a machine that saturates while the inductances change; empty for
+            others.
+        measured: The same as ``observed`` where an encoder's edges make the speed.
     """
 
     margins: Mapping[LoopName, ProvenMargins] = field(default_factory=dict)
@@ -53,14 +48,10 @@ def prove_margins_of(
 ) -> dict[LoopName, ProvenMargins]:
     """Margins of the current loops over the tolerances.
 
-    Parameters
-    ----------
-    box:
-        The drive with its tolerances.
-    loops:
-        Loops of d, q and the zero sequence, None where there is none.
-    robust:
-        What corners and samples found.
+    Args:
+        box: The drive with its tolerances.
+        loops: Loops of d, q and the zero sequence, None where there is none.
+        robust: What corners and samples found.
     """
     found = {"i_d": robust.i_d, "i_q": robust.i_q, "i_0": robust.i_0}
     proven: dict[LoopName, ProvenMargins] = {}
@@ -82,23 +73,17 @@ def prove_loops(
 ) -> LoopProofs:
     """All proofs of single loops of a design whose gains are found.
 
-    Parameters
-    ----------
-    box:
-        The drive with its tolerances.
-    largest:
-        Largest incremental inductances (l_d, l_q) along the reference, in H.
-    currents:
-        Current loops of d, q and the zero sequence (None where there is none).
-    speed:
-        The speed loop, None where there is none.
-    found:
-        What corners and samples found (None without tolerances), and the gains over the current.
+    Args:
+        box: The drive with its tolerances.
+        largest: Largest incremental inductances (l_d, l_q) along the reference, in H.
+        currents: Current loops of d, q and the zero sequence (None where there is none).
+        speed: The speed loop, None where there is none.
+        found: What corners and samples found (None without tolerances), and the gains over the
+            current.
 
-    Raises
-    ------
-    NoSolutionError
-        The speed loop is unstable between the corners and samples; names the drive.
+    Raises:
+        NoSolutionError: The speed loop is unstable between the corners and samples; names the
+            drive.
     """
     i_d, i_q, _ = currents
     robust, schedule = found

@@ -144,18 +144,13 @@ def _require_range(edges: Edges) -> None:
 def measured_speed(design: Design, i_q: LoopGains, speed: LoopGains | None) -> MeasuredSpeed | None:
     """The speed loop with the delay of its measurement; None where the speed counts as exact.
 
-    Parameters
-    ----------
-    design:
-        Its ``control.speed_loop.measurement`` names encoder and timer.
-    i_q, speed:
-        The loops as tuned.
+    Args:
+        design: Its ``control.speed_loop.measurement`` names encoder and timer.
+        i_q, speed: The loops as tuned.
 
-    Raises
-    ------
-    NoSolutionError
-        The timer runs over within a speed period, or the loop has less margin than required at the
-        speed from which it must hold; says what would.
+    Raises:
+        NoSolutionError: The timer runs over within a speed period, or the loop has less margin than
+            required at the speed from which it must hold; says what would.
     """
     settings = design.control.speed_loop
     if speed is None or settings is None or settings.measurement is None:

@@ -26,20 +26,14 @@ def require_observed(design: Design, gains: GainSet | None) -> None:
 
     Dead time is not counted: what it does to the loop is an indication.
 
-    Parameters
-    ----------
-    design:
-        What was tuned.
-    gains:
-        Its gains; None where it has none.
+    Args:
+        design: What was tuned.
+        gains: Its gains; None where it has none.
 
-    Raises
-    ------
-    NoSolutionError
-        The loop is unstable, has less margin than required or fails at a corner; says how it
-        swings, or the corner, and what holds.
-    InputError
-        `simulation.sensorless.above` lies below the lowest speed; names the corner.
+    Raises:
+        NoSolutionError: The loop is unstable, has less margin than required or fails at a corner;
+            says how it swings, or the corner, and what holds.
+        InputError: `simulation.sensorless.above` lies below the lowest speed; names the corner.
     """
     speed = None if gains is None else gains.speed
     if gains is None or speed is None or speed.observed is None:

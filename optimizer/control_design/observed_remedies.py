@@ -39,14 +39,10 @@ _HALVINGS = 6
 def remedies(design: Design, gains: GainSet, found: CornerJudgement) -> list[str]:
     """What to write, as far as it is found; each was tried.
 
-    Parameters
-    ----------
-    design:
-        With a speed loop that does not hold at every corner.
-    gains:
-        Its gains.
-    found:
-        Where they hold.
+    Args:
+        design: With a speed loop that does not hold at every corner.
+        gains: Its gains.
+        found: Where they hold.
     """
     ways = []
     held, failing = found.binding, found.failing

@@ -144,14 +144,10 @@ def held_by_corners(
     stable there with `_RESERVE` times the gains; 1 where it is already, None where no slower one is
     at the top speed. Lower speeds at which no factor helps are left to the range.
 
-    Parameters
-    ----------
-    design:
-        With a speed loop.
-    loops:
-        i_d, i_q and speed, as tuned.
-    position:
-        The observer.
+    Args:
+        design: With a speed loop.
+        loops: i_d, i_q and speed, as tuned.
+        position: The observer.
     """
     settings = design.control.speed_loop
     assert settings is not None
@@ -210,17 +206,13 @@ def judge_observed(
 ) -> LoopGains:
     """The speed loop's gains with poles and margins as they are over the observer.
 
-    Parameters
-    ----------
-    loops:
-        i_d, i_q and speed, as tuned for an encoder.
-    observer, position, tracker:
-        One of them, or none: then the gains come back as they are. So they do over a tracker that
-        states no loop of its own; one with a loop is judged where it tracks.
-    thorough:
-        Whether corners are looked at, and what makes an unstable loop stable.
-    slowed:
-        Spread of the loop where `held_by_corners` chose it.
+    Args:
+        loops: i_d, i_q and speed, as tuned for an encoder.
+        observer, position, tracker: One of them, or none: then the gains come back as they are. So
+            they do over a tracker that states no loop of its own; one with a loop is judged where
+            it tracks.
+        thorough: Whether corners are looked at, and what makes an unstable loop stable.
+        slowed: Spread of the loop where `held_by_corners` chose it.
     """
     speed, settings = loops[2], design.control.speed_loop
     assert settings is not None

@@ -11,9 +11,8 @@ if TYPE_CHECKING:
     from dqforge.machines.design.settings import SpeedLoopSettings
     from dqforge.optimizer.loops.loop_gains import LoopGains
 
+# Share of the largest factor for which gains are printed: their four digits may round it up.
 ROUNDED = 0.998
-
-"""Share of the largest factor for which gains are printed: their four digits may round it up."""
 
 
 def slower_speed_pi(
@@ -23,14 +22,10 @@ def slower_speed_pi(
 
     Of gains that follow from no rule kp by the factor and ki by its square.
 
-    Parameters
-    ----------
-    settings, speed:
-        How the loop is tuned, and its gains.
-    t_sum:
-        Sum of the small delays in s.
-    mechanics:
-        Inertia in kg m^2 and friction in N m s.
+    Args:
+        settings, speed: How the loop is tuned, and its gains.
+        t_sum: Sum of the small delays in s.
+        mechanics: Inertia in kg m^2 and friction in N m s.
     """
     if settings.method in ("given", "optimised"):
         return lambda factor: (speed.kp * factor, speed.ki * factor**2)
@@ -40,14 +35,10 @@ def slower_speed_pi(
 def speed_advice(settings: SpeedLoopSettings, gains: tuple[float, float], factor: float) -> str:
     """What to write for the slower loop.
 
-    Parameters
-    ----------
-    settings:
-        How the loop is tuned.
-    gains:
-        Of the slower loop.
-    factor:
-        The factor that made it.
+    Args:
+        settings: How the loop is tuned.
+        gains: Of the slower loop.
+        factor: The factor that made it.
     """
     if settings.method in ("given", "optimised"):
         return (

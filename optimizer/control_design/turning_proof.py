@@ -31,12 +31,9 @@ def current_loop_box(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> CurrentLo
     """All that a proof of both current loops depends on; None where the machine states no largest
     speed.
 
-    Parameters
-    ----------
-    box:
-        The drive with its tolerances.
-    i_d, i_q:
-        The current loops.
+    Args:
+        box: The drive with its tolerances.
+        i_d, i_q: The current loops.
     """
     machine, control = box.design.machine, box.design.control
     if machine.omega_m_max is None:
@@ -65,17 +62,13 @@ def turning_proof(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> CurrentLoopP
     """What is proven of both current loops together over the tolerances; None where the machine
     states no largest speed.
 
-    Parameters
-    ----------
-    box:
-        The drive with its tolerances.
-    i_d, i_q:
-        The current loops.
+    Args:
+        box: The drive with its tolerances.
+        i_d, i_q: The current loops.
 
-    Raises
-    ------
-    NoSolutionError
-        The loops are unstable at a drive between the corners and points that were tried; names it.
+    Raises:
+        NoSolutionError: The loops are unstable at a drive between the corners and points that were
+            tried; names it.
     """
     inputs = current_loop_box(box, i_d, i_q)
     if inputs is None:

@@ -18,16 +18,11 @@ from dqforge.optimizer.current_feedback.regulator_runs import WorkingPoints
 class DesignPattern:
     """One pattern.
 
-    Parameters
-    ----------
-    omega_m:
-        Mechanical speed in rad/s at which it is meant.
-    index:
-        Amplitude of the phase voltage over half the DC link.
-    sign:
-        Level of a leg behind the angle 0 of its voltage's sine.
-    angles:
-        Of a quarter of the period, in rad.
+    Args:
+        omega_m: Mechanical speed in rad/s at which it is meant.
+        index: Amplitude of the phase voltage over half the DC link.
+        sign: Level of a leg behind the angle 0 of its voltage's sine.
+        angles: Of a quarter of the period, in rad.
     """
 
     omega_m: float
@@ -41,14 +36,10 @@ def design_patterns(
 ) -> tuple[DesignPattern, ...]:
     """Patterns at points; none of another regulator, or where no pattern makes the voltage.
 
-    Parameters
-    ----------
-    design:
-        The drive.
-    plan:
-        Its regulator.
-    points:
-        Where.
+    Args:
+        design: The drive.
+        plan: Its regulator.
+        points: Where.
     """
     if plan.method != "trajectory":
         return ()

@@ -37,10 +37,7 @@ METHODS: tuple[FeedbackMethod, ...] = (
     "trajectory",
 )
 
-VOLTAGE_SHARE = 0.95
-
-"""Share of v_dc/sqrt(3) that a regulator is given: the rest is for the error."""
-
+VOLTAGE_SHARE = 0.95  # Share of v_dc/sqrt(3) that a regulator is given: the rest is for the error.
 _PULSES = 15
 
 
@@ -48,22 +45,14 @@ _PULSES = 15
 class RegulatorPlan:
     """Numbers of a regulator in SI units; those that its method does not use are defaults.
 
-    Parameters
-    ----------
-    method:
-        Which one.
-    band, outer_band:
-        In A.
-    kp, ki:
-        In V/A and V/(A s).
-    carrier:
-        In Hz.
-    comparator_band:
-        In V.
-    t_s:
-        Sampling period in s.
-    pulses:
-        Most pulses of a leg per electrical period.
+    Args:
+        method: Which one.
+        band, outer_band: In A.
+        kp, ki: In V/A and V/(A s).
+        carrier: In Hz.
+        comparator_band: In V.
+        t_s: Sampling period in s.
+        pulses: Most pulses of a leg per electrical period.
     """
 
     method: FeedbackMethod
@@ -106,17 +95,12 @@ def bridge_of(design: Design) -> BridgeDrive:
 def regulator_plan(design: Design, method: FeedbackMethod | None = None) -> RegulatorPlan:
     """Numbers of the design's regulator, or of another one with the same section.
 
-    Parameters
-    ----------
-    design:
-        The drive; keys that it leaves open are computed.
-    method:
-        Another method than the design's, for comparisons.
+    Args:
+        design: The drive; keys that it leaves open are computed.
+        method: Another method than the design's, for comparisons.
 
-    Raises
-    ------
-    InputError
-        The design's outer band, given or not, is less than its band.
+    Raises:
+        InputError: The design's outer band, given or not, is less than its band.
     """
     loop, machine = design.control.current_loop, linearised(design.machine)
     v_dc, f_sw = design.inverter.v_dc, design.inverter.f_sw

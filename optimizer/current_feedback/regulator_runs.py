@@ -36,10 +36,8 @@ from dqforge.optimizer.losses.drive_budget import (
 )
 from dqforge.optimizer.losses.loss_map import budget_options
 
+# Electrical periods that are observed, and those before them: runs start on their references.
 PERIODS, SETTLING = 1, 0
-
-"""Electrical periods that are observed, and those before them: runs start on their references."""
-
 
 _NUMBERS = (
     "frequency",
@@ -85,24 +83,16 @@ class WorkingPoints:
 class RegulatorRun:
     """What a regulator does at P points, arrays of the shape (P,); NaN where it could not be run.
 
-    Parameters
-    ----------
-    plan:
-        The regulator.
-    points:
-        Where it was run.
-    frequency, lowest, highest:
-        Switching frequencies in Hz: mean of the legs, and the ends of its range.
-    rms_error, largest_error:
-        Of a phase current in A.
-    distortion:
-        Of the phase currents, over the fundamental.
-    stored:
-        Power in W that the field takes up between first and last instant.
-    budget:
-        Powers and temperatures.
-    obstacles:
-        Why a point could not be run, or empty texts.
+    Args:
+        plan: The regulator.
+        points: Where it was run.
+        frequency, lowest, highest: Switching frequencies in Hz: mean of the legs, and the ends of
+            its range.
+        rms_error, largest_error: Of a phase current in A.
+        distortion: Of the phase currents, over the fundamental.
+        stored: Power in W that the field takes up between first and last instant.
+        budget: Powers and temperatures.
+        obstacles: Why a point could not be run, or empty texts.
     """
 
     plan: RegulatorPlan
@@ -135,14 +125,10 @@ class RegulatorRun:
 def run_regulator(design: Design, plan: RegulatorPlan, points: WorkingPoints) -> RegulatorRun:
     """Simulate a regulator at points of constant speed, and count what it loses.
 
-    Parameters
-    ----------
-    design:
-        The drive.
-    plan:
-        The regulator.
-    points:
-        P points, at least one; speeds other than 0.
+    Args:
+        design: The drive.
+        plan: The regulator.
+        points: P points, at least one; speeds other than 0.
     """
     tracks = plan.method == "trajectory"
     parts = [slice(k, k + 1) for k in range(points.torque.size)] if tracks else [slice(None)]
@@ -216,14 +202,10 @@ def _run(design: Design, plan: RegulatorPlan, points: WorkingPoints) -> Regulato
 def trace_budget(design: Design, trace: CurrentTrace, options: BudgetOptions) -> DriveBudget:
     """Budget of the points of a trace, arrays (P,).
 
-    Parameters
-    ----------
-    design:
-        Machine, bridge and coolant.
-    trace:
-        What the regulator did.
-    options:
-        What is counted beside copper, conduction and switching.
+    Args:
+        design: Machine, bridge and coolant.
+        trace: What the regulator did.
+        options: What is counted beside copper, conduction and switching.
     """
     inverter, machine, plant = design.inverter, design.machine, trace.plant
     tables = known_bridge(inverter)
@@ -293,14 +275,10 @@ def modulators_beside(
     With the same currents and without dead time, as the regulator. NaN where the regulator could
     not be run.
 
-    Parameters
-    ----------
-    design:
-        The drive.
-    run:
-        The regulator.
-    modulations:
-        M modulators.
+    Args:
+        design: The drive.
+        run: The regulator.
+        modulations: M modulators.
     """
     inverter = _without_dead_time(design.inverter)
     columns = []

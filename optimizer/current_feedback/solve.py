@@ -39,26 +39,21 @@ from dqforge.optimizer.losses.drive_comparison import strategy_currents
 from dqforge.optimizer.losses.loss_map import budget_options
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 
+# Speeds of the comparison over the base speed of the per-unit system.
 _SHARES = (0.25, 0.5, 0.75, 1.0)
 
-"""Speeds of the comparison over the base speed of the per-unit system."""
-
+# Largest bandwidth times sampling period at which the speed loop's model takes the regulator.
 _CALM = 0.3
-
-"""Largest bandwidth times sampling period at which the speed loop's model takes the regulator."""
 
 
 @dataclass(frozen=True, slots=True)
 class Equivalent:
     """What the speed loop sees of the regulator.
 
-    Parameters
-    ----------
-    delay:
-        Computing time and half of the longest mean time between turn-ons, in s.
-    bandwidth:
-        Of the first-order lag that it is taken as, in rad/s: 1/delay, or less where the sampling of
-        the speed loop does not see as much.
+    Args:
+        delay: Computing time and half of the longest mean time between turn-ons, in s.
+        bandwidth: Of the first-order lag that it is taken as, in rad/s: 1/delay, or less where the
+            sampling of the speed loop does not see as much.
     """
 
     delay: float
@@ -69,18 +64,12 @@ class Equivalent:
 class LoadRuns:
     """Regulators at the loads of the design.
 
-    Parameters
-    ----------
-    runs:
-        One per method, in the order of `METHODS`.
-    own:
-        Place of the design's method.
-    modulations:
-        Modulators of the design.
-    budget:
-        Their budgets at the own method's switching frequency, arrays (M, P).
-    distortion:
-        Of their phase currents over the fundamental, shape (M, P).
+    Args:
+        runs: One per method, in the order of `METHODS`.
+        own: Place of the design's method.
+        modulations: Modulators of the design.
+        budget: Their budgets at the own method's switching frequency, arrays (M, P).
+        distortion: Of their phase currents over the fundamental, shape (M, P).
     """
 
     runs: tuple[RegulatorRun, ...]
@@ -94,24 +83,16 @@ class LoadRuns:
 class CurrentFeedback:
     """Current-feedback PWM of a design.
 
-    Parameters
-    ----------
-    plan:
-        Numbers of its regulator.
-    over_speed:
-        All methods over speed with half of the largest torque, in the order of `METHODS`.
-    own:
-        Place of the design's method.
-    loads:
-        The same at the loads of the design; None where it names none.
-    equivalent:
-        What the speed loop sees; None without one.
-    speed:
-        The speed loop; None without one.
-    patterns:
-        Pulse patterns over speed; none where the method has none.
-    rule:
-        What the emitted rule knows of the drive; None where the method is not sampled.
+    Args:
+        plan: Numbers of its regulator.
+        over_speed: All methods over speed with half of the largest torque, in the order of
+            `METHODS`.
+        own: Place of the design's method.
+        loads: The same at the loads of the design; None where it names none.
+        equivalent: What the speed loop sees; None without one.
+        speed: The speed loop; None without one.
+        patterns: Pulse patterns over speed; none where the method has none.
+        rule: What the emitted rule knows of the drive; None where the method is not sampled.
     """
 
     plan: RegulatorPlan
@@ -132,17 +113,12 @@ class CurrentFeedback:
 def working_points(design: Design, torque: FloatArray, omega_m: FloatArray) -> WorkingPoints:
     """Points with the currents of the design's strategy, those within reach of a regulator alone.
 
-    Parameters
-    ----------
-    design:
-        The drive.
-    torque, omega_m:
-        In N m and rad/s, shape (P,).
+    Args:
+        design: The drive.
+        torque, omega_m: In N m and rad/s, shape (P,).
 
-    Raises
-    ------
-    InputError
-        No point is within reach.
+    Raises:
+        InputError: No point is within reach.
     """
     v_max = VOLTAGE_SHARE * design.inverter.v_dc / math.sqrt(3.0)
     i_d, i_q, made = strategy_currents(
@@ -216,17 +192,12 @@ def solve_loads(design: Design) -> LoadRuns | None:
 def speed_loop(design: Design, run: RegulatorRun) -> tuple[Equivalent, LoopGains] | None:
     """The speed loop over a regulator, taken as a first-order lag; None where none is asked for.
 
-    Parameters
-    ----------
-    design:
-        The drive.
-    run:
-        Its regulator over speed.
+    Args:
+        design: The drive.
+        run: Its regulator over speed.
 
-    Raises
-    ------
-    NoSolutionError
-        The regulator could not be run, or as `tune_speed_loop`.
+    Raises:
+        NoSolutionError: The regulator could not be run, or as `tune_speed_loop`.
     """
     control = design.control
     if control.speed_loop is None:

@@ -23,14 +23,11 @@ class TraceLosses:
     Upper and lower position; junction of the transistor and, where the diode has its own, of the
     diode; temperature of the tables.
 
-    Parameters
-    ----------
-    conduction, switching:
-        Powers in W.
-    link_square:
-        Mean square of the current from the DC link in A^2, shape (N,).
-    ripple_square:
-        Mean square of what a phase current has beside its reference in A^2, shape (N,).
+    Args:
+        conduction, switching: Powers in W.
+        link_square: Mean square of the current from the DC link in A^2, shape (N,).
+        ripple_square: Mean square of what a phase current has beside its reference in A^2, shape
+            (N,).
     """
 
     conduction: FloatArray
@@ -42,12 +39,9 @@ class TraceLosses:
 def trace_losses(tables: BridgeTables, trace: CurrentTrace) -> TraceLosses:
     """Losses of all points of a trace.
 
-    Parameters
-    ----------
-    tables:
-        The device.
-    trace:
-        What the regulator did.
+    Args:
+        tables: The device.
+        trace: What the regulator did.
     """
     count = trace.plant.i_d.size
     found = [_one(tables, trace, point) for point in range(count)]

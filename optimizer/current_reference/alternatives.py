@@ -45,12 +45,9 @@ def alternatives(choice: CurrentChoice, fit: ReferenceFit) -> tuple[Alternative,
     ``fit``, so that the price of each option is seen alone. Empty where the reference needs no
     polynomial.
 
-    Parameters
-    ----------
-    choice:
-        Machine, strategy and limits.
-    fit:
-        The fit to vary.
+    Args:
+        choice: Machine, strategy and limits.
+        fit: The fit to vary.
     """
     if fit.d is None and fit.q is None:
         return ()

@@ -35,17 +35,12 @@ from dqforge.optimizer.curves.breakpoints import SegmentErrors, round_significan
 from dqforge.optimizer.curves.fitting import Curve, SideConditions
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, domain_end
 
+# Errors of the quick fit over the budget from which on the fit by the wanted method is not tried:
+# it gains less. The most that tests find is 4.2 for the torque and 10 for the loss, which goes with
+# the square of the current error.
 _DEGREES = 6
-
-
 _SEGMENTS = (1, 2, 3, 4)
-
-
 _HOPELESS_TORQUE, _HOPELESS_LOSS = 5.0, 16.0
-
-"""Errors of the quick fit over the budget from which on the fit by the wanted method is not tried:
-it gains less. The most that tests find is 4.2 for the torque and 10 for the loss, which goes with
-the square of the current error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,19 +164,14 @@ def choose_fit(choice: CurrentChoice, settings: FitSettings, budget: FitBudget) 
     permitted torque error and 16 times the permitted loss penalty, it is fitted by the method of
     the settings.
 
-    Parameters
-    ----------
-    choice:
-        What is to be approximated.
-    settings:
-        Method and side conditions; form, degree, segments and breakpoints are searched for.
-    budget:
-        What must be kept.
+    Args:
+        choice: What is to be approximated.
+        settings: Method and side conditions; form, degree, segments and breakpoints are searched
+            for.
+        budget: What must be kept.
 
-    Raises
-    ------
-    NoSolutionError
-        No candidate keeps the budget; says which came closest.
+    Raises:
+        NoSolutionError: No candidate keeps the budget; says which came closest.
     """
     candidates = sorted(_candidates(choice, settings))
     quick_fits = QuickFits(choice, settings)

@@ -14,15 +14,13 @@ from dqforge.optimizer.current_reference.forms import ClosedForm, Emitted, Signe
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS, FixedReference
 from dqforge.optimizer.curves.single_precision import SinglePolynomial, multiply_add
 
+# The axes that each form holds as polynomials.
 AXES: dict[FitForm, tuple[str, ...]] = {
     "polynomial": ("d", "q"),
     "even-odd": ("d", "q"),
     "torque-exact": ("d",),
     "closed-form": ("q",),
 }
-
-"""The axes that each form holds as polynomials."""
-
 
 _FLOAT_BYTES = 4
 
@@ -55,7 +53,7 @@ _M4: dict[str, _Line] = {
     "q31": _Line(30.4, 20.4, 16.0, 5.0),
 }
 
-
+# Rows for the forms in single precision, and for polynomials in fixed point.
 _CYCLES: dict[Core, dict[str, _Line]] = {
     "cortex-m4": _M4,
     "cortex-m33": _M4,
@@ -85,8 +83,6 @@ _CYCLES: dict[Core, dict[str, _Line]] = {
     },
 }
 
-"""Rows for the forms in single precision, and for polynomials in fixed point."""
-
 
 def estimated_cycles(
     form: FitForm,
@@ -97,18 +93,12 @@ def estimated_cycles(
 ) -> float:
     """Cycles of both currents on a core, an estimate to rank candidates by.
 
-    Parameters
-    ----------
-    form:
-        Form of the reference.
-    degree:
-        Degree of its polynomials.
-    segments:
-        Number of their segments.
-    number_format:
-        Format of its numbers.
-    core:
-        The processor core.
+    Args:
+        form: Form of the reference.
+        degree: Degree of its polynomials.
+        segments: Number of their segments.
+        number_format: Format of its numbers.
+        core: The processor core.
     """
     return _CYCLES[core][form if number_format == "float32" else number_format].cycles(
         degree, segments
@@ -120,16 +110,11 @@ def constant_bytes(
 ) -> int:
     """Bytes of the constants of a form whose axes share their breakpoints.
 
-    Parameters
-    ----------
-    form:
-        Form of the reference.
-    degree:
-        Degree of its polynomials.
-    segments:
-        Number of their segments.
-    number_format:
-        Format of its numbers.
+    Args:
+        form: Form of the reference.
+        degree: Degree of its polynomials.
+        segments: Number of their segments.
+        number_format: Format of its numbers.
     """
     polynomials = len(AXES[form])
     if number_format != "float32":

@@ -14,14 +14,8 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 _GRID = 801
-
-
 _NARROWINGS = 3
-
-
-_ALL_OF_IT = 1e-3
-
-"""Share of the domain below which a range is said to begin at zero torque."""
+_ALL_OF_IT = 1e-3  # Share of the domain below which a range is said to begin at zero torque.
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +30,7 @@ class DataUse:
     extrapolated: tuple[float, float] | None = None
 
 
-COVERED = DataUse()
-
-"""Of references whose currents all lie well inside the data, or need none."""
+COVERED = DataUse()  # Of references whose currents all lie well inside the data, or need none.
 
 
 def data_use(choice: CurrentChoice, end: float) -> DataUse:

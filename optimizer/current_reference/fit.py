@@ -45,15 +45,9 @@ from dqforge.optimizer.curves.segmentations import Segmentations
 from dqforge.optimizer.curves.single_precision import SinglePolynomial
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint, domain_end
 
+# Torques at which the errors are kept over the torque, some more where a reference has breakpoints.
 _CURVE_SAMPLES = 1600
-
-"""Torques at which the errors are kept over the torque, some more where a
-reference has breakpoints."""
-
-
-_LARGEST_BASE = 1e18
-
-"""Base current in A whose square single precision holds with room to spare."""
+_LARGEST_BASE = 1e18  # Base current in A whose square single precision holds with room to spare.
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,14 +107,10 @@ def find_edges(
 ) -> dict[str, FloatArray]:
     """Segment edges per axis, each of shape (S + 1,), given or searched for, shared or own.
 
-    Parameters
-    ----------
-    curves:
-        Currents in A over torque in N m, by axis.
-    settings:
-        Degree, number of segments, given edges, breakpoint mode.
-    end:
-        End of the domain in N m.
+    Args:
+        curves: Currents in A over torque in N m, by axis.
+        settings: Degree, number of segments, given edges, breakpoint mode.
+        end: End of the domain in N m.
     """
     if settings.breakpoints is not None:
         return dict.fromkeys(curves, np.array([0.0, *settings.breakpoints, end]))
@@ -135,12 +125,9 @@ def find_edges(
 def exact_form(choice: CurrentChoice, form: FitForm) -> tuple[str, Form] | None:
     """The form that needs no polynomial, where the machine and the strategy have one.
 
-    Parameters
-    ----------
-    choice:
-        Machine, strategy and limits.
-    form:
-        The form that is wanted.
+    Args:
+        choice: Machine, strategy and limits.
+        form: The form that is wanted.
     """
     machine = choice.closed_form
     if machine is None:
@@ -158,12 +145,9 @@ def exact_form(choice: CurrentChoice, form: FitForm) -> tuple[str, Form] | None:
 def least_degree(form: FitForm, settings: FitSettings) -> int:
     """Least degree of a form: 2 where i_d has no linear term.
 
-    Parameters
-    ----------
-    form:
-        Form of the reference.
-    settings:
-        Whether i_d is to be flat at zero torque.
+    Args:
+        form: Form of the reference.
+        settings: Whether i_d is to be flat at zero torque.
     """
     return 2 if form == "even-odd" or (settings.flat_at_zero and "d" in AXES[form]) else 1
 
@@ -177,12 +161,9 @@ def possible_forms(
     MTPA locus that these have. Fixed point has plain polynomials only: it is for cores on which a
     division or a root costs more than all the rest.
 
-    Parameters
-    ----------
-    choice:
-        Machine, strategy and limits.
-    number_format:
-        Format of the numbers.
+    Args:
+        choice: Machine, strategy and limits.
+        number_format: Format of the numbers.
     """
     machine = choice.machine
     if not isinstance(machine, LinearMachine) or number_format != "float32":
@@ -249,19 +230,14 @@ def _assemble(machine: Machine, form: FitForm, fits: dict[str, PiecewisePolynomi
 def fit_reference(choice: CurrentChoice, settings: FitSettings) -> ReferenceFit:
     """Current reference for the currents of a choice.
 
-    Parameters
-    ----------
-    choice:
-        What is to be approximated; its limits set the domain where the settings give none.
-    settings:
-        Form, method, degree, segments, breakpoints and side conditions.
+    Args:
+        choice: What is to be approximated; its limits set the domain where the settings give none.
+        settings: Form, method, degree, segments, breakpoints and side conditions.
 
-    Raises
-    ------
-    InputError
-        The form does not suit the machine, or a breakpoint lies outside the domain.
-    NoSolutionError
-        The torque domain needs more current or voltage than the limits, or the fit failed.
+    Raises:
+        InputError: The form does not suit the machine, or a breakpoint lies outside the domain.
+        NoSolutionError: The torque domain needs more current or voltage than the limits, or the fit
+            failed.
     """
     end = domain_end(choice, settings)
     number_format = settings.format or "float32"

@@ -25,10 +25,9 @@ from dqforge.optimizer.curves.single_precision import (
 )
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
+# Share of the largest torque from which the relative loss penalty is stated; below it both losses
+# vanish.
 PENALTY_FROM = 0.05
-
-"""Share of the largest torque from which the relative loss penalty is stated;
-below it both losses vanish."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,18 +211,11 @@ class SignedReference:
         return np.union1d(self.positive.samples(count), self.negative.samples(count))
 
 
+# One reference of the firmware, even and odd in the torque: in floats, in N m and A, or in fixed
+# point.
 FloatReference = CurrentReference | SignedReference
-
-
 Reference = CurrentReference | FixedReference
-
-"""One reference of the firmware, even and odd in the torque: in floats, in N m and A,
-or in fixed point."""
-
-
-Emitted = Reference | SignedReference
-
-"""What the firmware evaluates."""
+Emitted = Reference | SignedReference  # What the firmware evaluates.
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,16 +265,11 @@ def error_curves(
     """Compare the arithmetic of a reference with the exact strategy in double at torques
     >= 0 that it knows, (N,).
 
-    Parameters
-    ----------
-    choice:
-        Machine, strategy and limits: the exact currents.
-    reference:
-        What the emitted C computes.
-    torque:
-        Torques in N m, or codes of them, shape (N,).
-    fused:
-        Whether products and sums are contracted.
+    Args:
+        choice: Machine, strategy and limits: the exact currents.
+        reference: What the emitted C computes.
+        torque: Torques in N m, or codes of them, shape (N,).
+        fused: Whether products and sums are contracted.
     """
     machine = choice.machine
     i_d, i_q = (
@@ -309,14 +296,10 @@ def reference_errors(
     """Largest errors of the reference over its domain, in the arithmetic of the
     emitted C (both contractions).
 
-    Parameters
-    ----------
-    choice:
-        Machine, strategy and limits: the exact currents.
-    reference:
-        What the emitted C computes.
-    samples:
-        Number of torques.
+    Args:
+        choice: Machine, strategy and limits: the exact currents.
+        reference: What the emitted C computes.
+        samples: Number of torques.
     """
     torque = reference.samples(samples)
     contractions = (False,) if isinstance(reference, FixedReference) else (False, True)

@@ -15,21 +15,17 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.integer_fit import CodeScale
 from dqforge.optimizer.curves.integer_polynomial import CodeArray, FixedPolynomial
 
+# Bits of the numbers of each fixed-point format.
 FIXED_WIDTHS: dict[NumberFormat, int] = {"q15": 16, "q31": 32}
-
-"""Bits of the numbers of each fixed-point format."""
 
 
 @dataclass(frozen=True, slots=True)
 class FixedReference:
     """Polynomials in integers with their full scales.
 
-    Parameters
-    ----------
-    d, q:
-        Codes of i_d and i_q over the code of the torque; ``d`` is None where i_d = 0.
-    torque_base, current_base:
-        What 2^(width - 1) codes stand for, in N m and A.
+    Args:
+        d, q: Codes of i_d and i_q over the code of the torque; ``d`` is None where i_d = 0.
+        torque_base, current_base: What 2^(width - 1) codes stand for, in N m and A.
     """
 
     d: FixedPolynomial | None

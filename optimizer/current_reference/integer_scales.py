@@ -21,14 +21,10 @@ from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 def code_scale(choice: CurrentChoice, settings: FitSettings, end: float) -> CodeScale:
     """Full scales of a fixed-point format, checked against what it must hold.
 
-    Parameters
-    ----------
-    choice:
-        Machine, strategy and limits.
-    settings:
-        Format and full scales as far as they are given.
-    end:
-        End of the domain in N m.
+    Args:
+        choice: Machine, strategy and limits.
+        settings: Format and full scales as far as they are given.
+        end: End of the domain in N m.
     """
     if settings.full_scale is None or settings.format is None:
         raise InputError(
@@ -60,12 +56,9 @@ def _rounded_up(value: float) -> str:
 def on_codes(edges: FloatArray, scale: CodeScale) -> FloatArray:
     """Segment edges whose inner ones are whole codes.
 
-    Parameters
-    ----------
-    edges:
-        Edges in N m, shape (S + 1,).
-    scale:
-        Full scales of torque and current.
+    Args:
+        edges: Edges in N m, shape (S + 1,).
+        scale: Full scales of torque and current.
     """
     inner = [float(scale.arguments(np.array(scale.code(edge)))) for edge in edges[1:-1]]
     return np.array([0.0, *inner, edges[-1]])
@@ -76,16 +69,11 @@ def in_fixed_point(
 ) -> FixedReference:
     """Integers of polynomials, or of the straight line where the exact reference is one.
 
-    Parameters
-    ----------
-    choice:
-        Machine, strategy and limits.
-    settings:
-        Format and full scales as far as they are given.
-    end:
-        End of the domain in N m.
-    fits:
-        Polynomials of the currents in A over torque in N m, by axis.
+    Args:
+        choice: Machine, strategy and limits.
+        settings: Format and full scales as far as they are given.
+        end: End of the domain in N m.
+        fits: Polynomials of the currents in A over torque in N m, by axis.
     """
     scale, curves = code_scale(choice, settings, end), choice.curves(end)
     machine = choice.machine
@@ -112,16 +100,11 @@ def holds(
 
     Floats hold everything.
 
-    Parameters
-    ----------
-    choice:
-        Machine, strategy and limits.
-    settings:
-        Full scales as far as they are given.
-    number_format:
-        Format of the numbers.
-    end:
-        End of the domain in N m.
+    Args:
+        choice: Machine, strategy and limits.
+        settings: Full scales as far as they are given.
+        number_format: Format of the numbers.
+        end: End of the domain in N m.
     """
     if number_format == "float32":
         return True

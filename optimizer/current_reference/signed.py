@@ -14,15 +14,11 @@ from dqforge.optimizer.current_reference.integer_form import FixedReference
 def signed_reference(positive: ReferenceFit, negative: ReferenceFit) -> SignedReference:
     """The references of both signs of the torque as one.
 
-    Parameters
-    ----------
-    positive, negative:
-        Fits of positive torques, and of those of the mirrored machine.
+    Args:
+        positive, negative: Fits of positive torques, and of those of the mirrored machine.
 
-    Raises
-    ------
-    InputError
-        One of them is in fixed point.
+    Raises:
+        InputError: One of them is in fixed point.
     """
     if isinstance(positive.reference, FixedReference) or isinstance(
         negative.reference, FixedReference

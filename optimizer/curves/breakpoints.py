@@ -20,50 +20,26 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.fitting import Curve, SideConditions, condition_rows, null_space
 
 Objective = Callable[[FloatArray], float]
+_NARROWEST = 0.01  # Least width of a segment as a share of the domain.
+_POSITION_TOLERANCE = 1e-4  # Share of the domain at which the searches stop.
 
-
-_NARROWEST = 0.01
-
-"""Least width of a segment as a share of the domain."""
-
-
-_POSITION_TOLERANCE = 1e-4
-
-"""Share of the domain at which the searches stop."""
-
-
+# Size of the first simplex of the local search and of its restart, as a share of the domain.
 _LOCAL_STEPS = (0.03, 0.01)
 
-"""Size of the first simplex of the local search and of its restart, as a share of the domain."""
-
-
+# Breakpoints are rounded to this many significant digits: readable, the same on every machine, and
+# the error of the fit changes by less than 0.1 %.
 _DIGITS = 5
 
-"""Breakpoints are rounded to this many significant digits: readable, the same on every machine, and
-the error of the fit changes by less than 0.1 %."""
-
-
+# Edges for the dynamic programming as shares of the domain. Denser at low torque, where the curves
+# bend most; without a magnet they rise like a root there, and the best segments shrink
+# geometrically.
 _GRID = np.unique(np.concatenate([np.linspace(0.0, 1.0, 41) ** 1.5, np.geomspace(1e-6, 1e-2, 13)]))
 
-"""Edges for the dynamic programming as shares of the domain. Denser at low torque, where the curves
-bend most; without a magnet they rise like a root there, and the best segments shrink
-geometrically."""
-
-
+# Coefficients rise with the inverse power of the width of a segment; below, they would leave the
+# range of floats.
 LEAST_POWER = 1e-30
-
-"""Coefficients rise with the inverse power of the width of a segment; below,
-they would leave the range of floats."""
-
-
-_LEAST_EDGES = 8
-
-"""So many edges of the grid must be usable: more than segments are ever asked for."""
-
-
-_ROUNDING = 1e-13
-
-"""Errors of this share of the curve are rounding: there is nothing to level."""
+_LEAST_EDGES = 8  # So many edges of the grid must be usable: more than segments are ever asked for.
+_ROUNDING = 1e-13  # Errors of this share of the curve are rounding: there is nothing to level.
 
 
 def edges_from_cube(position: FloatArray, end: float) -> FloatArray:
@@ -101,19 +77,13 @@ def search(
     """Edges with the least objective, shape (S + 1,), inner edges rounded
     to five significant digits.
 
-    Parameters
-    ----------
-    coarse:
-        Objective of the edges for the global search; may rank only approximately,
-        but must be cheap.
-    fine:
-        Objective for the local search that follows.
-    segments:
-        Number of segments S, at least 1.
-    end:
-        End of the domain.
-    start:
-        Edges near the best, shape (S + 1,); with them there is no global search.
+    Args:
+        coarse: Objective of the edges for the global search; may rank only approximately, but must
+            be cheap.
+        fine: Objective for the local search that follows.
+        segments: Number of segments S, at least 1.
+        end: End of the domain.
+        start: Edges near the best, shape (S + 1,); with them there is no global search.
     """
     if segments == 1:
         return np.array([0.0, end])
@@ -190,21 +160,14 @@ def segment_errors(
     These are within some 10 % of the minimax errors. Continuity is left out;
     the value at zero is kept if asked.
 
-    Parameters
-    ----------
-    curves:
-        Vectorised functions to fit.
-    degree:
-        Degree of each segment.
-    side:
-        Of its conditions only ``exact_at_zero`` matters here.
-    end:
-        End of the domain.
+    Args:
+        curves: Vectorised functions to fit.
+        degree: Degree of each segment.
+        side: Of its conditions only ``exact_at_zero`` matters here.
+        end: End of the domain.
 
-    Raises
-    ------
-    NoSolutionError
-        The domain is so small that its powers leave the range of floats.
+    Raises:
+        NoSolutionError: The domain is so small that its powers leave the range of floats.
     """
     angle = np.linspace(0.0, np.pi, 4 * degree + 13)
     vander = chebyshev.chebvander(-np.cos(angle), degree)

@@ -32,71 +32,38 @@ from dqforge.optimizer.curves.fitting import (
 )
 from dqforge.optimizer.curves.segmentations import Segmentations
 
+# Largest move of a breakpoint in one step, as a share of the narrower segment beside it, first and
+# last.
 _MOST_STEPS = 25
-
-
 _FIRST_RADIUS = 0.15
-
-
 _LAST_RADIUS = 1e-3
 
-"""Largest move of a breakpoint in one step, as a share of the narrower segment beside it,
-first and last."""
-
-
+# Starts that rough curves get beside the first, and when a curve is rough: its Chebyshev
+# coefficients from nine degrees above that of the fit are together more than half the one next to
+# it. Closed forms have 1e-3, with a root at zero 0.1; a saturation model has up to 4 where the
+# errors come down to the bends of its curves.
 _OTHER_STARTS = 8
-
-
 _PRIMES = np.array([2.0, 3.0, 5.0, 7.0])
-
-
 _HIGHER, _ROUGH = 9, 0.5
 
-"""Starts that rough curves get beside the first, and when a curve is rough: its Chebyshev
-coefficients from nine degrees above that of the fit are together more than half the one next to it.
-Closed forms have 1e-3, with a root at zero 0.1; a saturation model has up to 4 where the errors
-come down to the bends of its curves."""
-
-
+# What is tried around the best end of three or more segments, where low places are long and flat
+# valleys with bends: breakpoints as powers of their share of the domain, all of them and one at a
+# time, again if that lowers the error by 0.2 %.
 _ROUNDS = 2
-
-
 _POWERS = (0.8, 1.25)
-
-
 _GAIN = 0.998
 
-"""What is tried around the best end of three or more segments, where low places are long and flat
-valleys with bends: breakpoints as powers of their share of the domain, all of them and one at a
-time, again if that lowers the error by 0.2 %."""
-
-
+# What is tried beside the end of two segments that had one start alone, where estimates there are
+# not above this multiple of its own.
 _NEAR_POWERS, _NEARLY = (1.15, 1.0 / 1.15), 1.45
+Levelled = tuple[FloatArray, float]  # Edges of shape (S + 1,), and the error that they leave.
 
-"""What is tried beside the end of two segments that had one start alone, where estimates there are
-not above this multiple of its own."""
-
-
-Levelled = tuple[FloatArray, float]
-
-"""Edges of shape (S + 1,), and the error that they leave."""
-
-
+# Relative distance between the attained error and its linear model at which the levelling stops.
 _LEVEL_GOAL = 1e-3
+_FEWER = 4  # Every fourth point is enough to compare segmentations.
 
-"""Relative distance between the attained error and its linear model at
-which the levelling stops."""
-
-
-_FEWER = 4
-
-"""Every fourth point is enough to compare segmentations."""
-
-
+# Step of the numerical derivative by a breakpoint, as a share of the narrower segment beside it.
 _DIFFERENCE = 1e-3
-
-"""Step of the numerical derivative by a breakpoint, as a share of the
-narrower segment beside it."""
 
 
 def level_edges(
@@ -105,31 +72,22 @@ def level_edges(
     """Edges with the least largest error of minimax fits to all curves, shape (S + 1,),
     rounded as by `search`.
 
-    Parameters
-    ----------
-    curves:
-        Vectorised functions to fit on the same segments, in the same unit.
-    degree:
-        Degree of each segment.
-    segments:
-        Number of segments S, at least 1.
-    side:
-        Equalities that the fits keep.
-    end:
-        End of the domain.
+    Args:
+        curves: Vectorised functions to fit on the same segments, in the same unit.
+        degree: Degree of each segment.
+        segments: Number of segments S, at least 1.
+        side: Equalities that the fits keep.
+        end: End of the domain.
 
-    Raises
-    ------
-    NoSolutionError
-        A linear programme failed.
+    Raises:
+        NoSolutionError: A linear programme failed.
 
-    Notes
-    -----
-    In the local variable of each segment the side conditions do not depend on the breakpoints, and
-    the curves do so smoothly: minimise over coefficients and breakpoints the largest |f(x(xi, t)) -
-    p(xi)|. Each step solves this with f linear in t within a trust region (Madsen, J. Inst. Maths
-    Applics 16, 1975, pp. 321-328). Only what polynomials cannot follow enters, so that the model
-    holds for moves of a tenth of a segment.
+    Notes:
+        In the local variable of each segment the side conditions do not depend on the breakpoints,
+        and the curves do so smoothly: minimise over coefficients and breakpoints the largest
+        |f(x(xi, t)) - p(xi)|. Each step solves this with f linear in t within a trust region
+        (Madsen, J. Inst. Maths Applics 16, 1975, pp. 321-328). Only what polynomials cannot follow
+        enters, so that the model holds for moves of a tenth of a segment.
     """
     if segments == 1:
         return np.array([0.0, end])

@@ -24,30 +24,19 @@ from dqforge.optimizer.curves.piecewise import (
 )
 from dqforge.optimizer.linear_programme import least_cost
 
+# Check points per segment between which the error of a fit is searched for; odd extrema are far
+# wider apart.
 Curve = Callable[[FloatArray], FloatArray]
-
-
 IndexArray = np.ndarray[tuple[int, ...], np.dtype[np.intp]]
-
-
 Mask = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-
-
 _DENSE_POINTS = 400
 
-"""Check points per segment between which the error of a fit is searched for;
-odd extrema are far wider apart."""
-
-
+# Share of the mean segment error in the minimax objective: keeps segments that do not bind small,
+# and costs at most this share of the optimum.
 _TIE_WEIGHT = 2e-4
 
-"""Share of the mean segment error in the minimax objective: keeps segments that do not bind small,
-and costs at most this share of the optimum."""
-
-
+# Attained error over the lower bound of the linear programme at which the exchange stops.
 _EXCHANGE_GOAL = 1.0002
-
-"""Attained error over the lower bound of the linear programme at which the exchange stops."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,23 +200,15 @@ class MinimaxProgramme:
     ) -> tuple[FloatArray, FloatArray, float]:
         """Correction series, shape (A, S, n + 1), the moves, and the lower bound of the error.
 
-        Parameters
-        ----------
-        block:
-            Curve and segment of each residual as one index, shape (N,), curve by curve.
-        position:
-            Where in [-1, 1] on the segment, shape (N,).
-        residual:
-            Residual there, shape (N,).
-        slopes:
-            Change of the residual per unit of each move, shape (N, moves).
-        radius:
-            Largest magnitude of a move.
+        Args:
+            block: Curve and segment of each residual as one index, shape (N,), curve by curve.
+            position: Where in [-1, 1] on the segment, shape (N,).
+            residual: Residual there, shape (N,).
+            slopes: Change of the residual per unit of each move, shape (N, moves).
+            radius: Largest magnitude of a move.
 
-        Raises
-        ------
-        NoSolutionError
-            The solver failed.
+        Raises:
+            NoSolutionError: The solver failed.
         """
         rows = np.zeros((position.size, self.variables))
         width = self.degree + 1
@@ -318,25 +299,17 @@ def fit_curve(
 ) -> PiecewisePolynomial:
     """Fit one curve on given segments.
 
-    Parameters
-    ----------
-    curve:
-        Vectorised function to fit; with ``exact_at_zero`` it must vanish at the first edge.
-    edges:
-        Ascending segment limits, shape (S + 1,).
-    degree:
-        Degree of each segment, at least 1.
-    method:
-        ``lagrange`` (paper 000, (20) to (25)), ``least-squares`` or ``minimax``.
-    side:
-        Equalities to keep.
-    exchange:
-        Only for ``minimax``: false stops after the first linear programme, for ranking breakpoints.
+    Args:
+        curve: Vectorised function to fit; with ``exact_at_zero`` it must vanish at the first edge.
+        edges: Ascending segment limits, shape (S + 1,).
+        degree: Degree of each segment, at least 1.
+        method: ``lagrange`` (paper 000, (20) to (25)), ``least-squares`` or ``minimax``.
+        side: Equalities to keep.
+        exchange: Only for ``minimax``: false stops after the first linear programme, for ranking
+            breakpoints.
 
-    Raises
-    ------
-    NoSolutionError
-        The linear programme of the minimax fit failed.
+    Raises:
+        NoSolutionError: The linear programme of the minimax fit failed.
     """
     edges = np.asarray(edges, dtype=np.float64)
     if method == "lagrange":

@@ -25,54 +25,23 @@ from dqforge.optimizer.curves.integer_polynomial import (
 )
 from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
 
+# Share of the accumulator that scales may fill; the interval analysis decides in the end.
 _HEADROOM = 1.0 - 2.0**-9
 
-"""Share of the accumulator that scales may fill; the interval analysis decides in the end."""
-
-
+# Sizes in codes below this one count as this one: scales are bounded long before.
 _NOTHING = 1e-200
 
-"""Sizes in codes below this one count as this one: scales are bounded long before."""
-
-
+# Sizes of the trial changes of the search, in codes of the result.
 _STEPS = (0.75, 0.5, 0.25, 0.125, 0.0625)
+_BROKEN = 1e3  # Codes of error that one code of a broken side condition counts.
 
-"""Sizes of the trial changes of the search, in codes of the result."""
-
-
-_BROKEN = 1e3
-
-"""Codes of error that one code of a broken side condition counts."""
-
-
+# Leading coefficients below this are tried one by one: their rounding would be seen.
 _SHORT_LEADING = 2**11
-
-"""Leading coefficients below this are tried one by one: their rounding would be seen."""
-
-
-_ROUNDING_SEEN = 2.0
-
-"""Errors in codes below which the rounding of every step is worth a look."""
-
-
-_LEADING_REACH = 2
-
-"""So many integers on either side of the real leading coefficient are tried."""
-
-
-_MOST_CODES = 2**16
-
-"""Codes of a segment that are all looked at; longer segments are sampled."""
-
-
-_SEAM_STEP = 1
-
-"""Largest step of a continuous fit across a breakpoint in codes."""
-
-
-_UPPER_WORD = 32
-
-"""A shift of a 64-bit product by this much is no work: the upper word is taken."""
+_ROUNDING_SEEN = 2.0  # Errors in codes below which the rounding of every step is worth a look.
+_LEADING_REACH = 2  # So many integers on either side of the real leading coefficient are tried.
+_MOST_CODES = 2**16  # Codes of a segment that are all looked at; longer segments are sampled.
+_SEAM_STEP = 1  # Largest step of a continuous fit across a breakpoint in codes.
+_UPPER_WORD = 32  # A shift of a 64-bit product by this much is no work: the upper word is taken.
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,16 +287,12 @@ def fit_fixed(
 ) -> FixedPolynomial:
     """Integers of a piecewise polynomial, found by the error that they make.
 
-    Parameters
-    ----------
-    piecewise:
-        Real fit whose edges, but for the last, are arguments of whole codes.
-    curve:
-        What it approximates, argument and result in the units of ``scale``.
-    scale:
-        Full scale of argument and result, and the width of the numbers in bits.
-    exact_at_zero, continuous:
-        Side conditions: nothing at zero; a step of one code at most across a breakpoint.
+    Args:
+        piecewise: Real fit whose edges, but for the last, are arguments of whole codes.
+        curve: What it approximates, argument and result in the units of ``scale``.
+        scale: Full scale of argument and result, and the width of the numbers in bits.
+        exact_at_zero, continuous: Side conditions: nothing at zero; a step of one code at most
+            across a breakpoint.
     """
     starts = [scale.code(edge) for edge in piecewise.edges[:-1]]
     end = min(math.floor(piecewise.edges[-1] / scale.argument * scale.one), int(scale.one) - 1)

@@ -22,13 +22,9 @@ from dqforge.machines.records import dataclass
 
 CodeArray = NDArray[np.int64]
 
-
+# Parts of a segment in the interval analysis: the bounds shrink towards the true ranges with their
+# number.
 _PARTS = 64
-
-"""Parts of a segment in the interval analysis: the bounds shrink towards the true
-ranges with their number."""
-
-
 Range = tuple[int, int]
 
 

@@ -19,12 +19,9 @@ from dqforge.machines.records import dataclass
 class PiecewisePolynomial:
     """A polynomial per segment.
 
-    Parameters
-    ----------
-    edges:
-        Ascending segment limits, shape (S + 1,), from 0 to the end of the domain.
-    coefficients:
-        Ascending powers of x = t - edges[s], shape (S, n + 1).
+    Args:
+        edges: Ascending segment limits, shape (S + 1,), from 0 to the end of the domain.
+        coefficients: Ascending powers of x = t - edges[s], shape (S, n + 1).
     """
 
     edges: FloatArray

@@ -18,35 +18,19 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.curves.breakpoints import SegmentErrors
 
+# Steps of the lattice along the domain, by the number of segments: 31, 136 and 120 segmentations.
 _STEPS = {2: 32, 3: 18, 4: 11}
 
-"""Steps of the lattice along the domain, by the number of segments: 31,
-136 and 120 segmentations."""
-
-
+# Multiple of the least error up to which a low place is a start. What a search reaches from there
+# is lower than what is looked at by up to so much, and by more in one place than in another.
 _LOW = 2.0
-
-"""Multiple of the least error up to which a low place is a start. What a search reaches from there
-is lower than what is looked at by up to so much, and by more in one place than in another."""
-
-
 _MOST_PLACES = 3
 
-
+# Multiple of the least cost up to which places count as one plain, on which small errors of the
+# cost hide the best.
 _PLAIN = 1.5
-
-"""Multiple of the least cost up to which places count as one plain, on which small errors
-of the cost hide the best."""
-
-
-_WIDE = 3
-
-"""Steps from which on a plain is wide: then it is entered from its ends as well."""
-
-
-_APART = 0.5
-
-"""Steps of the lattice from which on two starts lead to different ends."""
+_WIDE = 3  # Steps from which on a plain is wide: then it is entered from its ends as well.
+_APART = 0.5  # Steps of the lattice from which on two starts lead to different ends.
 
 
 class Segmentations:
@@ -103,11 +87,9 @@ class Segmentations:
         """Segmentations to begin from, each of shape (S + 1,): the best one without ties,
         and the low places.
 
-        Parameters
-        ----------
-        cost:
-            What segmentations of shape (K, S + 1) err by, shape (K,);
-            need not be what the search lowers.
+        Args:
+            cost: What segmentations of shape (K, S + 1) err by, shape (K,); need not be what the
+                search lowers.
         """
         kept = [self.first]
         costs = cost(self.edges)

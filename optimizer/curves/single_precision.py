@@ -69,13 +69,10 @@ def _monic_chebyshev(degree: int, width: float) -> FloatArray:
 class SinglePolynomial:
     """A piecewise polynomial with float32 coefficients, evaluated by Horner's rule in t - start.
 
-    Parameters
-    ----------
-    starts:
-        First edge of each segment, shape (S,); the first is 0.
-    coefficients:
-        Ascending powers, shape (S, n + 1). One that is zero is neither stored
-        nor added in the emitted C.
+    Args:
+        starts: First edge of each segment, shape (S,); the first is 0.
+        coefficients: Ascending powers, shape (S, n + 1). One that is zero is neither stored nor
+            added in the emitted C.
     """
 
     starts: SingleArray

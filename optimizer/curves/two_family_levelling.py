@@ -15,14 +15,10 @@ from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.records import dataclass
 
 _LARGEST_NORM = 14.0
-
-
 _STEPS = 36
 
-
+# Weight that holds steps along which neither torque nor flux change, per current limit.
 _DAMPING = 0.01
-
-"""Weight that holds steps along which neither torque nor flux change, per current limit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,17 +99,12 @@ def level(
     """Coefficients with the least largest error (nearly), from the least-squares fit of the
     currents.
 
-    Parameters
-    ----------
-    aims:
-        What is to be met at N points.
-    base:
-        Currents in A to which the families add, shape (N,) each.
-    family_d, family_q:
-        Values of the functions of each family at the points, shapes (N, A) and (N, B),
-        of full rank.
-    scale:
-        Current in A that steps are measured by.
+    Args:
+        aims: What is to be met at N points.
+        base: Currents in A to which the families add, shape (N,) each.
+        family_d, family_q: Values of the functions of each family at the points, shapes (N, A) and
+            (N, B), of full rank.
+        scale: Current in A that steps are measured by.
     """
     basis_d, triangle_d = np.linalg.qr(family_d)
     basis_q, triangle_q = np.linalg.qr(family_q)

@@ -27,16 +27,11 @@ _PERIODS = 30.0  # of 1/omega_c until it must have settled
 def answered_step(design: Design, speed: LoopGains, torque_max: float, slope: float) -> float:
     """Largest step of the speed in rad/s, up to the largest speed, that settles.
 
-    Parameters
-    ----------
-    design:
-        Machine with its inertia, and sampling.
-    speed:
-        The speed loop.
-    torque_max:
-        Largest torque in N m.
-    slope:
-        Of the torque, in N m/s.
+    Args:
+        design: Machine with its inertia, and sampling.
+        speed: The speed loop.
+        torque_max: Largest torque in N m.
+        slope: Of the torque, in N m/s.
     """
     most = design.machine.omega_m_max or design.control.bases.speed
     steps = np.geomspace(1e-3, 1.0, _STEPS) * most

@@ -21,21 +21,15 @@ if TYPE_CHECKING:
 class DynamicReferences:
     """What a design asks of the motion of its references.
 
-    Parameters
-    ----------
-    settings:
-        The slopes, in N m/s and A/s.
-    torque_step, current_step:
-        Largest changes per sample in N m and A; infinity without a slope.
-    torque_time:
-        Time in s from no torque to the largest; 0 without a slope.
-    slope_at_rest:
-        What the voltage lets the q current rise by at rest, in A/s.
-    speed_step:
-        Largest step of the speed in rad/s that the speed loop answers with the torque slope; nan
-        without either.
-    feedback:
-        The voltage feedback, None where none is asked for.
+    Args:
+        settings: The slopes, in N m/s and A/s.
+        torque_step, current_step: Largest changes per sample in N m and A; infinity without a
+            slope.
+        torque_time: Time in s from no torque to the largest; 0 without a slope.
+        slope_at_rest: What the voltage lets the q current rise by at rest, in A/s.
+        speed_step: Largest step of the speed in rad/s that the speed loop answers with the torque
+            slope; nan without either.
+        feedback: The voltage feedback, None where none is asked for.
     """
 
     settings: ReferenceSettings

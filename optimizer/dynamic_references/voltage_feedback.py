@@ -66,27 +66,18 @@ class OffMap:
 class VoltageFeedback:
     """The feedback with what it is judged by.
 
-    Parameters
-    ----------
-    gain:
-        K in A per V and sample.
-    current:
-        Largest d current in A that it adds.
-    i_max:
-        Current limit in A (peak).
-    voltage:
-        Largest amplitude of the phase voltage in V at the nominal link.
-    bandwidth:
-        Slowest and fastest bandwidth in rad/s at the operating points.
-    largest_pole:
-        Largest modulus of the poles of both current loops with the feedback, over operating points
-        and tolerances.
-    gain_margin:
-        By how much the gain may grow until it is 1; infinity where it never is within a hundred
-        times.
-    worst:
-        The drive and operating point at which the references of the map alone lack most voltage;
-        None where the design has no tolerances, or no map of the voltage.
+    Args:
+        gain: K in A per V and sample.
+        current: Largest d current in A that it adds.
+        i_max: Current limit in A (peak).
+        voltage: Largest amplitude of the phase voltage in V at the nominal link.
+        bandwidth: Slowest and fastest bandwidth in rad/s at the operating points.
+        largest_pole: Largest modulus of the poles of both current loops with the feedback, over
+            operating points and tolerances.
+        gain_margin: By how much the gain may grow until it is 1; infinity where it never is within
+            a hundred times.
+        worst: The drive and operating point at which the references of the map alone lack most
+            voltage; None where the design has no tolerances, or no map of the voltage.
     """
 
     gain: float
@@ -113,10 +104,8 @@ def limit_points(machine: Machine, i_max: float, v_max: float, omega_m: float) -
     """Operating points that need all of the voltage ``v_max`` in V, of both signs of the torque, up
     to a mechanical speed in rad/s.
 
-    Raises
-    ------
-    InputError
-        The voltage limits nothing up to that speed.
+    Raises:
+        InputError: The voltage limits nothing up to that speed.
     """
     speeds = np.linspace(0.1, 1.0, 4 * _SPEEDS) * omega_m
     most = optimal_points(machine, 1e9, speeds, v_max=v_max, i_max=i_max).torque
@@ -138,14 +127,10 @@ def feedback_matrices(
 ) -> FloatArray:
     """Maps of (i_d, i_q, v_d, v_q, I_d, I_q, w) over one sampling period, shape (M, 7, 7).
 
-    Parameters
-    ----------
-    machines, control:
-        As of `dqforge.optimizer.loops.coupled_loops.closed_matrices`.
-    direction:
-        Unit vectors (d, q) of the voltage, shape (M, 2).
-    gain:
-        K in A per V and sample.
+    Args:
+        machines, control: As of `dqforge.optimizer.loops.coupled_loops.closed_matrices`.
+        direction: Unit vectors (d, q) of the voltage, shape (M, 2).
+        gain: K in A per V and sample.
     """
     return _with_feedback(closed_matrices(machines, control), control, direction, gain)
 
@@ -173,23 +158,15 @@ def voltage_feedback(
 ) -> VoltageFeedback:
     """The feedback that a design asks for, judged.
 
-    Parameters
-    ----------
-    design:
-        With ``control.references.voltage_feedback`` and a largest speed.
-    box:
-        Its tolerances.
-    loops:
-        Gains of i_d and i_q.
-    voltage:
-        Largest amplitude of the phase voltage in V that the controllers may make.
+    Args:
+        design: With ``control.references.voltage_feedback`` and a largest speed.
+        box: Its tolerances.
+        loops: Gains of i_d and i_q.
+        voltage: Largest amplitude of the phase voltage in V that the controllers may make.
 
-    Raises
-    ------
-    InputError
-        The voltage limits nothing, or the current turns the flux.
-    NoSolutionError
-        The loop is not stable somewhere.
+    Raises:
+        InputError: The voltage limits nothing, or the current turns the flux.
+        NoSolutionError: The loop is not stable somewhere.
     """
     wanted = design.control.references.voltage_feedback
     machine, control = design.machine, design.control
@@ -310,10 +287,8 @@ def require_feedback(design: Design) -> None:
     """Check what the voltage feedback of a design needs of its operating points, where it asks for
     one.
 
-    Raises
-    ------
-    InputError
-        The voltage limits nothing, or the current asked for turns the flux.
+    Raises:
+        InputError: The voltage limits nothing, or the current asked for turns the flux.
     """
     wanted, machine = design.control.references.voltage_feedback, design.machine
     if wanted is None or machine.omega_m_max is None:

@@ -28,26 +28,18 @@ from dqforge.optimizer.observers.tuning_numbers import Disturbances, Load
 class Question:
     """What every candidate is asked.
 
-    Parameters
-    ----------
-    design:
-        The drive.
-    omega_max:
-        Its largest electrical speed in rad/s.
-    omega:
-        Electrical speeds in rad/s, ascending from standstill, shape (S,).
-    shares:
-        Torques over the largest one, ascending from braking, shape (L,).
-    loads:
-        The loads there.
-    reached:
-        Whether the drive's voltage reaches a speed at a load, shape (S, L).
-    disturbances:
-        What an estimator has to live with: noise, tolerances, dead time.
-    loops:
-        Both current loops and the speed loop as tuned for an encoder; None without a speed loop.
-    at_speed, from_standstill:
-        Names of the chosen estimators, of which start-ups are asked; None where there is none.
+    Args:
+        design: The drive.
+        omega_max: Its largest electrical speed in rad/s.
+        omega: Electrical speeds in rad/s, ascending from standstill, shape (S,).
+        shares: Torques over the largest one, ascending from braking, shape (L,).
+        loads: The loads there.
+        reached: Whether the drive's voltage reaches a speed at a load, shape (S, L).
+        disturbances: What an estimator has to live with: noise, tolerances, dead time.
+        loops: Both current loops and the speed loop as tuned for an encoder; None without a speed
+            loop.
+        at_speed, from_standstill: Names of the chosen estimators, of which start-ups are asked;
+            None where there is none.
     """
 
     design: Design
@@ -66,28 +58,19 @@ class Question:
 class EstimatorFigures:
     """What an estimator does.
 
-    Parameters
-    ----------
-    angle:
-        R.m.s. of all steady errors of the angle and of its noise in rad, inf where it is lost,
-        shape (S, L).
-    speed:
-        R.m.s. of the steady errors of the electrical speed in rad/s, shape (S, L).
-    noise:
-        Standard deviation of the angle in rad, shape (S, L).
-    omega_low, omega_high:
-        Electrical speeds in rad/s between which it holds at every load; nan where it never does.
-    left:
-        Crossover in rad/s that it leaves for the speed loop, None where it leaves none or where
-        that is not known.
-    slopes:
-        Errors per unit of their causes, None where they are not known.
-    capture:
-        Starts from which it locks, None where none were tried.
-    observer:
-        The tuned observer, None of candidates of other kinds.
-    tracker:
-        The tuned tracker likewise.
+    Args:
+        angle: R.m.s. of all steady errors of the angle and of its noise in rad, inf where it is
+            lost, shape (S, L).
+        speed: R.m.s. of the steady errors of the electrical speed in rad/s, shape (S, L).
+        noise: Standard deviation of the angle in rad, shape (S, L).
+        omega_low, omega_high: Electrical speeds in rad/s between which it holds at every load; nan
+            where it never does.
+        left: Crossover in rad/s that it leaves for the speed loop, None where it leaves none or
+            where that is not known.
+        slopes: Errors per unit of their causes, None where they are not known.
+        capture: Starts from which it locks, None where none were tried.
+        observer: The tuned observer, None of candidates of other kinds.
+        tracker: The tuned tracker likewise.
     """
 
     angle: FloatArray
@@ -106,22 +89,16 @@ class EstimatorFigures:
 class Candidate:
     """An estimator.
 
-    Parameters
-    ----------
-    name:
-        The word of ``control.observer.method``.
-    title:
-        In words.
-    refusal:
-        question -> why physics or the design forbids it, with the number; empty where it may be.
-    figures:
-        question -> what it does; may raise `NoSolutionError` or `InputError`, whose message is then
-        the reason why it cannot be.
-    from_standstill:
-        Whether it works at standstill, so that a drive may start on it.
-    six_step:
-        Whether it makes the drive a six-step drive, whose currents are others: it wins and is
-        flashed in such a design alone, where the others are not.
+    Args:
+        name: The word of ``control.observer.method``.
+        title: In words.
+        refusal: question -> why physics or the design forbids it, with the number; empty where it
+            may be.
+        figures: question -> what it does; may raise `NoSolutionError` or `InputError`, whose
+            message is then the reason why it cannot be.
+        from_standstill: Whether it works at standstill, so that a drive may start on it.
+        six_step: Whether it makes the drive a six-step drive, whose currents are others: it wins
+            and is flashed in such a design alone, where the others are not.
     """
 
     name: str
@@ -140,16 +117,11 @@ class Candidate:
 class TriedStarts:
     """Starts that were tried against a load.
 
-    Parameters
-    ----------
-    load:
-        Friction over the torque of the current limit.
-    count, succeeded:
-        How many, and how many of them succeeded.
-    interval:
-        Within which the true share lies with 95 %.
-    failures:
-        How often each failure, by its name.
+    Args:
+        load: Friction over the torque of the current limit.
+        count, succeeded: How many, and how many of them succeeded.
+        interval: Within which the true share lies with 95 %.
+        failures: How often each failure, by its name.
     """
 
     load: float
@@ -168,20 +140,13 @@ class TriedStarts:
 class StartFigures:
     """What a start-up does.
 
-    Parameters
-    ----------
-    largest_load:
-        Largest load torque in N m that it starts against.
-    hand_over:
-        Electrical speed in rad/s at which it hands over.
-    duration:
-        Time in s to the hand-over by plan.
-    design:
-        The design with the chosen estimators and this start; None where it is not known.
-    tried:
-        Starts over the box of the design, by load; none where none were tried.
-    untried:
-        Why they could not be tried; empty where they could, or were not asked for.
+    Args:
+        largest_load: Largest load torque in N m that it starts against.
+        hand_over: Electrical speed in rad/s at which it hands over.
+        duration: Time in s to the hand-over by plan.
+        design: The design with the chosen estimators and this start; None where it is not known.
+        tried: Starts over the box of the design, by load; none where none were tried.
+        untried: Why they could not be tried; empty where they could, or were not asked for.
     """
 
     largest_load: float
@@ -201,14 +166,10 @@ class StartFigures:
 class StartCandidate:
     """A way to start.
 
-    Parameters
-    ----------
-    method:
-        The word of ``control.start_up.method``.
-    title:
-        In words.
-    refusal, figures:
-        As of `Candidate`; success is tried elsewhere, by the emitted C.
+    Args:
+        method: The word of ``control.start_up.method``.
+        title: In words.
+        refusal, figures: As of `Candidate`; success is tried elsewhere, by the emitted C.
     """
 
     method: StartUpMethodName

@@ -23,30 +23,18 @@ from dqforge.optimizer.observers.parts import EXACT
 from dqforge.optimizer.observers.steady_states import steady_observer
 from dqforge.optimizer.observers.tuning import PositionObserver
 
-CAPTURE_SHARES = (0.1, 0.25, 0.5, 1.0)
+CAPTURE_SHARES = (0.1, 0.25, 0.5, 1.0)  # Speeds of the map over the largest one.
 
-"""Speeds of the map over the largest one."""
-
-
+# Errors of the angle at the start in rad, estimate minus truth.
 START_ANGLES = np.radians(np.arange(-180.0, 181.0, 15.0))
 
-"""Errors of the angle at the start in rad, estimate minus truth."""
-
-
+# Errors of the speed at the start over the speed: -1 starts from rest, -2 the wrong way round.
 START_SPEEDS = np.array([-2.0, -1.5, -1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0])
 
-"""Errors of the speed at the start over the speed: -1 starts from rest, -2 the wrong way round."""
-
-
+# What became of a start: never at rest, at the rotor, or half a turn off.
 LOST, LOCKED, HALF_TURN = 0, 1, 2
-
-"""What became of a start: never at rest, at the rotor, or half a turn off."""
-
-
 _TIME_CONSTANTS = 15.0
-
 _SHORTEST, _LONGEST = 400, 4000  # samples
-
 _WATCHED = 0.25  # share of a run, its end, that decides
 
 
@@ -54,21 +42,14 @@ _WATCHED = 0.25  # share of a run, its end, that decides
 class CaptureMap:
     """What becomes of starts.
 
-    Parameters
-    ----------
-    omega:
-        Electrical speeds in rad/s, shape (S,).
-    angles:
-        Errors of the angle at the start in rad, estimate minus truth, shape (A,).
-    speeds:
-        Errors of the speed at the start, over the speed, shape (V,).
-    outcome:
-        `LOST`, `LOCKED` or `HALF_TURN`, shape (S, V, A).
-    lock_time:
-        Time in s after which the errors stay within the limits, shape (S, V, A); inf of starts that
-        do not lock.
-    duration:
-        Length of a run in s.
+    Args:
+        omega: Electrical speeds in rad/s, shape (S,).
+        angles: Errors of the angle at the start in rad, estimate minus truth, shape (A,).
+        speeds: Errors of the speed at the start, over the speed, shape (V,).
+        outcome: `LOST`, `LOCKED` or `HALF_TURN`, shape (S, V, A).
+        lock_time: Time in s after which the errors stay within the limits, shape (S, V, A); inf of
+            starts that do not lock.
+        duration: Length of a run in s.
     """
 
     omega: FloatArray
@@ -90,10 +71,8 @@ class CaptureMap:
         """Largest error of the angle to both sides in rad from which every start locks, shape
         (S, 2); nan where not even the true angle does.
 
-        Parameters
-        ----------
-        start_speed:
-            One of ``speeds``.
+        Args:
+            start_speed: One of ``speeds``.
         """
         row = int(np.argmin(np.abs(self.speeds - start_speed)))
         middle = int(np.argmin(np.abs(self.angles)))
@@ -173,16 +152,11 @@ def capture_map(
 ) -> CaptureMap:
     """Which starts lock.
 
-    Parameters
-    ----------
-    observer:
-        The observer, on its own machine.
-    i_dq:
-        Current i_d + j i_q of the drive in A.
-    omega:
-        Electrical speeds in rad/s, positive, shape (S,); None for shares of the largest one.
-    angles, speeds:
-        Errors at the start, as in `CaptureMap`.
+    Args:
+        observer: The observer, on its own machine.
+        i_dq: Current i_d + j i_q of the drive in A.
+        omega: Electrical speeds in rad/s, positive, shape (S,); None for shares of the largest one.
+        angles, speeds: Errors at the start, as in `CaptureMap`.
     """
     method, gains, t_s, machine = observer.method, observer.gains, observer.t_s, observer.machine
     at = np.array(CAPTURE_SHARES) * observer.omega_max if omega is None else omega

@@ -21,15 +21,11 @@ from dqforge.optimizer.observers.methods.registry import METHODS
 class ClosedLoop:
     """The loop.
 
-    Parameters
-    ----------
-    margin, crossover:
-        Phase margin in rad and crossover in rad/s at the worst speed.
-    holds:
-        Whether it is stable with the margin that the design asks for.
-    low:
-        Least electrical speed in rad/s from which every corner of the tolerances is stable, dead
-        time apart; nan where there is none.
+    Args:
+        margin, crossover: Phase margin in rad and crossover in rad/s at the worst speed.
+        holds: Whether it is stable with the margin that the design asks for.
+        low: Least electrical speed in rad/s from which every corner of the tolerances is stable,
+            dead time apart; nan where there is none.
     """
 
     margin: float
@@ -47,12 +43,9 @@ def control_over(asked: Question, name: str) -> ControlSettings:
     """Control of the design with another observer, as in a design that leaves open what is chosen
     together: a speed loop by the symmetrical optimum counts the lag of the observer.
 
-    Parameters
-    ----------
-    asked:
-        The question.
-    name:
-        Of the observer.
+    Args:
+        asked: The question.
+        name: Of the observer.
     """
     control = asked.design.control
     loop, own = control.speed_loop, control.observer
@@ -65,12 +58,9 @@ def control_over(asked: Question, name: str) -> ControlSettings:
 def closed_loop(asked: Question, name: str) -> ClosedLoop | None:
     """The speed loop over an observer; None without a speed loop, or where it has none.
 
-    Parameters
-    ----------
-    asked:
-        The question.
-    name:
-        Of the observer.
+    Args:
+        asked: The question.
+        name: Of the observer.
     """
     design = asked.design
     if design.control.speed_loop is None or asked.loops is None or name not in METHODS:

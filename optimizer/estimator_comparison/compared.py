@@ -18,19 +18,13 @@ from dqforge.optimizer.estimator_comparison.candidate import (
 class ComparedEstimator:
     """An estimator with what was found; ``refusal`` says why nothing was, empty where it may be.
 
-    Parameters
-    ----------
-    candidate:
-        What it is.
-    refusal:
-        With the number.
-    figures:
-        None where it is refused.
-    holds:
-        Whether angle and speed stay within the limits, shape (S, L); None likewise.
-    cycles, instructions, flash:
-        Of a step of its C on the core of the design: cycles (low, high) and instructions in the
-        mean, bytes; None where they were not measured.
+    Args:
+        candidate: What it is.
+        refusal: With the number.
+        figures: None where it is refused.
+        holds: Whether angle and speed stay within the limits, shape (S, L); None likewise.
+        cycles, instructions, flash: Of a step of its C on the core of the design: cycles (low,
+            high) and instructions in the mean, bytes; None where they were not measured.
     """
 
     candidate: Candidate

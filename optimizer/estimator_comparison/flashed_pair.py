@@ -15,18 +15,13 @@ from dqforge.optimizer.estimator_comparison.closed_loop import ClosedLoop
 from dqforge.optimizer.estimator_comparison.compared import ComparedEstimator, ComparedStart
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT
 
+# Speed of the hand-over downwards over that upwards: the hysteresis keeps a drive from chattering
+# between two estimators.
 BACK = 0.6
 
-"""Speed of the hand-over downwards over that upwards: the hysteresis keeps a drive from chattering
-between two estimators."""
-
-
+# Least speed of the hand-over over the largest one: below, little of the EMF is left beside what no
+# tolerance names.
 LEAST_SHARE = 0.1
-
-"""Least speed of the hand-over over the largest one: below, little of the EMF is left beside what
-no tolerance names."""
-
-
 _JUDGED = 4  # estimators whose speed loop is looked at
 
 
@@ -34,28 +29,20 @@ _JUDGED = 4  # estimators whose speed loop is looked at
 class FlashedPair:
     """What to flash; names of candidates, None where there is none.
 
-    Parameters
-    ----------
-    at_speed:
-        The estimator at speed.
-    from_standstill:
-        The estimator from standstill.
-    start:
-        The start-up.
-    up, down:
-        Electrical speeds in rad/s from which the estimator at speed takes over, the start-up's own
-        at least, and below which it gives back; None where no estimator holds at every load.
-    held:
-        Share of the cells that the drive reaches in which one of both estimators holds.
-    held_at_speed:
-        The same of the estimator at speed alone.
-    loop:
-        The speed loop over the estimator at speed; None where it was not judged.
-    passed:
-        Estimators that hold in more cells, but whose speed loop holds from a higher speed on, or
-        nowhere.
-    gap:
-        Electrical speeds in rad/s between which neither holds at every load, None without a gap.
+    Args:
+        at_speed: The estimator at speed.
+        from_standstill: The estimator from standstill.
+        start: The start-up.
+        up, down: Electrical speeds in rad/s from which the estimator at speed takes over, the
+            start-up's own at least, and below which it gives back; None where no estimator holds at
+            every load.
+        held: Share of the cells that the drive reaches in which one of both estimators holds.
+        held_at_speed: The same of the estimator at speed alone.
+        loop: The speed loop over the estimator at speed; None where it was not judged.
+        passed: Estimators that hold in more cells, but whose speed loop holds from a higher speed
+            on, or nowhere.
+        gap: Electrical speeds in rad/s between which neither holds at every load, None without a
+            gap.
     """
 
     at_speed: str | None
@@ -86,14 +73,10 @@ def ranked(
 ) -> list[ComparedEstimator]:
     """Estimators that hold somewhere, by falling merit.
 
-    Parameters
-    ----------
-    asked:
-        What was asked.
-    rows:
-        What was found.
-    from_standstill:
-        Which kind.
+    Args:
+        asked: What was asked.
+        rows: What was found.
+        from_standstill: Which kind.
     """
     known = [
         row
@@ -124,14 +107,10 @@ def estimator_at_speed(
     at every corner from some speed on; the first by merit where none does, or where there is no
     speed loop to judge.
 
-    Parameters
-    ----------
-    asked:
-        What was asked.
-    rows:
-        What was found.
-    judge:
-        (question, name) -> the speed loop over it.
+    Args:
+        asked: What was asked.
+        rows: What was found.
+        judge: (question, name) -> the speed loop over it.
     """
     order = ranked(asked, rows, from_standstill=False)[:_JUDGED]
     if not order:
@@ -165,9 +144,8 @@ def _hand_over(asked: Question, row: ComparedEstimator | None) -> float | None:
     return max(row.figures.omega_low, LEAST_SHARE * asked.omega_max)
 
 
+# The start-up that runs on an estimator from standstill on; the others turn the rotor blindly.
 BY_SALIENCY = "saliency"
-
-"""The start-up that runs on an estimator from standstill on; the others turn the rotor blindly."""
 
 
 def _taken_over(begin: float | None, row: ComparedStart) -> float | None:
@@ -228,14 +206,10 @@ def chosen_pair(
     least error deciding between equals; none where the start-up has no use for it. A start-up on an
     estimator that ends below the hand-over is none of the pair.
 
-    Parameters
-    ----------
-    asked:
-        What was asked.
-    rows, starts:
-        What was found.
-    at_speed:
-        The estimator at speed, whose speed loop's least speed bounds the hand-over.
+    Args:
+        asked: What was asked.
+        rows, starts: What was found.
+        at_speed: The estimator at speed, whose speed loop's least speed bounds the hand-over.
     """
     named = None if at_speed is None else at_speed.name
     loop = None if at_speed is None else at_speed.loop

@@ -62,12 +62,9 @@ def settings_of(asked: Question, name: str) -> ObserverSettings:
     """What a design that asks for an observer has: the design's own where it is this very one, else
     the usual ones, with those that are chosen together with the speed loop.
 
-    Parameters
-    ----------
-    asked:
-        The question.
-    name:
-        Of a method.
+    Args:
+        asked: The question.
+        name: Of a method.
     """
     control = asked.design.control
     own, loop = control.observer, control.speed_loop
@@ -86,12 +83,9 @@ def settings_of(asked: Question, name: str) -> ObserverSettings:
 def tuned_observer(asked: Question, name: str) -> PositionObserver:
     """The observer of a method, with the design's own settings where it asks for this very one.
 
-    Parameters
-    ----------
-    asked:
-        The question.
-    name:
-        Of a method.
+    Args:
+        asked: The question.
+        name: Of a method.
     """
     design = asked.design
     learns = METHODS[name].train is not None

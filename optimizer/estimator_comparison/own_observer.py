@@ -23,12 +23,9 @@ class ObserverEvidence:
 def capture_of(design: Design, observer: PositionObserver) -> CaptureMap:
     """Starts from which an observer locks at half the largest torque.
 
-    Parameters
-    ----------
-    design:
-        The drive.
-    observer:
-        The observer.
+    Args:
+        design: The drive.
+        observer: The observer.
     """
     load = loads_at(design, (_LOAD,))[0]
     return capture_map(observer, complex(load.i_d, load.i_q))
@@ -37,12 +34,9 @@ def capture_of(design: Design, observer: PositionObserver) -> CaptureMap:
 def observer_evidence(design: Design, observer: PositionObserver | None) -> ObserverEvidence | None:
     """Both of the design's own observer, None where it has none.
 
-    Parameters
-    ----------
-    design:
-        The drive.
-    observer:
-        As `solve_gains` tuned it.
+    Args:
+        design: The drive.
+        observer: As `solve_gains` tuned it.
     """
     if observer is None:
         return None

@@ -15,13 +15,7 @@ from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.optimizer.observers.tuning_numbers import Load
 
 CAUSES = (*PARAMETERS, DEAD_TIME)
-
-
-SLOPE_SHARES = (0.05, 0.1, 0.25, 0.5, 1.0)
-
-"""Speeds over the largest one at which they are given."""
-
-
+SLOPE_SHARES = (0.05, 0.1, 0.25, 0.5, 1.0)  # Speeds over the largest one at which they are given.
 _STEP = 1e-3  # of a parameter; of the voltage R i for the dead time
 
 
@@ -29,15 +23,11 @@ _STEP = 1e-3  # of a parameter; of the voltage R i for the dead time
 class Slopes:
     """Derivatives at one load.
 
-    Parameters
-    ----------
-    omega:
-        Electrical speeds in rad/s, shape (S,).
-    angle:
-        By cause the angle error in rad per relative change of the machine's parameter, and per V
-        of lost voltage for the dead time, shape (S,); nan where the angle is lost.
-    speed:
-        The same of the speed error in rad/s.
+    Args:
+        omega: Electrical speeds in rad/s, shape (S,).
+        angle: By cause the angle error in rad per relative change of the machine's parameter, and
+            per V of lost voltage for the dead time, shape (S,); nan where the angle is lost.
+        speed: The same of the speed error in rad/s.
     """
 
     omega: FloatArray
@@ -48,14 +38,10 @@ class Slopes:
 def slopes_of(observer: PositionObserver, load: Load, omega: FloatArray) -> Slopes:
     """Derivatives of the steady errors by central differences.
 
-    Parameters
-    ----------
-    observer:
-        The observer.
-    load:
-        Currents, and the machine there.
-    omega:
-        Electrical speeds in rad/s, shape (S,).
+    Args:
+        observer: The observer.
+        load: Currents, and the machine there.
+        omega: Electrical speeds in rad/s, shape (S,).
     """
     count, cases = len(omega), len(CAUSES)
     exact = np.array([observer.machine.r_s, load.l_d, load.l_q, load.psi_pm])

@@ -35,24 +35,13 @@ from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.observers.conditions import conditions, loads_at
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT, SPEED_LIMIT
 
+# Speeds of the comparison over the largest one.
 SPEED_SHARES = (0.0, 0.02, 0.03, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.5, 0.75, 1.0)
+COMPARED_LOADS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # Torques of the comparison over the largest one.
 
-"""Speeds of the comparison over the largest one."""
-
-
-COMPARED_LOADS = (-1.0, -0.5, 0.0, 0.5, 1.0)
-
-"""Torques of the comparison over the largest one."""
-
-
+# In the map of who wins: nobody holds there, or the voltage does not reach it.
 NOBODY, UNREACHED = -1, -2
-
-"""In the map of who wins: nobody holds there, or the voltage does not reach it."""
-
-
 _STANDSTILL = 1e-3  # of the largest speed: an error of the speed that is none at standstill
-
-
 _KEY = re.compile(r"^control\.(observer|start_up)(\.method)?: ")
 
 
@@ -60,19 +49,13 @@ _KEY = re.compile(r"^control\.(observer|start_up)(\.method)?: ")
 class EstimatorComparison:
     """The comparison.
 
-    Parameters
-    ----------
-    asked:
-        What was asked of all.
-    estimators, starts:
-        The candidates, in the order of the registry.
-    winner:
-        Index among the estimators of the one with the least error of those that hold, `NOBODY` or
-        `UNREACHED`, shape (S, L).
-    pair:
-        What to flash.
-    uncounted:
-        Why cycles and bytes were not measured; empty where they were.
+    Args:
+        asked: What was asked of all.
+        estimators, starts: The candidates, in the order of the registry.
+        winner: Index among the estimators of the one with the least error of those that hold,
+            `NOBODY` or `UNREACHED`, shape (S, L).
+        pair: What to flash.
+        uncounted: Why cycles and bytes were not measured; empty where they were.
     """
 
     asked: Question
@@ -90,10 +73,8 @@ class EstimatorComparison:
 def ask(design: Design) -> Question:
     """What is asked of every candidate.
 
-    Parameters
-    ----------
-    design:
-        The drive.
+    Args:
+        design: The drive.
     """
     machine = design.machine
     omega_m = design.control.bases.speed if machine.omega_m_max is None else machine.omega_m_max
@@ -127,10 +108,8 @@ def _loops(design: Design) -> tuple[LoopGains, LoopGains, LoopGains] | None:
 def reason_of(error: Exception) -> str:
     """A refusal without the key that it begins with.
 
-    Parameters
-    ----------
-    error:
-        An `InputError` or a `NoSolutionError`.
+    Args:
+        error: An `InputError` or a `NoSolutionError`.
     """
     return _KEY.sub("", str(getattr(error, "message", error)))
 
@@ -161,12 +140,9 @@ def _started(asked: Question, candidate: StartCandidate) -> ComparedStart:
 def winners(asked: Question, rows: Sequence[ComparedEstimator]) -> NDArray[np.int64]:
     """Index of the estimator with the least r.m.s. error of the angle among those that hold.
 
-    Parameters
-    ----------
-    asked:
-        The question.
-    rows:
-        The estimators.
+    Args:
+        asked: The question.
+        rows: The estimators.
     """
     errors: list[FloatArray] = []
     for row in rows:
@@ -188,19 +164,13 @@ def compare_estimators(
 ) -> EstimatorComparison:
     """Every estimator and start-up.
 
-    Parameters
-    ----------
-    design:
-        The drive.
-    candidates:
-        The estimators to compare; all of them when None.
-    told:
-        Called with the name of each before it is asked.
+    Args:
+        design: The drive.
+        candidates: The estimators to compare; all of them when None.
+        told: Called with the name of each before it is asked.
 
-    Raises
-    ------
-    InputError, NoSolutionError
-        The design has no loops, or no torque.
+    Raises:
+        InputError, NoSolutionError: The design has no loops, or no torque.
     """
     asked = ask(design)
     chosen = estimators() if candidates is None else candidates
@@ -223,12 +193,9 @@ def with_success(
 ) -> EstimatorComparison:
     """The comparison with start-ups that were tried, and the pair that follows.
 
-    Parameters
-    ----------
-    found:
-        The comparison.
-    starts:
-        Its start-ups, in their order.
+    Args:
+        found: The comparison.
+        starts: Its start-ups, in their order.
     """
     old = found.pair
     at_speed = None if old.at_speed is None else AtSpeed(old.at_speed, old.loop, old.passed)
@@ -239,15 +206,11 @@ def with_success(
 def named(only: str) -> tuple[Candidate, ...]:
     """The estimators of a list of names, in the order of the registry.
 
-    Parameters
-    ----------
-    only:
-        Names with commas in between.
+    Args:
+        only: Names with commas in between.
 
-    Raises
-    ------
-    InputError
-        There is none of that name.
+    Raises:
+        InputError: There is none of that name.
     """
     every = {candidate.name: candidate for candidate in estimators()}
     wanted = [name.strip() for name in only.split(",") if name.strip()]

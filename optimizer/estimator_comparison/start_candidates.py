@@ -57,14 +57,10 @@ def started_design(
 ) -> Design:
     """The design with the chosen estimators and a start.
 
-    Parameters
-    ----------
-    asked:
-        The question, with the chosen estimators.
-    method:
-        How it starts.
-    hand_over:
-        Electrical speed in rad/s of the hand-over; None for the computed one.
+    Args:
+        asked: The question, with the chosen estimators.
+        method: How it starts.
+        hand_over: Electrical speed in rad/s of the hand-over; None for the computed one.
     """
     design, control = asked.design, asked.design.control
     own = control.start_up
@@ -85,10 +81,8 @@ def _settings(name: str | None) -> ObserverSettings | None:
 def planned_time(plan: StartUpPlan) -> float:
     """Time in s from standstill to the hand-over by plan.
 
-    Parameters
-    ----------
-    plan:
-        Of the start.
+    Args:
+        plan: Of the start.
     """
     aligned = 0.0 if plan.alignment == "none" else plan.align_time
     if plan.method in {"i-f", "v-f"}:

@@ -21,7 +21,6 @@ from dqforge.optimizer.estimators.solve import TunedTracker
 from dqforge.optimizer.observers.parts import EXACT, Pair
 
 _SOFT = 0.02  # of the current limit: below, a phase takes less than the whole dead time
-
 _PHASES = np.exp(2j * np.pi / 3.0 * np.arange(3))
 
 
@@ -29,29 +28,18 @@ _PHASES = np.exp(2j * np.pi / 3.0 * np.arange(3))
 class SteadyDrives:
     """N drives, arrays of shape (N,).
 
-    Parameters
-    ----------
-    omega:
-        Electrical speed in rad/s.
-    current:
-        i_d + j i_q in A.
-    voltage:
-        v_d + j v_q in V that holds it, in the middle of a period.
-    r_s:
-        In Ohm.
-    inductance:
-        Incremental, in H, shape (N, 2, 2).
-    lost:
-        Amplitude in V of what the dead time takes from the fundamental.
-    noise:
-        Standard deviation of a measured current in A, per axis.
-    i_max:
-        Current limit in A.
-    sum_flux:
-        Integral of the sum of the phase voltages over the angle of a turn in V s, shape (N, K), the
-        first value at 0 and all equally far apart; None where nothing hears it.
-    sum_noise:
-        Standard deviation of the measured sum in V, shape (N,); None likewise.
+    Args:
+        omega: Electrical speed in rad/s.
+        current: i_d + j i_q in A.
+        voltage: v_d + j v_q in V that holds it, in the middle of a period.
+        r_s: In Ohm.
+        inductance: Incremental, in H, shape (N, 2, 2).
+        lost: Amplitude in V of what the dead time takes from the fundamental.
+        noise: Standard deviation of a measured current in A, per axis.
+        i_max: Current limit in A.
+        sum_flux: Integral of the sum of the phase voltages over the angle of a turn in V s, shape
+            (N, K), the first value at 0 and all equally far apart; None where nothing hears it.
+        sum_noise: Standard deviation of the measured sum in V, shape (N,); None likewise.
     """
 
     omega: FloatArray
@@ -66,9 +54,8 @@ class SteadyDrives:
     sum_noise: FloatArray | None = None
 
 
+# A real matrix M of vectors z = x + j y as M z = p z + q conj(z), arrays of shape (N,).
 Factors = tuple[ComplexArray, ComplexArray]
-
-"""A real matrix M of vectors z = x + j y as M z = p z + q conj(z), arrays of shape (N,)."""
 
 
 def _transition(drives: SteadyDrives, t_s: float) -> tuple[Factors, Factors]:
@@ -133,20 +120,13 @@ def tracked(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Error of the angle in rad, wrapped, and electrical speed in rad/s after each sample.
 
-    Parameters
-    ----------
-    tuned:
-        The tracker.
-    drives:
-        What it is tried on.
-    angle:
-        Error of its angle at the start in rad, shape (N,).
-    speed:
-        Electrical speed in rad/s that it starts with, shape (N,).
-    samples:
-        How many.
-    seed:
-        Of the noise.
+    Args:
+        tuned: The tracker.
+        drives: What it is tried on.
+        angle: Error of its angle at the start in rad, shape (N,).
+        speed: Electrical speed in rad/s that it starts with, shape (N,).
+        samples: How many.
+        seed: Of the noise.
     """
     generator = np.random.default_rng(seed)
     tracker, t_s, count = tuned.tracker, tuned.t_s, len(drives.omega)

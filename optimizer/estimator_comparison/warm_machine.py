@@ -22,20 +22,12 @@ from dqforge.optimizer.observers.steady_states import steady_observer
 from dqforge.optimizer.observers.tuning import SHOWN, PositionObserver
 from dqforge.optimizer.observers.tuning_numbers import Load
 
-LOAD_SHARES = (-1.0, -0.5, 0.0, 0.5, 1.0)
+LOAD_SHARES = (-1.0, -0.5, 0.0, 0.5, 1.0)  # Torques over the largest one at which errors are shown.
 
-"""Torques over the largest one at which errors are shown."""
-
-
+# Relative change of the magnet flux linkage per K where the design gives none: NdFeB.
 MAGNET_COEFFICIENT = -0.11e-2
-
-"""Relative change of the magnet flux linkage per K where the design gives none: NdFeB."""
-
-
 _RISES = (0.0, 40.0, 80.0)
-
 _MAGNET_SHARE = 0.5  # of the rise of the winding
-
 _REFERENCE = 20.0  # degC of constants without a temperature
 
 
@@ -56,18 +48,13 @@ class WarmState:
 class WarmErrors:
     """Steady errors of an observer, estimate minus truth, inf where the angle is lost.
 
-    Parameters
-    ----------
-    states:
-        T states of the machine, by rising temperature.
-    shares:
-        Torques over the largest one, shape (L,).
-    omega:
-        Electrical speeds in rad/s, shape (S,).
-    angle, speed:
-        In rad and rad/s by temperature alone, shape (T, L, S).
-    angle_with_dead_time, speed_with_dead_time:
-        The same with the dead time that the design leaves besides.
+    Args:
+        states: T states of the machine, by rising temperature.
+        shares: Torques over the largest one, shape (L,).
+        omega: Electrical speeds in rad/s, shape (S,).
+        angle, speed: In rad and rad/s by temperature alone, shape (T, L, S).
+        angle_with_dead_time, speed_with_dead_time: The same with the dead time that the design
+            leaves besides.
     """
 
     states: tuple[WarmState, ...]
@@ -138,14 +125,10 @@ def warm_errors(
 ) -> WarmErrors:
     """Steady errors over temperature, load and speed.
 
-    Parameters
-    ----------
-    design:
-        The drive.
-    observer:
-        Its position observer.
-    omega:
-        Electrical speeds in rad/s, positive, shape (S,); None for those of the tables.
+    Args:
+        design: The drive.
+        observer: Its position observer.
+        omega: Electrical speeds in rad/s, positive, shape (S,); None for those of the tables.
     """
     speeds = np.array(SHOWN) * observer.omega_max if omega is None else omega
     states, loads = warm_states(design), loads_at(design, LOAD_SHARES)

@@ -9,6 +9,7 @@ from dqforge.machines.loaded_by_name import LoadedByName
 if TYPE_CHECKING:
     from dqforge.optimizer.estimators.tracker import Tracker
 
+# The trackers by name.
 TRACKERS: LoadedByName[str, Tracker] = LoadedByName(
     {
         "injection": "dqforge.optimizer.saliency.injection:TRACKER",
@@ -17,5 +18,3 @@ TRACKERS: LoadedByName[str, Tracker] = LoadedByName(
         "third-harmonic": "dqforge.optimizer.harmonic_trackers.sum_voltage:TRACKER",
     }
 )
-
-"""The trackers by name."""

@@ -38,12 +38,9 @@ class TunedTracker:
 def tune_tracker(design: Design, settings: ObserverSettings) -> TunedTracker:
     """A tracker of a design by the settings of one of its estimators.
 
-    Raises
-    ------
-    InputError
-        Its control functions are in integers, which no tracker is.
-    NoSolutionError
-        Physics forbids it; the message has the number.
+    Raises:
+        InputError: Its control functions are in integers, which no tracker is.
+        NoSolutionError: Physics forbids it; the message has the number.
     """
     from dqforge.optimizer.estimators.registry import TRACKERS
 

@@ -19,10 +19,9 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
 
+# What a tracker may be told besides: the mean over the period that ends of v_a + v_b + v_c against
+# the star point, or that of each phase voltage, in V.
 Signal = Literal["sum-voltage", "voltage-a", "voltage-b", "voltage-c"]
-
-"""What a tracker may be told besides: the mean over the period that ends of v_a + v_b + v_c against
-the star point, or that of each phase voltage, in V."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,34 +50,24 @@ class TrackerLoop:
 class Tracker:
     """One method of tracking the position.
 
-    Parameters
-    ----------
-    name:
-        As in the design file; ``code`` is the part of C names, ``title`` says it in words.
-    design:
-        (design, its settings of this estimator) -> gains, a frozen dataclass of floats and tuples
-        of floats; `NoSolutionError` with the number where physics forbids it.
-    start:
-        (gains, electrical angle in rad, electrical speed in rad/s) -> first state, shapes (N,).
-    step:
-        (gains, state, voltage that acted, current, further signals in the order of ``hears``,
-        arithmetic) -> next state; with ``injects`` its ``added`` is the voltage (alpha, beta) in V
-        that is to be added to the one that acts from the next sampling instant on, and its ``seen``
-        the current without what that voltage makes of it.
-    gains:
-        The dataclass that ``design`` returns.
-    speeds:
-        (design, gains) -> least and largest electrical speed in rad/s at which it holds.
-    in_words:
-        gains -> by what numbers it is tuned.
-    hears:
-        The further signals that it is told.
-    injects:
-        Whether it asks for a voltage.
-    at_speed:
-        Whether it must be started while the rotor turns, as it cannot follow from rest.
-    loop:
-        gains -> its phase-locked loop, with which a speed loop is judged; None where it has none.
+    Args:
+        name: As in the design file; ``code`` is the part of C names, ``title`` says it in words.
+        design: (design, its settings of this estimator) -> gains, a frozen dataclass of floats and
+            tuples of floats; `NoSolutionError` with the number where physics forbids it.
+        start: (gains, electrical angle in rad, electrical speed in rad/s) -> first state, shapes
+            (N,).
+        step: (gains, state, voltage that acted, current, further signals in the order of ``hears``,
+            arithmetic) -> next state; with ``injects`` its ``added`` is the voltage (alpha, beta)
+            in V that is to be added to the one that acts from the next sampling instant on, and its
+            ``seen`` the current without what that voltage makes of it.
+        gains: The dataclass that ``design`` returns.
+        speeds: (design, gains) -> least and largest electrical speed in rad/s at which it holds.
+        in_words: gains -> by what numbers it is tuned.
+        hears: The further signals that it is told.
+        injects: Whether it asks for a voltage.
+        at_speed: Whether it must be started while the rotor turns, as it cannot follow from rest.
+        loop: gains -> its phase-locked loop, with which a speed loop is judged; None where it has
+            none.
     """
 
     name: str

@@ -9,17 +9,14 @@ import numpy as np
 from dqforge.optimizer.exploration.block_rows import Column
 from dqforge.optimizer.variant_steps.outputs import Output
 
-EVERY = 1000
-"""Of every so many rows of a study one is computed by both paths."""
+EVERY = 1000  # Of every so many rows of a study one is computed by both paths.
 
 
 def audited_rows(first: int, end: int) -> range:
     """Rows first to end - 1 that both paths compute.
 
-    Parameters
-    ----------
-    first, end:
-        Rows of a block.
+    Args:
+        first, end: Rows of a block.
     """
     return range(first + (-first) % EVERY, end, EVERY)
 
@@ -35,16 +32,11 @@ def deviations(
     A number that only one of the two paths has deviates infinitely; so does another choice. What
     says which path was taken is no number of the design.
 
-    Parameters
-    ----------
-    outputs:
-        What was asked for.
-    row:
-        Place of the row in ``batch``.
-    batch:
-        Columns of the block.
-    single:
-        Columns of the row alone.
+    Args:
+        outputs: What was asked for.
+        row: Place of the row in ``batch``.
+        batch: Columns of the block.
+        single: Columns of the row alone.
     """
     return {
         output.name: _apart(float(batch[output.name][row]), float(single[output.name][0]))
@@ -64,10 +56,8 @@ def _apart(batch: float, single: float) -> float:
 def largest(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Largest deviations of several rows, by output in the order of the first.
 
-    Parameters
-    ----------
-    found:
-        Deviations of each row.
+    Args:
+        found: Deviations of each row.
     """
     names = found[0] if found else ()
     return {name: max(each[name] for each in found) for name in names}

@@ -23,22 +23,18 @@ from dqforge.optimizer.exploration.row_inputs import (
 from dqforge.optimizer.variant_steps.step_cache import Work
 from dqforge.optimizer.variant_steps.variation import Corner, Variation, variation
 
+# Rows of a study that share all but numbers, from which on corners are tried: fewer are quicker one
+# by one. It counts those of the study, not of a block: a row has the same path in any block.
 LEAST_TOGETHER = 16
-"""Rows of a study that share all but numbers, from which on corners are tried: fewer are quicker
-one by one. It counts those of the study, not of a block: a row has the same path in any block."""
-
 _MOST_KEPT = 1024
-
 Discrete = tuple[float, ...]
 
 
 def key_bounds(study: Study) -> dict[str, tuple[float, float]]:
     """Least and largest value of each numeric key in SI units, whatever the rows.
 
-    Parameters
-    ----------
-    study:
-        The study.
+    Args:
+        study: The study.
     """
     drawn = {tolerance.key: _ends(tolerance) for tolerance in study.tolerances}
     bounds = {}
@@ -65,14 +61,10 @@ def _ends(tolerance: Tolerance) -> tuple[float, float]:
 class Grouping:
     """How rows of a study are put together.
 
-    Parameters
-    ----------
-    study:
-        The study.
-    bounds:
-        Ends of the numeric keys that are tried together.
-    work:
-        Counts designs.
+    Args:
+        study: The study.
+        bounds: Ends of the numeric keys that are tried together.
+        work: Counts designs.
     """
 
     study: Study
@@ -88,12 +80,9 @@ class Grouping:
     def groups(self, inputs: Inputs, count: int) -> Iterator[Group]:
         """Groups of N rows in the order of their first rows.
 
-        Parameters
-        ----------
-        inputs:
-            What goes into the rows.
-        count:
-            Number of rows.
+        Args:
+            inputs: What goes into the rows.
+            count: Number of rows.
         """
         fixed = [e.key.name for e in self.entries if e.key.name not in self.bounds]
         for rows in _alike([np.asarray(inputs[name], np.float64) for name in fixed], count):
@@ -120,10 +109,8 @@ class Grouping:
     def corner_maker(self, first: Mapping[str, YamlValue]) -> Callable[[Corner], Design]:
         """Designs of one combination of the other keys.
 
-        Parameters
-        ----------
-        first:
-            All keys of one row, as a design file says them.
+        Args:
+            first: All keys of one row, as a design file says them.
         """
         written = {entry.key.name: entry for entry in self.entries}
 

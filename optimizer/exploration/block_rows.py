@@ -15,6 +15,7 @@ from dqforge.optimizer.variant_steps.outputs import Output
 
 Column = FloatArray | NDArray[np.int32]
 
+# What a row is called that ends in two ways.
 _RANK: Mapping[RowState, int] = {
     "ok": 0,
     "limit": 1,
@@ -23,16 +24,12 @@ _RANK: Mapping[RowState, int] = {
     "crashed": 4,
 }
 
-"""What a row is called that ends in two ways."""
-
 
 def state_of(error: DqforgeError) -> RowState:
     """How a row ends that is refused with an error.
 
-    Parameters
-    ----------
-    error:
-        As the single command would print it.
+    Args:
+        error: As the single command would print it.
     """
     return "no-solution" if isinstance(error, NoSolutionError) else "refused"
 
@@ -41,12 +38,9 @@ def state_of(error: DqforgeError) -> RowState:
 class BlockRows:
     """Columns of N rows by the name of the output, NaN (-1 for choices) until they are filled.
 
-    Parameters
-    ----------
-    count:
-        Number of rows N.
-    outputs:
-        What is asked for.
+    Args:
+        count: Number of rows N.
+        outputs: What is asked for.
     """
 
     count: int
@@ -92,10 +86,8 @@ class BlockRows:
 def one_kind(values: Column) -> Column:
     """Numbers with positive quiet NaN and without negative zero; choices as they are.
 
-    Parameters
-    ----------
-    values:
-        A column.
+    Args:
+        values: A column.
     """
     if values.dtype != np.float64:
         return values

@@ -16,16 +16,14 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.exploration.study import Draw, Tolerance
 from dqforge.optimizer.exploration.saltelli_design import saltelli_inputs, saltelli_places
 
-_PER_STEP = 4
-"""Numbers of 64 bits that Philox gives for one step of its counter."""
-
+_PER_STEP = 4  # Numbers of 64 bits that Philox gives for one step of its counter.
 _STEP = 0.5**53
+# Random numbers lie in the middle of steps of this width, so that none is 0 or 1.
 _HALF = 0.5 * _STEP
-"""Random numbers lie in the middle of steps of this width, so that none is 0 or 1."""
 
+# What the library's forward jump can do; a point lies in the middle of its step here, too.
 _BITS = np.uint64(11)
 _BITS_OF_SOBOL = 32
-"""What the library's forward jump can do; a point lies in the middle of its step here, too."""
 
 
 def draw_values(

@@ -24,20 +24,13 @@ def exact_step(
 ) -> None:
     """Compute a step of a design and fill it in for all rows that share what it depends on.
 
-    Parameters
-    ----------
-    steps:
-        The steps, with what is known already.
-    asked:
-        What the study asks for.
-    block:
-        Filled; rows that are refused end there.
-    rows:
-        The rows.
-    step:
-        The step.
-    design:
-        Their design.
+    Args:
+        steps: The steps, with what is known already.
+        asked: What the study asks for.
+        block: Filled; rows that are refused end there.
+        rows: The rows.
+        step: The step.
+        design: Their design.
     """
     try:
         if step == "losses":
@@ -61,16 +54,11 @@ def exact_row(
 ) -> None:
     """Compute the steps of one row.
 
-    Parameters
-    ----------
-    steps, asked, block:
-        As in `exact_step`.
-    row:
-        Its place in the block.
-    design:
-        Its design.
-    only:
-        Steps that are still missing.
+    Args:
+        steps, asked, block: As in `exact_step`.
+        row: Its place in the block.
+        design: Its design.
+        only: Steps that are still missing.
     """
     for step in asked.steps:
         if step in only:
@@ -90,17 +78,12 @@ def _numbers(steps: ExactSteps, step: Step, design: Design) -> Numbers:
 def exact_losses(steps: ExactSteps, asked: Asked, design: Design) -> LossColumns:
     """Columns of losses of one design.
 
-    Parameters
-    ----------
-    steps, asked:
-        As in `exact_step`.
-    design:
-        The design.
+    Args:
+        steps, asked: As in `exact_step`.
+        design: The design.
 
-    Raises
-    ------
-    DqforgeError
-        It names no points, or they are refused.
+    Raises:
+        DqforgeError: It names no points, or they are refused.
     """
     return loss_columns(_loss_rows(steps, design), asked.of_step("losses"))
 
@@ -122,14 +105,10 @@ def table_losses(
     """Columns of losses of N rows that differ in carrier frequency alone, None where there is no
     table of them.
 
-    Parameters
-    ----------
-    steps, asked:
-        As in `exact_step`.
-    design:
-        The design of one of them.
-    frequencies:
-        Their carrier frequencies in Hz.
+    Args:
+        steps, asked: As in `exact_step`.
+        design: The design of one of them.
+        frequencies: Their carrier frequencies in Hz.
     """
     known = {value: place for place, value in enumerate(steps.grid.frequencies)}
     losses = design.losses
@@ -146,14 +125,10 @@ def table_losses(
 def put_losses(block: BlockRows, rows: IndexArray, found: LossColumns) -> None:
     """Fill in losses, and end rows whose points are not all fine.
 
-    Parameters
-    ----------
-    block:
-        Filled.
-    rows:
-        The rows.
-    found:
-        Columns of as many rows, or of one that they share.
+    Args:
+        block: Filled.
+        rows: The rows.
+        found: Columns of as many rows, or of one that they share.
     """
     block.put(rows, found.columns)
     shared = found.missing.size == 1

@@ -33,17 +33,12 @@ _CARRIER = "inverter.f_sw"
 class Group:
     """Rows that differ in numbers alone.
 
-    Parameters
-    ----------
-    rows:
-        Their places in the block, shape (N,).
-    numbers:
-        Values of the keys that vary in SI units, arrays of shape (N,).
-    design:
-        The design of one of them by its place in the group.
-    variation:
-        How the numbers change the design; None where that is not known: then every row is made by
-        itself.
+    Args:
+        rows: Their places in the block, shape (N,).
+        numbers: Values of the keys that vary in SI units, arrays of shape (N,).
+        design: The design of one of them by its place in the group.
+        variation: How the numbers change the design; None where that is not known: then every row
+            is made by itself.
     """
 
     rows: IndexArray
@@ -55,16 +50,11 @@ class Group:
 def fill_group(steps: ExactSteps, asked: Asked, block: BlockRows, group: Group) -> None:
     """Compute all outputs of the rows of a group.
 
-    Parameters
-    ----------
-    steps:
-        The exact steps, with what is known already.
-    asked:
-        What the study asks for.
-    block:
-        Filled.
-    group:
-        The rows.
+    Args:
+        steps: The exact steps, with what is known already.
+        asked: What the study asks for.
+        block: Filled.
+        group: The rows.
     """
     if group.variation is None:
         for place in range(group.rows.size):
@@ -137,14 +127,10 @@ def _fill_step(
 def goes_together(steps: ExactSteps, asked: Asked, variation: Variation, count: int) -> bool:
     """Whether rows of a variation are computed together in every step that is asked for.
 
-    Parameters
-    ----------
-    steps, asked:
-        As in `fill_group`.
-    variation:
-        How numbers change the design.
-    count:
-        Rows to try it with, between the ends of the numbers.
+    Args:
+        steps, asked: As in `fill_group`.
+        variation: How numbers change the design.
+        count: Rows to try it with, between the ends of the numbers.
     """
     share = np.linspace(0.0, 1.0, count)
     for step in asked.steps:

@@ -14,14 +14,9 @@ from dqforge.machines.records import dataclass
 
 RowState = Literal["ok", "limit", "no-solution", "refused", "crashed"]
 STATES: tuple[RowState, ...] = get_args(RowState)
-
 ColumnKind = Literal["number", "choice"]
-
-INPUT_COLUMN, OUTPUT_COLUMN = "in.", "out."
-"""What the names of columns begin with."""
-
-KEY_BYTES = 16
-"""Length of a row's key."""
+INPUT_COLUMN, OUTPUT_COLUMN = "in.", "out."  # What the names of columns begin with.
+KEY_BYTES = 16  # Length of a row's key.
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,22 +35,16 @@ class ColumnSpec:
 class RowBlock:
     """Rows ``first`` to ``first + n - 1``.
 
-    Parameters
-    ----------
-    first:
-        Index of the first row in the study.
-    columns:
-        By name of the column, in the order of the study's `ColumnSpec`s: numbers (n,) in SI units,
-        NaN for what does not exist; of choices the places in their words, int32, -1 for none.
-    keys:
-        Hash of each row's resolved design, uint8 (n, 16).
-    states:
-        Places in `STATES`, int8 (n,).
-    messages:
-        What the single command would print, empty for rows that ended well.
-    audited:
-        Largest relative deviation of the batch path from the single path by output, of the rows
-        of this block that were computed by both.
+    Args:
+        first: Index of the first row in the study.
+        columns: By name of the column, in the order of the study's `ColumnSpec`s: numbers (n,) in
+            SI units, NaN for what does not exist; of choices the places in their words, int32, -1
+            for none.
+        keys: Hash of each row's resolved design, uint8 (n, 16).
+        states: Places in `STATES`, int8 (n,).
+        messages: What the single command would print, empty for rows that ended well.
+        audited: Largest relative deviation of the batch path from the single path by output, of the
+            rows of this block that were computed by both.
     """
 
     first: int

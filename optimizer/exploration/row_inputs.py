@@ -23,27 +23,21 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.draws import draw_values
 from dqforge.optimizer.exploration.row_block import INPUT_COLUMN, ColumnSpec
 
+# By key, shape (n,): numbers in SI units, or places in the words of its `ColumnSpec`.
 Inputs = Mapping[str, FloatArray | NDArray[np.int32]]
-"""By key, shape (n,): numbers in SI units, or places in the words of its `ColumnSpec`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InputKey:
     """A key whose value differs between rows.
 
-    Parameters
-    ----------
-    key:
-        What stands there in a design.
-    spec:
-        Its column.
-    steps:
-        Values of its axis as a design file writes them, empty where it is drawn.
-    values:
-        Of each step the number in SI units, or the place of its word in ``spec.choices``.
-    kind:
-        Convention that the values of the study name (``line-to-line``), None for that of the
-        design.
+    Args:
+        key: What stands there in a design.
+        spec: Its column.
+        steps: Values of its axis as a design file writes them, empty where it is drawn.
+        values: Of each step the number in SI units, or the place of its word in ``spec.choices``.
+        kind: Convention that the values of the study name (``line-to-line``), None for that of the
+            design.
     """
 
     key: DesignKey
@@ -84,12 +78,9 @@ def input_columns(study: Study) -> tuple[ColumnSpec, ...]:
 def row_inputs(study: Study, first: int, end: int) -> Inputs:
     """What goes into rows first to end - 1 of a study on a grid, by key.
 
-    Parameters
-    ----------
-    study:
-        With axes, tolerances or neither.
-    first, end:
-        Range of rows, 0 <= first <= end <= `row_count`.
+    Args:
+        study: With axes, tolerances or neither.
+        first, end: Range of rows, 0 <= first <= end <= `row_count`.
     """
     rows = np.arange(first, end, dtype=np.int64)
     draws = 1 if study.draw is None else study.draw.count
@@ -111,13 +102,10 @@ def row_inputs(study: Study, first: int, end: int) -> Inputs:
 def chosen_inputs(study: Study, points: FloatArray) -> Inputs:
     """What goes into rows that a search chose, by key.
 
-    Parameters
-    ----------
-    study:
-        With axes alone.
-    points:
-        One column per axis, shape (n, A): numbers in SI units where it is continuous, else the
-        places of its steps.
+    Args:
+        study: With axes alone.
+        points: One column per axis, shape (n, A): numbers in SI units where it is continuous, else
+            the places of its steps.
     """
     found: dict[str, FloatArray | NDArray[np.int32]] = {}
     entries = iter(input_keys(study))
@@ -134,14 +122,10 @@ def chosen_inputs(study: Study, points: FloatArray) -> Inputs:
 def row_assignments(study: Study, inputs: Inputs, place: int) -> dict[str, YamlValue]:
     """Keys of one row as `design_of` takes them.
 
-    Parameters
-    ----------
-    study:
-        The study.
-    inputs:
-        As `row_inputs`, or chosen by a search.
-    place:
-        Of the row in them.
+    Args:
+        study: The study.
+        inputs: As `row_inputs`, or chosen by a search.
+        place: Of the row in them.
     """
     return {
         entry.key.name: entry.assigned(inputs[entry.key.name][place]) for entry in input_keys(study)

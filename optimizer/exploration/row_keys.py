@@ -33,12 +33,9 @@ Words = tuple[int, ...]
 class RowKeys:
     """Keys of the rows of one study.
 
-    Parameters
-    ----------
-    study:
-        The study.
-    outputs:
-        Names of the columns that its rows have, in any order.
+    Args:
+        study: The study.
+        outputs: Names of the columns that its rows have, in any order.
     """
 
     def __init__(self, study: Study, outputs: Sequence[str]) -> None:
@@ -191,14 +188,10 @@ def _sha(content: bytes) -> str:
 def row_keys(study: Study, inputs: Inputs, outputs: Sequence[str]) -> NDArray[np.uint8]:
     """Keys of the rows of a study, shape (n, 16).
 
-    Parameters
-    ----------
-    study:
-        The study.
-    inputs:
-        What goes into its rows, as `row_inputs` or a search gives it.
-    outputs:
-        Names of its columns.
+    Args:
+        study: The study.
+        inputs: What goes into its rows, as `row_inputs` or a search gives it.
+        outputs: Names of its columns.
     """
     keys = _KEYS.of(study)
     known = keys.get(tuple(sorted(outputs)))

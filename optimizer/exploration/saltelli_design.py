@@ -17,12 +17,9 @@ def saltelli_places(first: int, end: int, inputs: int) -> tuple[IndexArray, Inde
 
     Row k belongs to base row k // (D + 2), so that a longer study begins with the same rows.
 
-    Parameters
-    ----------
-    first, end:
-        Rows first to end - 1.
-    inputs:
-        Number of inputs D.
+    Args:
+        first, end: Rows first to end - 1.
+        inputs: Number of inputs D.
     """
     rows = np.arange(first, end, dtype=np.intp)
     return rows // (inputs + 2), rows % (inputs + 2)
@@ -31,13 +28,10 @@ def saltelli_places(first: int, end: int, inputs: int) -> tuple[IndexArray, Inde
 def saltelli_inputs(sample: FloatArray, which: IndexArray) -> FloatArray:
     """Shares of the distributions for rows of the design, shape (n, D).
 
-    Parameters
-    ----------
-    sample:
-        For each row the numbers in (0, 1) of its base row, those of A and then those of B, shape
-        (n, 2 D).
-    which:
-        Which sample each row is of, as `saltelli_places` gives it.
+    Args:
+        sample: For each row the numbers in (0, 1) of its base row, those of A and then those of B,
+            shape (n, 2 D).
+        which: Which sample each row is of, as `saltelli_places` gives it.
     """
     inputs = sample.shape[1] // 2
     from_b = (which[:, np.newaxis] == 1) | (which[:, np.newaxis] == 2 + np.arange(inputs))

@@ -31,10 +31,8 @@ class NamedLimit:
     def broken(self, values: FloatArray) -> BoolArray:
         """Where values lie beyond the limit, or do not exist.
 
-        Parameters
-        ----------
-        values:
-            Values in SI units, any shape.
+        Args:
+            values: Values in SI units, any shape.
         """
         return ~within(values, self.bound.below, self.bound.above)
 
@@ -53,12 +51,9 @@ class NamedLimit:
 def study_limits(study: Study, design: Design) -> tuple[NamedLimit, ...]:
     """The limits of a study whose names are checked.
 
-    Parameters
-    ----------
-    study:
-        The study.
-    design:
-        The design it starts from.
+    Args:
+        study: The study.
+        design: The design it starts from.
     """
     found = []
     for bound in study.limits:
@@ -79,12 +74,9 @@ def _place(study: Study, name: str) -> str:
 def hold_limits(block: BlockRows, limits: Sequence[NamedLimit]) -> None:
     """End rows whose numbers break a limit.
 
-    Parameters
-    ----------
-    block:
-        Rows with all their columns.
-    limits:
-        The limits.
+    Args:
+        block: Rows with all their columns.
+        limits: The limits.
     """
     ended = block.states > STATES.index("limit")
     for limit in limits:

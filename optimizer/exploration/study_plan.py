@@ -49,10 +49,9 @@ from dqforge.optimizer.variant_steps.variation import batch_keys, variation
 from dqforge.optimizer.yields.fixed_header import FixedHeader, nominal_header
 from dqforge.optimizer.yields.yield_outputs import check_outputs
 
+# Rows per part: of machines under a fixed header, of rows that formulas compute together, and of
+# designs made one by one.
 YIELD_BATCH, TOGETHER_BATCH, SINGLE_BATCH = 10_000, 1_000, 25
-"""Rows per part: of machines under a fixed header, of rows that formulas compute together, and of
-designs made one by one."""
-
 _CARRIER_KEY, _MODULATORS_KEY = "inverter.switching_frequency", "losses.modulations"
 
 
@@ -60,17 +59,12 @@ _CARRIER_KEY, _MODULATORS_KEY = "inverter.switching_frequency", "losses.modulati
 class StudyPlan:
     """Rows of a study (a `RowSource`).
 
-    Parameters
-    ----------
-    study:
-        The study.
-    header:
-        The header that it names, read; None where it names none, or one that is made now.
+    Args:
+        study: The study.
+        header: The header that it names, read; None where it names none, or one that is made now.
 
-    Raises
-    ------
-    InputError
-        The study asks for what its design cannot give; with the place in the study.
+    Raises:
+        InputError: The study asks for what its design cannot give; with the place in the study.
     """
 
     study: Study
@@ -114,25 +108,19 @@ class StudyPlan:
     def rows(self, first: int, end: int) -> RowBlock:
         """Rows first to end - 1 of the study, computed.
 
-        Parameters
-        ----------
-        first, end:
-            Range of rows, 0 <= first < end <= ``count``.
+        Args:
+            first, end: Range of rows, 0 <= first < end <= ``count``.
 
-        Raises
-        ------
-        ValueError
-            The rows are those of a search, which follow from each other.
+        Raises:
+            ValueError: The rows are those of a search, which follow from each other.
         """
         return self.rows_of(self.inputs(first, end), first, end - first)
 
     def inputs(self, first: int, end: int) -> Inputs:
         """What goes into rows first to end - 1, by key; the range as for `rows`.
 
-        Parameters
-        ----------
-        first, end:
-            Range of rows.
+        Args:
+            first, end: Range of rows.
         """
         if self.study.search is not None:
             raise ValueError("rows of a search have inputs of their own: ask rows_of")
@@ -141,20 +129,16 @@ class StudyPlan:
     def keys(self, first: int, end: int) -> NDArray[np.uint8]:
         """Keys of rows first to end - 1, shape (n, 16); the range as for `rows`.
 
-        Parameters
-        ----------
-        first, end:
-            Range of rows.
+        Args:
+            first, end: Range of rows.
         """
         return self.keys_of(self.inputs(first, end))
 
     def keys_of(self, inputs: Inputs) -> NDArray[np.uint8]:
         """Keys of rows with inputs that somebody chose, shape (n, 16).
 
-        Parameters
-        ----------
-        inputs:
-            As for `rows_of`.
+        Args:
+            inputs: As for `rows_of`.
         """
         return row_keys(self.study, inputs, self._names)
 
@@ -165,14 +149,10 @@ class StudyPlan:
     def rows_of(self, inputs: Inputs, first: int, count: int) -> RowBlock:
         """Rows with inputs that somebody chose, such as a search.
 
-        Parameters
-        ----------
-        inputs:
-            By key, shape (N,): as `row_inputs` gives them.
-        first:
-            Index of the first of them in the study.
-        count:
-            Number of rows N.
+        Args:
+            inputs: By key, shape (N,): as `row_inputs` gives them.
+            first: Index of the first of them in the study.
+            count: Number of rows N.
         """
         made = self._made
         block = BlockRows(count, made.asked.outputs)

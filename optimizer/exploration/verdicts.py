@@ -6,20 +6,17 @@ import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 
+# Share of a bound by which a value may lie beyond it and counts as within: machines differ in the
+# last digits, and are to agree.
 VERDICT_MARGIN = 1e-9
-"""Share of a bound by which a value may lie beyond it and counts as within: machines differ in the
-last digits, and are to agree."""
 
 
 def within(values: FloatArray, below: float | None, above: float | None) -> BoolArray:
     """Whether values keep their bounds, any shape; what is no number does not.
 
-    Parameters
-    ----------
-    values:
-        In SI units.
-    below, above:
-        Bounds in SI units, None where there is none.
+    Args:
+        values: In SI units.
+        below, above: Bounds in SI units, None where there is none.
     """
     kept = ~np.isnan(values)
     if below is not None:

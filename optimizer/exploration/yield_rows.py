@@ -42,15 +42,11 @@ from dqforge.optimizer.yields.yield_outputs import yield_outputs
 class YieldStudy:
     """A header and what is asked of it.
 
-    Parameters
-    ----------
-    header:
-        What is flashed to every drive.
-    asked:
-        What the study asks for.
-    nominal:
-        Fields of the inverter that are drawn, with their values in the design itself: losses are
-        those at its link and carrier.
+    Args:
+        header: What is flashed to every drive.
+        asked: What the study asks for.
+        nominal: Fields of the inverter that are drawn, with their values in the design itself:
+            losses are those at its link and carrier.
     """
 
     header: FixedHeader
@@ -73,12 +69,9 @@ _DRAWN_FIELDS = {
 def nominal_inverter(base: Design, drawn: Collection[str]) -> dict[str, float]:
     """Fields of the inverter that are drawn, with their values in the design itself.
 
-    Parameters
-    ----------
-    base:
-        The design that the study starts from.
-    drawn:
-        Keys that are drawn.
+    Args:
+        base: The design that the study starts from.
+        drawn: Keys that are drawn.
     """
     found = {
         name: getattr(base.inverter, name) for key, name in _DRAWN_FIELDS.items() if key in drawn
@@ -89,14 +82,10 @@ def nominal_inverter(base: Design, drawn: Collection[str]) -> dict[str, float]:
 def fill_yields(study: YieldStudy, block: BlockRows, group: Group) -> None:
     """Compute all outputs of the machines of a group.
 
-    Parameters
-    ----------
-    study:
-        Header and outputs.
-    block:
-        Filled; rows whose design is refused end there.
-    group:
-        The rows.
+    Args:
+        study: Header and outputs.
+        block: Filled; rows whose design is refused end there.
+        group: The rows.
     """
     if group.variation is not None:
         rows = BatchRows(group.variation.base, group.variation.columns(group.numbers), study.asked)

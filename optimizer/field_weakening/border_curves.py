@@ -21,6 +21,7 @@ from dqforge.optimizer.curves.two_family_levelling import Aims, level
 from dqforge.optimizer.field_weakening.exact import WeakeningRegion
 from dqforge.optimizer.linear_programme import least_cost
 
+# Segments and degree in the order of their number of coefficients.
 _SHAPES = (
     (1, 2),
     (1, 3),
@@ -37,44 +38,28 @@ _SHAPES = (
     (4, 6),
 )
 
-"""Segments and degree in the order of their number of coefficients."""
-
-
+# Powers by which breakpoints crowd towards the start, where roots are steep, or towards the end,
+# next to which MTPV may give way to the current limit.
 _SPACINGS = (1.0, 2.0, 3.0, 0.5, 0.3)
-
-"""Powers by which breakpoints crowd towards the start, where roots are steep, or towards the end,
-next to which MTPV may give way to the current limit."""
-
-
 _POINTS = 601
 
-
+# Permitted deviation of an MTPA current: share of itself plus share of the limit. It costs next to
+# no loss.
 _CURRENT_SHARES = 0.02, 0.02
 
-"""Permitted deviation of an MTPA current: share of itself plus share of the limit.
-It costs next to no loss."""
-
-
+# Least rise of the torque limit over its domain, over the largest torque: between the points it
+# falls nowhere.
 _LEAST_SLOPE = 1e-4
 
-"""Least rise of the torque limit over its domain, over the largest torque:
-between the points it falls nowhere."""
-
-
+# Permitted error of the flux linkage of MTPA points below the least one: shares of that and of the
+# distance from it.
 _BELOW = 0.1, 0.8
 
-"""Permitted error of the flux linkage of MTPA points below the least one: shares of that and of the
-distance from it."""
-
-
+# Share of the current limit between neighbours of `_POINTS` that is a jump of MTPA currents.
 _JUMP = 0.1
 
-"""Share of the current limit between neighbours of `_POINTS` that is a jump of MTPA currents."""
-
-
+# Share of the least flux linkage from which the flux linkage of an MTPA point matters.
 _NEAR = 0.97
-
-"""Share of the least flux linkage from which the flux linkage of an MTPA point matters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,10 +146,8 @@ def fit_limit(region: WeakeningRegion, permitted: float) -> SinglePolynomial:
     """Largest torque in N m over the available flux linkage less ``flux_min``,
     from below within ``permitted`` N m.
 
-    Raises
-    ------
-    NoSolutionError
-        No shape comes that close.
+    Raises:
+        NoSolutionError: No shape comes that close.
     """
     span = region.flux_max - region.flux_min
     share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _POINTS))
@@ -229,10 +212,8 @@ def fit_mtpa(region: WeakeningRegion, torque_error: float, flux_error: float) ->
     """MTPA currents and their flux linkage, the torque within ``torque_error`` N m,
     the flux linkage relative.
 
-    Raises
-    ------
-    NoSolutionError
-        No shape comes that close, or the currents jump.
+    Raises:
+        NoSolutionError: No shape comes that close, or the currents jump.
     """
     share = np.linspace(0.0, 1.0, _POINTS) ** 2
     exact = region.mtpa(share * region.torque_max)

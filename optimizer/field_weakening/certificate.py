@@ -54,26 +54,15 @@ from dqforge.optimizer.field_weakening.voltage_bounds import (
 from dqforge.optimizer.field_weakening.voltage_region import VoltageRegion
 
 _HALVINGS = 8
+_CLOSE = 1.02  # Bounds within this factor of the errors found at centres are not refined.
 
-
-_CLOSE = 1.02
-
-"""Bounds within this factor of the errors found at centres are not refined."""
-
-
+# Shares of torque, squared flux linkage, squared current and squared voltage below which no bound
+# is refined.
 _RESOLUTION = np.array([1e-6, 2e-6, 2e-6, 2e-6])
 
-"""Shares of torque, squared flux linkage, squared current and squared voltage below
-which no bound is refined."""
-
-
+# Boxes that are looked at, and strips along the torque limit; what is left then keeps its bounds.
 _BATCH = 8192
-
-
 _MOST_BOXES = 200_000
-
-"""Boxes that are looked at, and strips along the torque limit; what is
-left then keeps its bounds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,18 +257,12 @@ def certify_surface(
 ) -> SurfaceCertificate | None:
     """Prove bounds of the errors of a two-dimensional reference over its whole domain.
 
-    Parameters
-    ----------
-    region:
-        Machine and limits that it is to keep.
-    reference:
-        The emitted constants.
-    step:
-        The step about it with its domain, whose voltage is to be bounded as well.
+    Args:
+        region: Machine and limits that it is to keep.
+        reference: The emitted constants.
+        step: The step about it with its domain, whose voltage is to be bounded as well.
 
-    Returns
-    -------
-    SurfaceCertificate
+    Returns:
         For every torque of either sign, whether it can be had or not, and every flux linkage from
         the least one on, with and without fused multiply-add; None for a machine that is neither
         linear nor a flux map, and where no bound could be proven.

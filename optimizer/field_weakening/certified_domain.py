@@ -17,14 +17,8 @@ from dqforge.optimizer.field_weakening.exact import WeakeningRegion
 from dqforge.optimizer.field_weakening.form import WeakeningReference
 from dqforge.optimizer.field_weakening.limit_bounds import limit_decrease, limit_range
 
-_FIRST = 16
-
-"""Parts of the torques and of the excess flux linkages to begin with."""
-
-
+_FIRST = 16  # Parts of the torques and of the excess flux linkages to begin with.
 STRIPS = 1024
-
-
 _MARGIN = 1.01
 
 

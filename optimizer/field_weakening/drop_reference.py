@@ -22,19 +22,13 @@ from dqforge.optimizer.curves.single_precision import (
 )
 from dqforge.optimizer.field_weakening.form import WeakeningReference
 
+# Trials of the torque at most: what cannot be had is halved down to 2^-12 of what was asked for.
 STEPS = 14
 
-"""Trials of the torque at most: what cannot be had is halved down to
-2^-12 of what was asked for."""
-
-
+# Code and literals beside those of the surface: always, for a second look at the current, for a
+# bound of the current that falls with the flux linkage. Above what gcc 12 makes for a Cortex-M4F
+# with -O2.
 _BYTES = 115, 255, 215
-
-"""Code and literals beside those of the surface: always, for a second look at the current, for a
-bound of the current that falls with the flux linkage. Above what gcc 12 makes for a Cortex-M4F with
--O2."""
-
-
 _ZERO, _HALF = np.float32(0.0), np.float32(0.5)
 
 
@@ -43,24 +37,16 @@ class DropReference:
     """i_d and i_q in A over torque in N m, largest phase-voltage amplitude in V and
     electrical speed in rad/s.
 
-    Parameters
-    ----------
-    surface:
-        Currents over torque and available flux linkage.
-    torque_max:
-        Largest torque in N m.
-    per_torque:
-        2 R/(3/2 p) in Ohm, so that 2 R omega tau is this times speed and torque.
-    square:
-        R^2 in Ohm^2.
-    reserve:
-        R^2 I^2 in V^2 with the current limit I, not below it.
-    near:
-        (c, e) in V^2 and Ohm^2 A^2/Wb^2: at the largest torque of an available flux linkage a,
-        where MTPV holds it, R^2 |i|^2 is at most c + e a^2; None where that does not matter.
-    passes:
-        Evaluations of the surface: 1, or 2 where the current of the first one
-        tells the drop of the second.
+    Args:
+        surface: Currents over torque and available flux linkage.
+        torque_max: Largest torque in N m.
+        per_torque: 2 R/(3/2 p) in Ohm, so that 2 R omega tau is this times speed and torque.
+        square: R^2 in Ohm^2.
+        reserve: R^2 I^2 in V^2 with the current limit I, not below it.
+        near: (c, e) in V^2 and Ohm^2 A^2/Wb^2: at the largest torque of an available flux linkage
+            a, where MTPV holds it, R^2 |i|^2 is at most c + e a^2; None where that does not matter.
+        passes: Evaluations of the surface: 1, or 2 where the current of the first one tells the
+            drop of the second.
     """
 
     surface: WeakeningReference

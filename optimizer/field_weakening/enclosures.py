@@ -34,15 +34,9 @@ from dqforge.optimizer.certificates.rounding import (
 )
 from dqforge.optimizer.field_weakening.form import SingleSurface, WeakeningReference
 
+# Cells of a flux map that one box may touch; of wider ones nothing is known until they are halved.
 MOST_CELLS = 9
-
-"""Cells of a flux map that one box may touch; of wider ones nothing is
-known until they are halved."""
-
-
-_SLACK = 1e-14
-
-"""Share that makes up for the rounding of the few sums in `Bend.range`."""
+_SLACK = 1e-14  # Share that makes up for the rounding of the few sums in `Bend.range`.
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,9 +304,7 @@ def _cubics(
     return jet
 
 
-Parts = tuple[Value, ...]
-
-"""A function of the currents: value, gradient, and Hessian (dd, dq, qq)."""
+Parts = tuple[Value, ...]  # A function of the currents: value, gradient, and Hessian (dd, dq, qq).
 
 
 def machine_parts(

@@ -29,12 +29,9 @@ from dqforge.optimizer.field_weakening.exact import WeakeningRegion
 from dqforge.optimizer.field_weakening.form import WeakeningReference
 from dqforge.optimizer.field_weakening.limit_bounds import limit_room
 
+# Share of the least flux linkage below which a box is halved first: it reaches far beyond the
+# domain.
 _LEAST_FLUX = 0.3
-
-"""Share of the least flux linkage below which a box is halved first:
-it reaches far beyond the domain."""
-
-
 _SLACK = 1e-14
 
 

@@ -14,14 +14,8 @@ from dqforge.optimizer.field_weakening.form import SurfaceSamples, WeakeningRefe
 from dqforge.optimizer.operating_points.point_problem import Active
 
 _COUNT = 56
-
-
 _BORDER_POINTS = 200
-
-
-_BEYOND = 1.04
-
-"""Multiple of the largest flux linkage at which the chart ends."""
+_BEYOND = 1.04  # Multiple of the largest flux linkage at which the chart ends.
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,26 +18,15 @@ from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
 from dqforge.optimizer.operating_points.region_edges import region_that_holds
 
+# Electrical speed in rad/s at which the points are solved: the resistance drop is some 1e-9 of the
+# voltage there.
 _OMEGA = 1e9
+_NO_LIMIT = 1e12  # Phase voltage in V that limits nothing at standstill.
 
-"""Electrical speed in rad/s at which the points are solved: the resistance drop is some
-1e-9 of the voltage there."""
-
-
-_NO_LIMIT = 1e12
-
-"""Phase voltage in V that limits nothing at standstill."""
-
-
+# Share of the largest torque that must be left at the least flux linkage: below, nothing is worth
+# fitting.
 LEAST_SHARE = 0.02
-
-"""Share of the largest torque that must be left at the least flux linkage: below,
-nothing is worth fitting."""
-
-
 _LOCUS_POINTS = 801
-
-
 _DATA_POINTS = 33
 
 
@@ -45,16 +34,12 @@ _DATA_POINTS = 33
 class WeakeningRegion:
     """The domain of torque and available flux linkage of a machine.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    i_max:
-        Current limit in A (peak).
-    flux_min, flux_max:
-        Range of the available flux linkage in Wb; from ``flux_max`` upwards it limits nothing.
-    torque_max:
-        Largest torque in N m within the current limit.
+    Args:
+        machine: Any machine.
+        i_max: Current limit in A (peak).
+        flux_min, flux_max: Range of the available flux linkage in Wb; from ``flux_max`` upwards it
+            limits nothing.
+        torque_max: Largest torque in N m within the current limit.
     """
 
     machine: Machine
@@ -92,11 +77,9 @@ def weakening_region(machine: Machine, i_max: float, flux_min: float) -> Weakeni
     """Domain from ``flux_min`` Wb up to the largest flux linkage on the MTPA locus
     within ``i_max`` A (peak).
 
-    Raises
-    ------
-    NoSolutionError
-        Even ``flux_min`` limits nothing, it leaves next to no torque,
-        or the data of a flux map hold the currents.
+    Raises:
+        NoSolutionError: Even ``flux_min`` limits nothing, it leaves next to no torque, or the data
+            of a flux map hold the currents.
     """
     torque_max = float(mtpa_locus(machine, i_max).torque[-1])
     probe = WeakeningRegion(machine, i_max, flux_min, np.inf, torque_max)
@@ -121,10 +104,8 @@ def weakening_region(machine: Machine, i_max: float, flux_min: float) -> Weakeni
 def _refuse_what_data_hold(region: WeakeningRegion) -> None:
     """Refuse a domain in which the data of a flux map hold the currents: a fit would leave them.
 
-    Raises
-    ------
-    NoSolutionError
-        Names the least torque at which that happens.
+    Raises:
+        NoSolutionError: Names the least torque at which that happens.
     """
     if region_that_holds(region.machine, region.i_max) is None:
         return

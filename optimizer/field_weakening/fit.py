@@ -36,29 +36,22 @@ from dqforge.optimizer.field_weakening.voltage_region import (
 )
 
 _FLUX_LEVELS = 48
-
-
 _TORQUE_LEVELS = 40
 
-
+# Share of the permitted errors that the MTPA currents may take: the surfaces begin with them.
 _MTPA_SHARE = 0.4
 
-"""Share of the permitted errors that the MTPA currents may take: the surfaces begin with them."""
-
-
+# Share of the permitted torque error by which the limit may stay below the largest torque. It keeps
+# the fit away from MTPV itself, where the currents turn by the square root of the torque that is
+# missing.
 _LIMIT_SHARE = 0.4
 
-"""Share of the permitted torque error by which the limit may stay below the largest torque. It
-keeps the fit away from MTPV itself, where the currents turn by the square root of the torque that
-is missing."""
-
-
+# Largest error on the grid of the fit, over the permitted one, from which a candidate is measured
+# closely.
 _GOOD = 0.95
 
-"""Largest error on the grid of the fit, over the permitted one, from which a
-candidate is measured closely."""
-
-
+# Degrees (n, m) in torque and in excess flux linkage that are tried; the monomials x^i y^j have i/n
+# + j/m <= 1.
 _DEGREES = (
     (1, 1),
     (2, 1),
@@ -76,9 +69,6 @@ _DEGREES = (
     (7, 7),
     (8, 8),
 )
-
-"""Degrees (n, m) in torque and in excess flux linkage that are tried;
-the monomials x^i y^j have i/n + j/m <= 1."""
 
 
 def monomials(torque_degree: int, excess_degree: int) -> list[tuple[int, int]]:
@@ -264,22 +254,16 @@ def fit_weakening(
 ) -> WeakeningFit:
     """Smallest two-dimensional reference that keeps its budget.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    i_max:
-        Current limit in A (peak).
-    v_max:
-        Largest phase-voltage amplitude in V; with the largest speed of the settings it
-        gives the least flux linkage.
-    settings:
-        Largest speed and budget.
+    Args:
+        machine: Any machine.
+        i_max: Current limit in A (peak).
+        v_max: Largest phase-voltage amplitude in V; with the largest speed of the settings it gives
+            the least flux linkage.
+        settings: Largest speed and budget.
 
-    Raises
-    ------
-    NoSolutionError
-        The voltage limits nothing, leaves no torque, or no candidate keeps the budget.
+    Raises:
+        NoSolutionError: The voltage limits nothing, leaves no torque, or no candidate keeps the
+            budget.
     """
     domain = voltage_region(machine, i_max, v_max, settings.omega_m)
     region, samples = domain.flux, voltage_samples(domain)

@@ -22,11 +22,10 @@ from dqforge.optimizer.curves.single_precision import (
 )
 from dqforge.optimizer.field_weakening.exact import WeakeningRegion
 
+# Code and literals of the emitted evaluator on a Cortex-M4F: fixed part, and per coefficient (its
+# load, its product, its sum and the literal itself). Above what gcc 12 makes with -O2 and without
+# fused multiply-add; -Os saves a third.
 _BYTES = 260, 18
-
-"""Code and literals of the emitted evaluator on a Cortex-M4F: fixed part, and per coefficient (its
-load, its product, its sum and the literal itself). Above what gcc 12 makes with -O2 and without
-fused multiply-add; -Os saves a third."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,40 +13,20 @@ from dqforge.optimizer.field_weakening.enclosures import formulas, machine_parts
 from dqforge.optimizer.field_weakening.exact import WeakeningRegion
 
 _SOLVED = 800
-
-
 _NODES = 40_001
 
-
+# Share by which the points that prove the least of the largest torque stay within the limits.
 _SAFE = 1.5e-5
 
-"""Share by which the points that prove the least of the largest torque stay within the limits."""
-
-
+# Share of the largest torque within which its bounds from above and from below are close enough.
 _INTERVALS = 200
-
-
 _GRID = 32
-
-
 _HALVINGS = 5
-
-
 _ENOUGH = 1e-5
+_WIDER = 1.0 + 1e-11  # Squares overlap by that much, so that rounding leaves nothing between them.
 
-"""Share of the largest torque within which its bounds from above and
-from below are close enough."""
-
-
-_WIDER = 1.0 + 1e-11
-
-"""Squares overlap by that much, so that rounding leaves nothing between them."""
-
-
+# Share of a limit within which a point counts as on it: it guides the choice of multipliers alone.
 _ACTIVE = 1e-4
-
-"""Share of a limit within which a point counts as on it: it guides the
-choice of multipliers alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,9 +224,7 @@ def largest_torque(region: WeakeningRegion) -> LargestTorque | None:
     too little torque, are left out (S. Boyd, L. Vandenberghe, "Convex Optimization", 2004, section
     5.2). Any multipliers serve; those of the solved optima are nearly the best ones.
 
-    Returns
-    -------
-    LargestTorque
+    Returns:
         None where the points of a flux map lie so close that squares of currents
         touch too many of its cells.
     """

@@ -10,24 +10,17 @@ from dqforge.optimizer.field_weakening.form import WeakeningReference
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE, VoltageRegion
 from dqforge.optimizer.linear_programme import least_cost
 
+# Share of the permitted voltage excess up to which a bound of the current stands for the current
+# itself.
 _NEGLIGIBLE = 0.1
-
-"""Share of the permitted voltage excess up to which a bound of the current
-stands for the current itself."""
-
-
 _LEVELS = 201
 
-
+# Share of the squared current limit by which the emitted currents may lie above the exact ones.
 _MARGIN = 0.003
 
-"""Share of the squared current limit by which the emitted currents may lie above the exact ones."""
-
-
+# Share of the squared current limit below which it is worth saying that MTPV takes less than the
+# limit.
 _WORTH = 0.97
-
-"""Share of the squared current limit below which it is worth saying that MTPV
-takes less than the limit."""
 
 
 def _single_above(value: float) -> np.float32:

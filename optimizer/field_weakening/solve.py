@@ -15,10 +15,8 @@ if TYPE_CHECKING:
 def solve_weakening(design: Design) -> WeakeningFit | None:
     """Two-dimensional reference of the design, None where it asks for none.
 
-    Raises
-    ------
-    NoSolutionError
-        As `fit_weakening`.
+    Raises:
+        NoSolutionError: As `fit_weakening`.
     """
     if design.weakening is None:
         return None

@@ -21,29 +21,19 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.field_weakening.drop_reference import DropReference
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE, VoltageRegion
 
+# Share of the squared voltage that the rounded operations of the step may add. Each adds at most
+# 2^-24 of its result, in squared voltages: 1 the square, 3 times 4 the drop by the torque, 5 and 5
+# what is left of both, twice 5 the root, twice 5 the quotient; at most 5 the squared current with
+# its factor.
 ROUNDING = 64.0 * 2.0**-24
 
-"""Share of the squared voltage that the rounded operations of the step may add. Each adds at most
-2^-24 of its result, in squared voltages: 1 the square, 3 times 4 the drop by the torque, 5 and 5
-what is left of both, twice 5 the root, twice 5 the quotient; at most 5 the squared current with its
-factor."""
-
-
+# Share of the squared voltage up to which the drop by the torque is known to stay, for `ROUNDING`.
 LARGEST_SHARE = 4.0
 
-"""Share of the squared voltage up to which the drop by the torque is known to stay,
-for `ROUNDING`."""
-
-
+# Errors over the largest torque and over the flux linkage up to which the least current of a torque
+# is taken.
 TORQUE_SHARE, FLUX_SHARE = 0.01, 0.02
-
-"""Errors over the largest torque and over the flux linkage up to which the least
-current of a torque is taken."""
-
-
 _MORE = 1.02  # squared currents beyond the limit, for z alone
-
-
 _SLACK = 1.0 + 1e-12
 
 

@@ -25,29 +25,16 @@ from dqforge.optimizer.field_weakening.exact import (
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
 
+# Share of the design's voltage from which the errors of the voltage are stated.
 LEAST_VOLTAGE = 0.8
-
-"""Share of the design's voltage from which the errors of the voltage are stated."""
-
-
 _GRID, _ROUNDS = 49, 6
-
-
 _LOCUS_POINTS = 801
-
-
 _SPEEDS, _TORQUES = 48, 40
 
-
+# Shares of the design's voltage at which errors are measured: nearly even in the share of the
+# voltage that the resistance takes, which falls with them.
 _VOLTAGES = (LEAST_VOLTAGE, 0.9, 1.0, 1.2, 1.6, 4.0)
-
-"""Shares of the design's voltage at which errors are measured: nearly even in the share of the
-voltage that the resistance takes, which falls with them."""
-
-
 _WITHIN = 1.0 - 1e-6
-
-
 _REACHED = 1.0 + 1e-6
 
 
@@ -55,15 +42,11 @@ _REACHED = 1.0 + 1e-6
 class VoltageRegion:
     """The domain of torque, voltage and speed of a machine.
 
-    Parameters
-    ----------
-    flux:
-        The domain of torque and available flux linkage that it takes.
-    v_max:
-        The design's largest phase-voltage amplitude in V.
-    omega_e:
-        Largest electrical speed in rad/s at that voltage; from `LEAST_VOLTAGE` up it changes in
-        proportion to the voltage.
+    Args:
+        flux: The domain of torque and available flux linkage that it takes.
+        v_max: The design's largest phase-voltage amplitude in V.
+        omega_e: Largest electrical speed in rad/s at that voltage; from `LEAST_VOLTAGE` up it
+            changes in proportion to the voltage.
     """
 
     flux: WeakeningRegion
@@ -141,11 +124,9 @@ def voltage_region(machine: Machine, i_max: float, v_max: float, omega_m: float)
     """Domain up to a mechanical speed in rad/s within ``v_max`` V (phase
     amplitude) and ``i_max`` A (peak).
 
-    Raises
-    ------
-    NoSolutionError
-        The voltage limits nothing up to that speed, leaves next to no torque there,
-        or not even the resistance drop.
+    Raises:
+        NoSolutionError: The voltage limits nothing up to that speed, leaves next to no torque
+            there, or not even the resistance drop.
     """
     omega_e = machine.pole_pairs * omega_m
     torque_max = float(mtpa_locus(machine, i_max).torque[-1])

@@ -12,11 +12,7 @@ from dqforge.optimizer.firmware.firmware_method import Asked, Price, Shortfall
 if TYPE_CHECKING:
     from dqforge.optimizer.firmware.configuration import Configuration
 
-NOTICED = 1e-3
-
-"""Share from which on something is said of it."""
-
-
+NOTICED = 1e-3  # Share from which on something is said of it.
 _SAME_PERIOD = 1e-4
 
 
@@ -25,16 +21,11 @@ def closed_form_currents(
 ) -> Iterator[Shortfall]:
     """The closed form of linear machines, or no d current, against what the machine needs.
 
-    Parameters
-    ----------
-    asked, held:
-        The wishes, and what was made of them.
-    saliency:
-        L_q - L_d in H that the firmware takes; with 0 it commands no d current.
-    lead:
-        Whose currents they are, in words.
-    tail:
-        What helps, in words; follows the sentence.
+    Args:
+        asked, held: The wishes, and what was made of them.
+        saliency: L_q - L_d in H that the firmware takes; with 0 it commands no d current.
+        lead: Whose currents they are, in words.
+        tail: What helps, in words; follows the sentence.
     """
     psi, most = held.drive.psi_pm, held.drive.i_max
     if asked.design.strategy != "mtpa" or psi is None or most is None:
@@ -52,16 +43,11 @@ def closed_form_currents(
 def q_current_alone(asked: Asked, psi_pm: float, lead: str, *, tail: str) -> Iterator[Shortfall]:
     """No d current at all, against what the machine needs.
 
-    Parameters
-    ----------
-    asked:
-        The wishes.
-    psi_pm:
-        Flux linkage in Wb that the firmware is told.
-    lead:
-        That it commands none, in words; the current follows.
-    tail:
-        What helps, in words; follows the sentence.
+    Args:
+        asked: The wishes.
+        psi_pm: Flux linkage in Wb that the firmware is told.
+        lead: That it commands none, in words; the current follows.
+        tail: What helps, in words; follows the sentence.
     """
     if asked.design.strategy != "mtpa":
         return
@@ -90,12 +76,9 @@ def prices(price: CurrentPrice) -> tuple[Price, ...]:
 def other_periods(asked: Asked, held: Configuration, firmware: str) -> Iterator[Shortfall]:
     """Periods of the controllers that are not those of the design.
 
-    Parameters
-    ----------
-    asked, held:
-        The wishes, and what was made of them.
-    firmware:
-        Who runs them, in words.
+    Args:
+        asked, held: The wishes, and what was made of them.
+        firmware: Who runs them, in words.
     """
     for what, wanted, has in (
         ("control step", asked.drive.t_s, held.drive.t_s),

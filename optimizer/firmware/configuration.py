@@ -25,22 +25,16 @@ OwnValue = Number | str
 class DriveValues:
     """Machine, inverter and timing as a firmware is told them; None where a file does not say.
 
-    Parameters
-    ----------
-    pole_pairs:
-        Number of pole pairs.
-    r_s, l_d, l_q, psi_pm:
-        Resistance in ohm, inductances in H and magnet flux linkage in Wb of one phase.
-    inertia, viscous:
-        Inertia in kg m^2 and viscous friction in N m s/rad.
-    i_max, omega_m_max:
-        Limits: current in A (peak of phase) and mechanical speed in rad/s.
-    v_dc, f_sw, dead_time:
-        Of the inverter, in V, Hz and s.
-    t_s, t_speed:
-        Periods in s with which the current and the speed controller run.
-    shunt, sense_gain, sense_reference:
-        Of the current measurement, in Ohm, V/V and V, where a firmware counts in integers.
+    Args:
+        pole_pairs: Number of pole pairs.
+        r_s, l_d, l_q, psi_pm: Resistance in ohm, inductances in H and magnet flux linkage in Wb of
+            one phase.
+        inertia, viscous: Inertia in kg m^2 and viscous friction in N m s/rad.
+        i_max, omega_m_max: Limits: current in A (peak of phase) and mechanical speed in rad/s.
+        v_dc, f_sw, dead_time: Of the inverter, in V, Hz and s.
+        t_s, t_speed: Periods in s with which the current and the speed controller run.
+        shunt, sense_gain, sense_reference: Of the current measurement, in Ohm, V/V and V, where a
+            firmware counts in integers.
     """
 
     pole_pairs: int | None = None
@@ -88,27 +82,18 @@ class Origin:
 class Configuration:
     """One configuration of a firmware.
 
-    Parameters
-    ----------
-    firmware, version:
-        Whose it is, and the version of its format.
-    drive:
-        Machine, inverter and timing.
-    current_d, current_q:
-        Gains of the current controllers as the firmware runs them (worked out by its own rule where
-        it has one); None where neither file nor rule gives them.
-    speed:
-        Gains of the speed controller, None without one.
-    own:
-        Everything else that the file says or that is to be written, by the format's own name and in
-        its own unit: PLL, observer, filters, dividers, tables as text.
-    origins:
-        Where values stand, by the name of the field (``r_s``, ``current_d.kp``); empty for a
-        configuration that no file was read for.
-    conventions:
-        How its numbers are to be understood, one sentence each.
-    contradictions:
-        What in it does not fit together, one sentence each with both numbers.
+    Args:
+        firmware, version: Whose it is, and the version of its format.
+        drive: Machine, inverter and timing.
+        current_d, current_q: Gains of the current controllers as the firmware runs them (worked out
+            by its own rule where it has one); None where neither file nor rule gives them.
+        speed: Gains of the speed controller, None without one.
+        own: Everything else that the file says or that is to be written, by the format's own name
+            and in its own unit: PLL, observer, filters, dividers, tables as text.
+        origins: Where values stand, by the name of the field (``r_s``, ``current_d.kp``); empty for
+            a configuration that no file was read for.
+        conventions: How its numbers are to be understood, one sentence each.
+        contradictions: What in it does not fit together, one sentence each with both numbers.
     """
 
     firmware: Firmware

@@ -13,14 +13,9 @@ from dqforge.machines.records import dataclass
 if TYPE_CHECKING:
     from dqforge.machines.dq_machines.synchronous import Machine
 
+# Currents (i_d, i_q) in A for amplitudes in A, shape (N,).
 CurrentRule = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-
-"""Currents (i_d, i_q) in A for amplitudes in A, shape (N,)."""
-
-
 _AMPLITUDES = 60
-
-
 _ANGLES = 721
 
 
@@ -28,12 +23,9 @@ _ANGLES = 721
 class CurrentPrice:
     """What a rule costs at the current limit.
 
-    Parameters
-    ----------
-    torque:
-        Share of the torque that is lost with the same current.
-    copper_loss:
-        Share of copper loss more than the same torque needs.
+    Args:
+        torque: Share of the torque that is lost with the same current.
+        copper_loss: Share of copper loss more than the same torque needs.
     """
 
     torque: float
@@ -43,14 +35,10 @@ class CurrentPrice:
 def price_of(machine: Machine, i_max: float, rule: CurrentRule) -> CurrentPrice:
     """Price of a rule on a machine, which may saturate, at its current limit.
 
-    Parameters
-    ----------
-    machine:
-        The machine.
-    i_max:
-        Current limit in A (peak).
-    rule:
-        The currents for an amplitude.
+    Args:
+        machine: The machine.
+        i_max: Current limit in A (peak).
+        rule: The currents for an amplitude.
     """
     amplitudes = np.linspace(0.0, i_max, _AMPLITUDES + 1)[1:]
     most = _most_torque(machine, amplitudes)
@@ -65,12 +53,9 @@ def price_of(machine: Machine, i_max: float, rule: CurrentRule) -> CurrentPrice:
 def linear_rule(psi_pm: float, saliency: float) -> CurrentRule:
     """The closed form for linear machines: i_d = (psi - sqrt(psi^2 + 8 (dL i)^2))/(4 dL).
 
-    Parameters
-    ----------
-    psi_pm:
-        Flux linkage of the magnets in Wb.
-    saliency:
-        dL = L_q - L_d in H; with 0 all current is q current.
+    Args:
+        psi_pm: Flux linkage of the magnets in Wb.
+        saliency: dL = L_q - L_d in H; with 0 all current is q current.
     """
 
     def currents(amplitude: FloatArray) -> tuple[FloatArray, FloatArray]:

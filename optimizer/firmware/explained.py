@@ -26,27 +26,22 @@ from dqforge.optimizer.firmware.registry import METHODS
 from dqforge.optimizer.firmware.sampled_structure import Winding, current_loop, speed_loop
 from dqforge.optimizer.firmware.solve import Methods, method_of
 
+# Fields of `DriveValues` that say what machine it is.
 OF_MACHINE = ("pole_pairs", "r_s", "l_d", "l_q", "psi_pm", "inertia", "viscous")
-
-"""Fields of `DriveValues` that say what machine it is."""
-
 
 _NO_SPEED = (
     "the speed loop is not judged: a header does not say the inertia; name the design of the "
     "machine with --machine DESIGN"
 )
 
-
 _NAME_MACHINE = (
     "name the design of the machine with --machine DESIGN: what the file does not say is taken "
     "from it"
 )
 
-
 _COMPLETE_MACHINE = (
     "the design of the machine does not say it either: write it there, such as machine.inertia"
 )
-
 
 _OBSERVED = (
     "the speed loop is judged with the speed as it is; it runs on an observer, whose lag is in the "
@@ -58,14 +53,10 @@ _OBSERVED = (
 class Explained:
     """A configuration on a machine.
 
-    Parameters
-    ----------
-    configuration:
-        What was read.
-    drive:
-        The machine that its loops are judged on, in the file's timing.
-    profile, judged:
-        The loops; the profile is None where the configuration says too little.
+    Args:
+        configuration: What was read.
+        drive: The machine that its loops are judged on, in the file's timing.
+        profile, judged: The loops; the profile is None where the configuration says too little.
     """
 
     configuration: Configuration
@@ -108,14 +99,10 @@ def explain(
 ) -> Explained:
     """What a configuration amounts to.
 
-    Parameters
-    ----------
-    configuration:
-        Of a file.
-    machine:
-        The machine that it runs on, where that is not the one that it tells of.
-    methods:
-        Those of the package, or others.
+    Args:
+        configuration: Of a file.
+        machine: The machine that it runs on, where that is not the one that it tells of.
+        methods: Those of the package, or others.
     """
     drive = on_machine(configuration.drive, machine)
     profile = None
@@ -155,12 +142,9 @@ def explain_own(gains: OwnGains, machine: DriveValues | None = None) -> JudgedFi
     """The loops of gains that dqforge wrote: voltage held from the next sample on, the integral
     counting at once, the speed known.
 
-    Parameters
-    ----------
-    gains:
-        Of a header or a result.
-    machine:
-        The machine that they run on, where that is not the one that they were made for.
+    Args:
+        gains: Of a header or a result.
+        machine: The machine that they run on, where that is not the one that they were made for.
     """
     drive = on_machine(gains.drive, machine)
     if drive.r_s is None or drive.t_s is None:

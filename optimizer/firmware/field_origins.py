@@ -9,22 +9,17 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from dqforge.optimizer.firmware.configuration import Origin
 
+# By the field of the configuration (``r_s``, ``current_d.kp``) the name in the file, or several of
+# which the first one there counts, and how the value is converted.
 Fields = Mapping[str, tuple[str | tuple[str, ...], str]]
-
-"""By the field of the configuration (``r_s``, ``current_d.kp``) the name in the file, or several of
-which the first one there counts, and how the value is converted.
-"""
 
 
 def field_origins(found: Mapping[str, Origin], fields: Fields) -> dict[str, Origin]:
     """Origins by the field of the configuration, and by the file's own name.
 
-    Parameters
-    ----------
-    found:
-        By the file's own name.
-    fields:
-        What the fields are made of; those of which nothing is there are left out.
+    Args:
+        found: By the file's own name.
+        fields: What the fields are made of; those of which nothing is there are left out.
     """
     by_field = {}
     for field, (names, conversion) in fields.items():

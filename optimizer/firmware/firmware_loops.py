@@ -42,20 +42,13 @@ if TYPE_CHECKING:
 class FirmwareLoop:
     """One loop in both structures.
 
-    Parameters
-    ----------
-    loop:
-        ``i_d``, ``i_q`` or ``speed``.
-    gains:
-        Of the firmware: V/A and V/(A s), or A s/rad and A/rad.
-    judged:
-        As the firmware runs it.
-    own:
-        Gains of the emitted header: V/A and V/(A s), or N m s/rad and N m/rad.
-    neutral:
-        As that header runs them.
-    worst:
-        What it keeps over the corners of ``control.tolerances``, None without them.
+    Args:
+        loop: ``i_d``, ``i_q`` or ``speed``.
+        gains: Of the firmware: V/A and V/(A s), or A s/rad and A/rad.
+        judged: As the firmware runs it.
+        own: Gains of the emitted header: V/A and V/(A s), or N m s/rad and N m/rad.
+        neutral: As that header runs them.
+        worst: What it keeps over the corners of ``control.tolerances``, None without them.
     """
 
     loop: LoopName
@@ -70,24 +63,17 @@ class FirmwareLoop:
 class FirmwareLoops:
     """What a firmware makes of a design.
 
-    Parameters
-    ----------
-    name, version:
-        The firmware and the version of its format.
-    free:
-        Which gains of its current loops can be chosen.
-    asked:
-        What its configuration was asked to hold, with the gains that were chosen.
-    configuration, profile:
-        The configuration, rounded as its file prints it, and the loops that it amounts to.
-    judged:
-        These loops on the machine, with remarks.
-    loops:
-        Those of them that the design has, beside those of the header.
-    changes:
-        What was chosen otherwise than the design's own structure has it, one sentence each.
-    shortfalls:
-        What the configuration cannot hold of what was asked.
+    Args:
+        name, version: The firmware and the version of its format.
+        free: Which gains of its current loops can be chosen.
+        asked: What its configuration was asked to hold, with the gains that were chosen.
+        configuration, profile: The configuration, rounded as its file prints it, and the loops that
+            it amounts to.
+        judged: These loops on the machine, with remarks.
+        loops: Those of them that the design has, beside those of the header.
+        changes: What was chosen otherwise than the design's own structure has it, one sentence
+            each.
+        shortfalls: What the configuration cannot hold of what was asked.
     """
 
     name: Firmware
@@ -110,23 +96,16 @@ def firmware_loops(
 ) -> FirmwareLoops | None:
     """Choose and judge the gains within the structure of ``control.firmware``; None without one.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    box:
-        The drive with its tolerances.
-    own:
-        i_d, i_q and speed as the design's own structure has them: what is wished for.
-    methods:
-        The firmwares that are known.
+    Args:
+        design: The design.
+        box: The drive with its tolerances.
+        own: i_d, i_q and speed as the design's own structure has them: what is wished for.
+        methods: The firmwares that are known.
 
-    Raises
-    ------
-    NoSolutionError
-        No gains within the structure keep what the design asks for; says what would.
-    InputError
-        A value does not fit the firmware; with its key.
+    Raises:
+        NoSolutionError: No gains within the structure keep what the design asks for; says what
+            would.
+        InputError: A value does not fit the firmware; with its key.
     """
     wanted = design.control.firmware
     if wanted is None:

@@ -37,15 +37,10 @@ if TYPE_CHECKING:
     )
     from dqforge.optimizer.loops.plants import PiLoop
 
+# Phase that a phase-locked loop may cost at the crossover without being remarked upon: where other
+# gains would make it faster for nothing, and where its poles are as they should be.
 _DEAR, _DEAR_AT_BEST = math.radians(10.0), math.radians(30.0)
-"""Phase that a phase-locked loop may cost at the crossover without being remarked upon: where other
-gains would make it faster for nothing, and where its poles are as they should be."""
-
-
-_APART = 0.5
-"""Share of kp^2/4 below which ki leaves one of its poles far behind the other."""
-
-
+_APART = 0.5  # Share of kp^2/4 below which ki leaves one of its poles far behind the other.
 _BANDWIDTH_POINTS = 1200
 
 
@@ -53,30 +48,19 @@ _BANDWIDTH_POINTS = 1200
 class JudgedLoop:
     """One loop as a firmware runs it.
 
-    Parameters
-    ----------
-    crossover:
-        Gain crossover in rad/s; nan without one.
-    phase_margin:
-        In rad, negative where the loop lags by more than pi.
-    gain_margin:
-        As a factor above one.
-    delay_margin:
-        In s.
-    max_sensitivity:
-        Largest modulus of 1/(1 + L).
-    bandwidth:
-        Least frequency in rad/s at which the answer to the reference is 3 dB below one; nan where
-        that is nowhere below half the sampling frequency.
-    damping:
-        Least damping ratio of the closed loop's poles, -cos of the angle of ln z; below zero where
-        it is unstable.
-    stable:
-        Whether all poles lie inside the unit circle.
-    poles:
-        Of the closed loop, in the z plane of ``t_s``, largest modulus first, shape (n,).
-    t_s:
-        Period in s of its controller.
+    Args:
+        crossover: Gain crossover in rad/s; nan without one.
+        phase_margin: In rad, negative where the loop lags by more than pi.
+        gain_margin: As a factor above one.
+        delay_margin: In s.
+        max_sensitivity: Largest modulus of 1/(1 + L).
+        bandwidth: Least frequency in rad/s at which the answer to the reference is 3 dB below one;
+            nan where that is nowhere below half the sampling frequency.
+        damping: Least damping ratio of the closed loop's poles, -cos of the angle of ln z; below
+            zero where it is unstable.
+        stable: Whether all poles lie inside the unit circle.
+        poles: Of the closed loop, in the z plane of ``t_s``, largest modulus first, shape (n,).
+        t_s: Period in s of its controller.
     """
 
     crossover: float
@@ -95,19 +79,13 @@ class JudgedLoop:
 class JudgedFirmware:
     """The loops of one firmware on one machine; None where profile or machine say too little.
 
-    Parameters
-    ----------
-    current_d, current_q, speed:
-        The loops.
-    pll_poles:
-        Of the phase-locked loop that makes the speed, in rad/s (s plane), slowest first; None
-        without one.
-    remarks:
-        What is wrong, what limits, and what is left out, one sentence each.
-    turning:
-        Both current loops together up to the largest speed, None where that is not known.
-    faults:
-        Those of the remarks that say what is wrong.
+    Args:
+        current_d, current_q, speed: The loops.
+        pll_poles: Of the phase-locked loop that makes the speed, in rad/s (s plane), slowest first;
+            None without one.
+        remarks: What is wrong, what limits, and what is left out, one sentence each.
+        turning: Both current loops together up to the largest speed, None where that is not known.
+        faults: Those of the remarks that say what is wrong.
     """
 
     current_d: JudgedLoop | None
@@ -122,12 +100,9 @@ class JudgedFirmware:
 def judge(profile: LoopProfile, drive: DriveValues) -> JudgedFirmware:
     """Judge the loops of a profile on a machine.
 
-    Parameters
-    ----------
-    profile:
-        The structure with its numbers.
-    drive:
-        The machine.
+    Args:
+        profile: The structure with its numbers.
+        drive: The machine.
     """
     current, speed = profile.current, profile.speed
     l_q = drive.l_q if drive.l_q is not None else drive.l_d
@@ -160,10 +135,8 @@ def judge(profile: LoopProfile, drive: DriveValues) -> JudgedFirmware:
 def judged_loop(loop: PiLoop) -> JudgedLoop:
     """Margins, bandwidth and damping of a sampled loop.
 
-    Parameters
-    ----------
-    loop:
-        The loop, from its error to what is measured.
+    Args:
+        loop: The loop, from its error to what is measured.
     """
     margins, poles = loop_margins(loop.open_loop), loop.closed.poles
     return JudgedLoop(
@@ -183,10 +156,8 @@ def judged_loop(loop: PiLoop) -> JudgedLoop:
 def least_damping(poles: ComplexArray) -> float:
     """Least damping ratio of sampled poles, -Re(ln z)/|ln z|; 1 where all are real and positive.
 
-    Parameters
-    ----------
-    poles:
-        In the z plane, shape (n,).
+    Args:
+        poles: In the z plane, shape (n,).
     """
     moving = np.log(poles[np.abs(poles) > 1e-9])
     moving = moving[np.abs(moving) > 0.0]
@@ -196,10 +167,8 @@ def least_damping(poles: ComplexArray) -> float:
 def pll_poles(feedback: SpeedEstimate) -> tuple[complex, complex] | None:
     """Poles in rad/s of s^2 + kp s + ki, slowest first; None where no phase-locked loop runs.
 
-    Parameters
-    ----------
-    feedback:
-        How the speed is made.
+    Args:
+        feedback: How the speed is made.
     """
     if feedback.kind != "pll":
         return None
@@ -212,12 +181,9 @@ def pll_poles(feedback: SpeedEstimate) -> tuple[complex, complex] | None:
 def mechanics_of(drive: DriveValues, current: CurrentLoops) -> Mechanics:
     """What a drive turns, and what of its back-EMF acts; the drive must state all of it.
 
-    Parameters
-    ----------
-    drive:
-        The machine.
-    current:
-        The current loops, which feed the back-EMF forward or do not.
+    Args:
+        drive: The machine.
+        current: The current loops, which feed the back-EMF forward or do not.
     """
     assert drive.pole_pairs is not None
     assert drive.psi_pm is not None

@@ -15,28 +15,17 @@ if TYPE_CHECKING:
     from dqforge.optimizer.firmware.firmware_method import FirmwareMethod
 
 MAX_SPEED, INERTIA = "machine.max_speed", "machine.inertia"
-
 CURRENT_SENSING = "inverter.current_sensing"
-
-
-_HEADROOM = 1.25
-
-"""Full scale of a current measurement that is proposed, over the current limit."""
-
-
-_RUN_UP = 0.1
-
-"""Time in s in which a proposed inertia runs up to the largest speed."""
+_HEADROOM = 1.25  # Full scale of a current measurement that is proposed, over the current limit.
+_RUN_UP = 0.1  # Time in s in which a proposed inertia runs up to the largest speed.
 
 
 def check_drivable(design: Design, methods: Sequence[FirmwareMethod]) -> None:
     """Refuse a machine of a kind that no firmware of others drives, and a design that lacks what
     they need.
 
-    Raises
-    ------
-    InputError
-        With everything that is missing, as keys with values that fit this drive.
+    Raises:
+        InputError: With everything that is missing, as keys with values that fit this drive.
     """
     names = " and ".join(method.name for method in methods)
     if methods and design.phase_machine is not None:

@@ -11,11 +11,7 @@ from dqforge.machines.errors import InputError
 if TYPE_CHECKING:
     from dqforge.optimizer.firmware.configuration import OwnValue
 
-FLOAT32_DIGITS = 7
-
-"""Significant digits that are printed for firmware that computes in float32."""
-
-
+FLOAT32_DIGITS = 7  # Significant digits that are printed for firmware that computes in float32.
 _LEAST, _MOST = 1e-30, 1e30
 
 
@@ -33,19 +29,13 @@ def rounded(value: float, digits: int) -> float:
 def float32_value(value: float, asked_by: str, firmware: str) -> float:
     """A value as a file for float32 holds it.
 
-    Parameters
-    ----------
-    value:
-        In its unit.
-    asked_by:
-        Key of the design that asks for it, for the message.
-    firmware:
-        Whose it is, for the message.
+    Args:
+        value: In its unit.
+        asked_by: Key of the design that asks for it, for the message.
+        firmware: Whose it is, for the message.
 
-    Raises
-    ------
-    InputError
-        A float32 cannot hold it.
+    Raises:
+        InputError: A float32 cannot hold it.
     """
     printed = rounded(value, FLOAT32_DIGITS)
     if printed != 0.0 and not _LEAST < abs(printed) < _MOST:
@@ -60,21 +50,14 @@ def needed(
 ) -> float:
     """A positive value of the design.
 
-    Parameters
-    ----------
-    value:
-        As the design says it.
-    key:
-        Key of the design that gives it, for the message.
-    firmware, what:
-        Who needs it, and what it is, for the message.
-    otherwise:
-        What to do without it, for the message.
+    Args:
+        value: As the design says it.
+        key: Key of the design that gives it, for the message.
+        firmware, what: Who needs it, and what it is, for the message.
+        otherwise: What to do without it, for the message.
 
-    Raises
-    ------
-    InputError
-        It is missing, or not above zero.
+    Raises:
+        InputError: It is missing, or not above zero.
     """
     if value is None or not math.isfinite(value) or value <= 0.0:
         raise InputError(f"{key}: {firmware} needs {what}; {otherwise}")

@@ -9,23 +9,16 @@ from dqforge.machines.records import dataclass
 if TYPE_CHECKING:
     from dqforge.machines.names import Firmware
 
+# ``integral-first``: I += ki T e, u = kp e + I (backward Euler); ``integral-last``: u = kp e + I,
+# then I += ki T e (forward Euler); ``trapezoid``: I += ki T (e + e_before)/2, u = kp e + I.
 PiRule = Literal["integral-first", "integral-last", "trapezoid"]
 
-"""``integral-first``: I += ki T e, u = kp e + I (backward Euler); ``integral-last``: u = kp e + I,
-then I += ki T e (forward Euler); ``trapezoid``: I += ki T (e + e_before)/2, u = kp e + I."""
-
-
+# What the integral does where the output is limited: it is clamped to the limit, it stands still,
+# it is driven back by the excess, or it runs on.
 AntiWindup = Literal["clamp", "hold", "back-calculation", "none"]
 
-"""What the integral does where the output is limited: it is clamped to the limit, it stands still,
-it is driven back by the excess, or it runs on."""
-
-
+# Which voltage gives way: the vector along its direction, q after d, d after q, each by itself.
 LimitOrder = Literal["vector", "d-first", "q-first", "axes"]
-
-"""Which voltage gives way: the vector along its direction, q after d, d after q, each by itself."""
-
-
 SpeedKind = Literal["ideal", "pll", "low-pass", "difference"]
 
 
@@ -53,21 +46,16 @@ class PiController:
 class CurrentLoops:
     """Both current controllers and what leads from them to the inverter.
 
-    Parameters
-    ----------
-    d, q:
-        The controllers; volts per ampere.
-    delay:
-        Periods from the sampling of the currents to the beginning of the period for which the
-        voltage made of them is held: 1 where it is loaded with the next update.
-    cross, back_emf:
-        Whether the voltages of the other axis' current, and of the magnet, are fed forward.
-    order, voltage_share:
-        Which voltage gives way, and the limit as a share of v_dc/sqrt(3).
-    angle_advance:
-        Periods by which the angle is advanced when the voltage is turned back to the phases.
-    modulation:
-        As it is named among the modulators.
+    Args:
+        d, q: The controllers; volts per ampere.
+        delay: Periods from the sampling of the currents to the beginning of the period for which
+            the voltage made of them is held: 1 where it is loaded with the next update.
+        cross, back_emf: Whether the voltages of the other axis' current, and of the magnet, are fed
+            forward.
+        order, voltage_share: Which voltage gives way, and the limit as a share of v_dc/sqrt(3).
+        angle_advance: Periods by which the angle is advanced when the voltage is turned back to the
+            phases.
+        modulation: As it is named among the modulators.
     """
 
     d: PiController

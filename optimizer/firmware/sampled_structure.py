@@ -13,9 +13,9 @@ sample. A first-order filter of the time constant T_f, sampled every T, runs as
 and the phase-locked loop as e = theta - theta', omega' += ki T e, theta' += (omega' + kp e) T. A
 speed goes through its filter first and then through its average.
 
-References
-----------
-K. J. Astroem, B. Wittenmark, "Computer-Controlled Systems", 3rd edition, 1997: chapters 2 and 8.
+References:
+    K. J. Astroem, B. Wittenmark, "Computer-Controlled Systems", 3rd edition, 1997: chapters 2 and
+    8.
 """
 
 from __future__ import annotations
@@ -68,10 +68,8 @@ class Mechanics:
 def equivalent_gains(pi: PiController) -> tuple[float, float]:
     """(kp, ki) of the backward-Euler PI that computes the same outputs of the same errors.
 
-    Parameters
-    ----------
-    pi:
-        The controller; ki is per second.
+    Args:
+        pi: The controller; ki is per second.
     """
     return pi.kp - added_gain(pi), pi.ki
 
@@ -79,10 +77,8 @@ def equivalent_gains(pi: PiController) -> tuple[float, float]:
 def added_gain(pi: PiController) -> float:
     """What the proportional gain is above that of the backward-Euler PI with the same outputs.
 
-    Parameters
-    ----------
-    pi:
-        The controller; ki is per second.
+    Args:
+        pi: The controller; ki is per second.
     """
     return (1.0 - _SHARE[pi.rule]) * pi.ki * pi.t_s
 
@@ -123,14 +119,10 @@ def _with_load(plant: SampledSystem, a: FloatArray, b_load: FloatArray) -> Sampl
 def current_plant(winding: Winding, pi: PiController, delay: float) -> SampledSystem:
     """From the computed voltage (and a voltage at the winding) to the current that is measured.
 
-    Parameters
-    ----------
-    winding:
-        The axis.
-    pi:
-        Its controller: period and filter.
-    delay:
-        Periods from the sample to the beginning of the held voltage.
+    Args:
+        winding: The axis.
+        pi: Its controller: period and filter.
+        delay: Periods from the sample to the beginning of the held voltage.
     """
     a = np.array([[-winding.r_s / winding.inductance]])
     b = np.array([[winding.gain / winding.inductance]])
@@ -141,10 +133,8 @@ def current_plant(winding: Winding, pi: PiController, delay: float) -> SampledSy
 def current_loop(winding: Winding, pi: PiController, delay: float) -> PiLoop:
     """One current loop as its firmware runs it.
 
-    Parameters
-    ----------
-    winding, pi, delay:
-        As in `current_plant`.
+    Args:
+        winding, pi, delay: As in `current_plant`.
     """
     return close_pi(current_plant(winding, pi, delay), *equivalent_gains(pi))
 
@@ -159,12 +149,9 @@ def estimate_ratio(speed: SpeedController, t_s: float) -> int:
 
     At most those of the speed controller, and a divisor of them.
 
-    Parameters
-    ----------
-    speed:
-        The speed controller with its estimate.
-    t_s:
-        Period of the current controllers in s.
+    Args:
+        speed: The speed controller with its estimate.
+        t_s: Period of the current controllers in s.
     """
     most = whole_ratio(speed.pi.t_s, t_s)
     wanted = min(most, whole_ratio(speed.feedback.t_s or t_s, t_s))
@@ -265,12 +252,9 @@ def speed_plant(
     The closed current loop with mechanics and estimate is stepped under a held reference until the
     speed controller runs again; exact at both sampling rates.
 
-    Parameters
-    ----------
-    winding, mechanics:
-        The q axis and what it turns.
-    current, speed:
-        Both controllers.
+    Args:
+        winding, mechanics: The q axis and what it turns.
+        current, speed: Both controllers.
     """
     t_c = current.q.t_s
     a, b_voltage, b_load = _turning(winding, mechanics)
@@ -343,10 +327,8 @@ def speed_loop(
 ) -> PiLoop:
     """The speed loop as its firmware runs it.
 
-    Parameters
-    ----------
-    winding, mechanics, current, speed:
-        As in `speed_plant`.
+    Args:
+        winding, mechanics, current, speed: As in `speed_plant`.
     """
     plant = speed_plant(winding, mechanics, current, speed)
     period = whole_ratio(speed.pi.t_s, current.q.t_s) * current.q.t_s

@@ -52,18 +52,12 @@ class Gains(Protocol):
 class FirmwareFit:
     """What one firmware is given of a design.
 
-    Parameters
-    ----------
-    asked:
-        What it was asked to hold.
-    configuration:
-        Its numbers, rounded as its file prints them.
-    profile:
-        The loops that they amount to.
-    judged:
-        Those loops on the design's machine.
-    shortfalls:
-        What the format cannot hold.
+    Args:
+        asked: What it was asked to hold.
+        configuration: Its numbers, rounded as its file prints them.
+        profile: The loops that they amount to.
+        judged: Those loops on the design's machine.
+        shortfalls: What the format cannot hold.
     """
 
     asked: Asked
@@ -86,22 +80,15 @@ def solve_firmware(
 ) -> tuple[FirmwareFit, ...]:
     """The design for each firmware that it names under ``export.firmware``.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    gains:
-        Its gains, None where it has none.
-    names:
-        Other firmware than the design names.
-    methods:
-        Those of the package, or others.
+    Args:
+        design: The design.
+        gains: Its gains, None where it has none.
+        names: Other firmware than the design names.
+        methods: Those of the package, or others.
 
-    Raises
-    ------
-    InputError
-        There are no gains, the machine is of a kind that none of them drives, or a firmware needs
-        a value that the design lacks.
+    Raises:
+        InputError: There are no gains, the machine is of a kind that none of them drives, or a
+            firmware needs a value that the design lacks.
     """
     wanted = design.export.firmware if names is None else tuple(names)
     with about("export.firmware"):
@@ -115,10 +102,8 @@ def method_of(
 ) -> FirmwareMethod:
     """The method of a firmware by its name; ``option`` is the key that named it.
 
-    Raises
-    ------
-    InputError
-        There is none.
+    Raises:
+        InputError: There is none.
     """
     found = next((method for key, method in methods.items() if key == name), None)
     if found is None:

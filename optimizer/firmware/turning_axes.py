@@ -66,14 +66,10 @@ def turning_matrix(
 ) -> FloatArray:
     """Map of (i, y, I, v[k-1], v[k-2], ...), two numbers each, over one period.
 
-    Parameters
-    ----------
-    r_s, inductances:
-        Resistance in Ohm; l_d and l_q in H.
-    loops:
-        The structure with its gains; both axes have one period.
-    omega:
-        Electrical speed in rad/s.
+    Args:
+        r_s, inductances: Resistance in Ohm; l_d and l_q in H.
+        loops: The structure with its gains; both axes have one period.
+        omega: Electrical speed in rad/s.
     """
     t_s, whole = loops.d.t_s, math.floor(loops.delay + 1e-12)
     part, depth = max(loops.delay - whole, 0.0), whole + 1
@@ -116,14 +112,10 @@ def turning_axes(
 
     Backwards is the mirror image.
 
-    Parameters
-    ----------
-    r_s, inductances, loops:
-        As in `turning_matrix`.
-    pole_pairs:
-        Number of pole pairs.
-    omega_m:
-        Largest mechanical speed in rad/s.
+    Args:
+        r_s, inductances, loops: As in `turning_matrix`.
+        pole_pairs: Number of pole pairs.
+        omega_m: Largest mechanical speed in rad/s.
     """
     speeds = np.linspace(0.0, omega_m, _SPEEDS)
     radius = np.array(

@@ -280,10 +280,8 @@ class Ranges:
     def entry(self, table: tuple[int, ...], index: Range) -> Range:
         """Range of the entries from the least to the largest index.
 
-        Raises
-        ------
-        IndexError
-            The index can leave the table.
+        Raises:
+            IndexError: The index can leave the table.
         """
         if index.low < 0 or index.high >= len(table):
             raise IndexError(f"{index} leaves a table of {len(table)} entries")

@@ -51,20 +51,14 @@ _LARGEST_ERROR = 0.02  # of a gain whose format was chosen here
 class FixedControlFit:
     """Control functions in integers with their evidence.
 
-    Parameters
-    ----------
-    control:
-        The integers.
-    loops:
-        Each loop with the gains that its integers make, by name.
-    reaches:
-        Proven range of every product and sum.
-    dead_bands:
-        Smallest errors that move each integral, by loop.
-    word_dead_bands:
-        The same for integrals without fractional bits, as they would be in one word.
-    sine_error:
-        Largest error of sine and cosine in codes.
+    Args:
+        control: The integers.
+        loops: Each loop with the gains that its integers make, by name.
+        reaches: Proven range of every product and sum.
+        dead_bands: Smallest errors that move each integral, by loop.
+        word_dead_bands: The same for integrals without fractional bits, as they would be in one
+            word.
+        sine_error: Largest error of sine and cosine in codes.
     """
 
     control: FixedControl
@@ -109,28 +103,18 @@ def fit_control(
 ) -> FixedControlFit:
     """Control functions of a design in words of 16 or 32 bits.
 
-    Parameters
-    ----------
-    design:
-        Machine, inverter, sampling and bases.
-    loops:
-        Gains of i_d, i_q and, where there is one, of the speed loop.
-    observer:
-        The reduced-order observer, if one is wanted.
-    width:
-        Bits of a code.
-    torque_max:
-        Limit of the speed controller's output in N m; None is full scale.
-    reference:
-        Current references in the same codes, if there are any.
+    Args:
+        design: Machine, inverter, sampling and bases.
+        loops: Gains of i_d, i_q and, where there is one, of the speed loop.
+        observer: The reduced-order observer, if one is wanted.
+        width: Bits of a code.
+        torque_max: Limit of the speed controller's output in N m; None is full scale.
+        reference: Current references in the same codes, if there are any.
 
-    Raises
-    ------
-    InputError
-        The bases do not hold the largest current or speed.
-    NoSolutionError
-        A quantity can overflow, a gain has no format, or a loop with rounded
-        gains misses its phase margin.
+    Raises:
+        InputError: The bases do not hold the largest current or speed.
+        NoSolutionError: A quantity can overflow, a gain has no format, or a loop with rounded gains
+            misses its phase margin.
     """
     _require_bases(design)
     found: dict[str, QuantisedLoop] = {}
@@ -214,10 +198,8 @@ def require_scales(design: Design) -> None:
     """Refuse bases of current and speed that do not hold the largest ones, those of the
     references with field weakening among them: a speed beyond full scale would be clamped.
 
-    Raises
-    ------
-    InputError
-        With the base, what it must hold, and what to write.
+    Raises:
+        InputError: With the base, what it must hold, and what to write.
     """
     bases, weakening = design.control.bases, design.weakening
     known = (design.machine.omega_m_max, None if weakening is None else weakening.omega_m)
@@ -284,21 +266,14 @@ def _advance(design: Design) -> float:
 def precise_gain(name: str, value: float, width: int, argument: int) -> FixedGain:
     """A gain in the best format, refused where even that is coarse.
 
-    Parameters
-    ----------
-    name:
-        What it is, for the message.
-    value:
-        The gain between codes.
-    width:
-        Bits of a code.
-    argument:
-        Largest magnitude of what it is multiplied with.
+    Args:
+        name: What it is, for the message.
+        value: The gain between codes.
+        width: Bits of a code.
+        argument: Largest magnitude of what it is multiplied with.
 
-    Raises
-    ------
-    NoSolutionError
-        No format holds it within 2 %.
+    Raises:
+        NoSolutionError: No format holds it within 2 %.
     """
     try:
         gain = quantise(value, width, argument)

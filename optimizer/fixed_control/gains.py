@@ -34,17 +34,12 @@ def velocity_integers(kp: float, ki_ts: float, width: int = 16) -> tuple[FixedGa
 class QuantisedLoop:
     """One loop with the gains that integers make.
 
-    Parameters
-    ----------
-    kp, ki_ts:
-        The integers, per unit.
-    q0, q1:
-        Those of the velocity form with two products.
-    exact, found:
-        Evidence for the real gains and for those of ``kp`` and ``ki_ts``.
-    velocity:
-        Evidence for the gains that ``q0`` and ``q1`` make; None where their
-        integral gain is not positive.
+    Args:
+        kp, ki_ts: The integers, per unit.
+        q0, q1: Those of the velocity form with two products.
+        exact, found: Evidence for the real gains and for those of ``kp`` and ``ki_ts``.
+        velocity: Evidence for the gains that ``q0`` and ``q1`` make; None where their integral gain
+            is not positive.
     """
 
     kp: FixedGain
@@ -70,23 +65,16 @@ def quantised_loop(
 ) -> QuantisedLoop:
     """Poles and margins of a loop with its gains in integers.
 
-    Parameters
-    ----------
-    design:
-        Machine, sampling and bases.
-    gains:
-        The loop with real gains.
-    integers:
-        kp and ki t_s per unit.
-    width:
-        Bits of q0 and q1.
-    current_gains:
-        Gains of the q axis, for the speed loop.
+    Args:
+        design: Machine, sampling and bases.
+        gains: The loop with real gains.
+        integers: kp and ki t_s per unit.
+        width: Bits of q0 and q1.
+        current_gains: Gains of the q axis, for the speed loop.
 
-    Raises
-    ------
-    NoSolutionError
-        The loop with these integers is unstable or has less than the required phase margin.
+    Raises:
+        NoSolutionError: The loop with these integers is unstable or has less than the required
+            phase margin.
     """
     kp, ki_ts = integers
     q0, q1 = velocity_integers(kp.value, ki_ts.value, width)

@@ -62,18 +62,14 @@ class DeadBand:
 def dead_band(gain: FixedGain, *, rounding: bool = True) -> DeadBand:
     """Dead band of an integral gain.
 
-    Parameters
-    ----------
-    gain:
-        From the error to the state, positive.
-    rounding:
-        Whether the shift rounds to nearest, as the emitted code does; without, it rounds downwards,
-        as the program of paper 001 does, and any negative error moves the integral by a whole unit.
+    Args:
+        gain: From the error to the state, positive.
+        rounding: Whether the shift rounds to nearest, as the emitted code does; without, it rounds
+            downwards, as the program of paper 001 does, and any negative error moves the integral
+            by a whole unit.
 
-    Raises
-    ------
-    NoSolutionError
-        The gain is not positive: nothing moves the integral.
+    Raises:
+        NoSolutionError: The gain is not positive: nothing moves the integral.
     """
     if gain.mantissa <= 0:
         raise NoSolutionError("an integral gain of 0 moves nothing")
@@ -166,10 +162,8 @@ def speed_ranges(control: SpeedControlled) -> Ranges:
 def control_ranges(control: FixedControl) -> tuple[Reach, ...]:
     """Range of every named product and sum of the emitted functions, in the order of evaluation.
 
-    Raises
-    ------
-    NoSolutionError
-        A quantity can leave its word; the message names it.
+    Raises:
+        NoSolutionError: A quantity can leave its word; the message names it.
     """
     parts = [
         pi_ranges(control.width, name, pi, form)
@@ -190,10 +184,8 @@ def require(
 ) -> None:
     """Refuse ranges that a word cannot hold, naming the first.
 
-    Raises
-    ------
-    NoSolutionError
-        With the quantity, what it can reach, what the word holds, and the advice.
+    Raises:
+        NoSolutionError: With the quantity, what it can reach, what the word holds, and the advice.
     """
     worst = found.overflowing()
     if worst is not None:

@@ -51,10 +51,7 @@ class FixedPi:
 
 
 _NONE = FixedGain(0, 0, 0.0)
-
-IDLE = FixedPi(_NONE, _NONE, _NONE, 0)
-
-"""A controller that does nothing."""
+IDLE = FixedPi(_NONE, _NONE, _NONE, 0)  # A controller that does nothing.
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,35 +93,24 @@ class FixedReferences(Protocol):
 class FixedControl:
     """Everything that ``<prefix>_control_q15.h`` holds.
 
-    Parameters
-    ----------
-    width:
-        Bits of a code, 16 or 32.
-    bases:
-        Full scales of current in A, voltage in V, mechanical speed in rad/s, torque in N m.
-    modulation:
-        The modulator of the duty cycles.
-    dc_scale:
-        Full scale of the dc link is 2^dc_scale times that of the voltage.
-    dc_least:
-        Code below which the dc link is taken as this.
-    limit:
-        Largest voltage amplitude over the dc link, between their codes.
-    advance:
-        Angle by which the drive turns in 1.5 samples at full speed,
-        from codes of the speed to codes of the angle.
-    i_d, i_q, speed:
-        The controllers in both forms; ``speed`` is None where there is none.
-    decoupling, observer:
-        Feedforward of the currents, and the reduced-order observer, None where there is none.
-    speed_filter:
-        Share of a new sample of the speed, from codes to a state with width - 2 more bits.
-    torque_max:
-        Code of the speed controller's limit.
-    ratio:
-        Current samples per speed sample.
-    reference:
-        What makes current references from a torque; None where there is none in integers.
+    Args:
+        width: Bits of a code, 16 or 32.
+        bases: Full scales of current in A, voltage in V, mechanical speed in rad/s, torque in N m.
+        modulation: The modulator of the duty cycles.
+        dc_scale: Full scale of the dc link is 2^dc_scale times that of the voltage.
+        dc_least: Code below which the dc link is taken as this.
+        limit: Largest voltage amplitude over the dc link, between their codes.
+        advance: Angle by which the drive turns in 1.5 samples at full speed, from codes of the
+            speed to codes of the angle.
+        i_d, i_q, speed: The controllers in both forms; ``speed`` is None where there is none.
+        decoupling, observer: Feedforward of the currents, and the reduced-order observer, None
+            where there is none.
+        speed_filter: Share of a new sample of the speed, from codes to a state with width - 2 more
+            bits.
+        torque_max: Code of the speed controller's limit.
+        ratio: Current samples per speed sample.
+        reference: What makes current references from a torque; None where there is none in
+            integers.
     """
 
     width: int

@@ -29,11 +29,8 @@ from dqforge.optimizer.fixed_control.arithmetic import (
 )
 from dqforge.optimizer.fixed_control.shortening import reciprocal
 
+# Those of the package's modulators that there are in integers: all.
 FIXED_MODULATORS: tuple[ModulationName, ...] = tuple(MODULATORS)
-
-"""Those of the package's modulators that there are in integers: all."""
-
-
 _TERMS = 5
 _INTERVALS = 128  # of the table of a quarter turn
 _SEED = 20_261_121

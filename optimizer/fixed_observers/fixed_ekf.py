@@ -53,26 +53,10 @@ from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.ekf import EkfGains
 from dqforge.optimizer.observers.sampled_gains import EVEN
 
-ANGLE_BITS = 2
-
-"""An angle of the covariance has 2^2 rad of full scale."""
-
-
-P_BITS = 54
-
-"""Fractional bits of the covariance."""
-
-
-LIMIT = 1 << (P_BITS + 1)
-
-"""Largest entry of the covariance; beyond, the filter begins anew."""
-
-
-K_BITS = 24
-
-"""Fractional bits of the filter's gains."""
-
-
+ANGLE_BITS = 2  # An angle of the covariance has 2^2 rad of full scale.
+P_BITS = 54  # Fractional bits of the covariance.
+LIMIT = 1 << (P_BITS + 1)  # Largest entry of the covariance; beyond, the filter begins anew.
+K_BITS = 24  # Fractional bits of the filter's gains.
 _SLOPE_BITS = 29
 _SIZE_BITS = 27
 _MOST_PART = 1 << 40
@@ -107,17 +91,13 @@ class FixedEkf:
 def design(gains: EkfGains, scales: Scales) -> FixedEkf:
     """The filter in integers.
 
-    Parameters
-    ----------
-    gains:
-        Those in double precision.
-    scales:
-        Full scales of the control.
+    Args:
+        gains: Those in double precision.
+        scales: Full scales of the control.
 
-    Raises
-    ------
-    NoSolutionError
-        The noise of the current is too small for its full scale, or a quantity has no format.
+    Raises:
+        NoSolutionError: The noise of the current is too small for its full scale, or a quantity has
+            no format.
     """
     speed, current, angle = scales.speed, scales.current, 2.0**ANGLE_BITS
 

@@ -58,12 +58,9 @@ class FixedEemf:
 def design(gains: EemfGains, scales: Scales) -> FixedEemf:
     """The observer in integers.
 
-    Parameters
-    ----------
-    gains:
-        Those in double precision.
-    scales:
-        Full scales of the control.
+    Args:
+        gains: Those in double precision.
+        scales: Full scales of the control.
     """
     emf = scales.emf(gains.x_max / scales.t_s)
     x = scales.turn

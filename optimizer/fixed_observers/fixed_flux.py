@@ -38,14 +38,8 @@ from dqforge.optimizer.fixed_observers.scales import Scales, gain
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 
-SHARE_BITS = 30
-
-"""Fractional bits of the share of the current model."""
-
-
-ALL = 1 << SHARE_BITS
-
-"""The whole of the current model."""
+SHARE_BITS = 30  # Fractional bits of the share of the current model.
+ALL = 1 << SHARE_BITS  # The whole of the current model.
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +59,9 @@ class FixedFlux:
 def design(gains: FluxGains, scales: Scales) -> FixedFlux:
     """The observer in integers.
 
-    Parameters
-    ----------
-    gains:
-        Those in double precision.
-    scales:
-        Full scales of the control.
+    Args:
+        gains: Those in double precision.
+        scales: Full scales of the control.
     """
     return FixedFlux(
         path=fixed_flux_path(gains.path, scales),

@@ -31,27 +31,12 @@ from dqforge.optimizer.fixed_observers.scales import Scales, code, gain
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.matsui import ShownGains
 
+# Full scale of a voltage difference is 2^3 times that of the voltage: noise of the currents, over a
+# period, makes much of it.
 VOLT_BITS = 3
-
-"""Full scale of a voltage difference is 2^3 times that of the voltage: noise of the currents, over
-a period, makes much of it."""
-
-
-ANGLE_ROOM = 16.0
-
-"""Full scale in rad of an angle error of one sample."""
-
-
-SPEED_ROOM = 8.0
-
-"""Full scale of a speed error of one sample over that of the speed."""
-
-
-RATIO_BITS = 27
-
-"""Fractional bits of a voltage difference over a flux linkage, both per unit."""
-
-
+ANGLE_ROOM = 16.0  # Full scale in rad of an angle error of one sample.
+SPEED_ROOM = 8.0  # Full scale of a speed error of one sample over that of the speed.
+RATIO_BITS = 27  # Fractional bits of a voltage difference over a flux linkage, both per unit.
 _MOST_SHARE_BITS = 28
 _PRODUCT_SHIFT = 28
 
@@ -74,12 +59,9 @@ class FixedShown:
 def fixed_shown(shown: ShownGains, scales: Scales) -> FixedShown:
     """The gains in integers.
 
-    Parameters
-    ----------
-    shown:
-        In double precision.
-    scales:
-        Full scales of the control.
+    Args:
+        shown: In double precision.
+        scales: Full scales of the control.
     """
     least = shown.omega_min_2 / scales.speed**2
     # The share is largest, 1/(2 sqrt(least)), at the least speed.
@@ -154,16 +136,12 @@ def shown_gap(
 ) -> ShownGap[N]:
     """What the period before a sample showed.
 
-    Parameters
-    ----------
-    o:
-        The arithmetic.
-    model, half_turn:
-        The sampled machine, and what makes the angle of half a period, 2^31 codes of a radian.
-    state:
-        Before the sample; its first two words are the last current.
-    v, i:
-        Voltage that acted over the period, current at its end, in codes.
+    Args:
+        o: The arithmetic.
+        model, half_turn: The sampled machine, and what makes the angle of half a period, 2^31 codes
+            of a radian.
+        state: Before the sample; its first two words are the last current.
+        v, i: Voltage that acted over the period, current at its end, in codes.
     """
     codes = Codes(o, WIDTH)
     turn = rotation(o, WIDTH, state.theta)

@@ -54,12 +54,9 @@ class FixedMatsuiCurrent:
 def design(gains: MatsuiCurrentGains, scales: Scales) -> FixedMatsuiCurrent:
     """The estimator in integers.
 
-    Parameters
-    ----------
-    gains:
-        Those in double precision.
-    scales:
-        Full scales of the control.
+    Args:
+        gains: Those in double precision.
+        scales: Full scales of the control.
     """
     volts = scales.current / (scales.voltage * 2.0**VOLT_BITS)
     return FixedMatsuiCurrent(

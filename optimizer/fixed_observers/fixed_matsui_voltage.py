@@ -31,9 +31,7 @@ from dqforge.optimizer.fixed_observers.scales import Scales, gain, speed_limit
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.matsui_voltage import MatsuiVoltageGains
 
-MOST_BEHIND = 16 * ONE
-
-"""Limit in codes of the low-pass speed less the one that turns the frame."""
+MOST_BEHIND = 16 * ONE  # Limit in codes of the low-pass speed less the one that turns the frame.
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +53,9 @@ class FixedMatsuiVoltage:
 def design(gains: MatsuiVoltageGains, scales: Scales) -> FixedMatsuiVoltage:
     """The estimator in integers.
 
-    Parameters
-    ----------
-    gains:
-        Those in double precision.
-    scales:
-        Full scales of the control.
+    Args:
+        gains: Those in double precision.
+        scales: Full scales of the control.
     """
     return FixedMatsuiVoltage(
         model=fixed_sampled(gains.model, scales),

@@ -47,21 +47,14 @@ Step = Callable[[Any, Any, TrackedState[Any], Pair[Any], Pair[Any]], TrackedStat
 class FixedMethod:
     """One method of observing the position, in integers.
 
-    Parameters
-    ----------
-    name, code:
-        As those of the `ObserverMethod` of the same name.
-    gains:
-        The dataclass that ``design`` returns: integers, `FixedGain` and records of them.
-    design:
-        (gains of the method in double precision, scales) -> gains in integers.
-    words:
-        What the state holds besides angle and speed.
-    limits:
-        gains -> what each word can be; ``step`` leaves none of these ranges.
-    begin, step:
-        (arithmetic, gains, state, voltage, current) -> state after the first and after any other
-        sample; both vectors (alpha, beta) in codes of 32 bits.
+    Args:
+        name, code: As those of the `ObserverMethod` of the same name.
+        gains: The dataclass that ``design`` returns: integers, `FixedGain` and records of them.
+        design: (gains of the method in double precision, scales) -> gains in integers.
+        words: What the state holds besides angle and speed.
+        limits: gains -> what each word can be; ``step`` leaves none of these ranges.
+        begin, step: (arithmetic, gains, state, voltage, current) -> state after the first and after
+            any other sample; both vectors (alpha, beta) in codes of 32 bits.
     """
 
     name: str
@@ -110,14 +103,10 @@ def observe_codes(
 ) -> tuple[CodeArray, CodeArray]:
     """Estimated angle and speed in codes of ``width`` bits, shape (K, S).
 
-    Parameters
-    ----------
-    method, gains, width:
-        The observer and the format of the control.
-    start:
-        Angle and speed before the first sample in codes of ``width`` bits, shape (S,).
-    samples:
-        v_alpha, v_beta, i_alpha and i_beta in codes of ``width`` bits, shape (K, S).
+    Args:
+        method, gains, width: The observer and the format of the control.
+        start: Angle and speed before the first sample in codes of ``width`` bits, shape (S,).
+        samples: v_alpha, v_beta, i_alpha and i_beta in codes of ``width`` bits, shape (K, S).
     """
     o = Integers()
     theta, omega = (

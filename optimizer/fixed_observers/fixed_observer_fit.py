@@ -45,14 +45,10 @@ class FixedPositionObserver:
 class FixedObserverFit:
     """A position observer in integers with its evidence.
 
-    Parameters
-    ----------
-    observer:
-        The integers.
-    reaches:
-        Proven range of every product and sum.
-    sine_error:
-        Largest error of sine and cosine in codes of 32 bits.
+    Args:
+        observer: The integers.
+        reaches: Proven range of every product and sum.
+        sine_error: Largest error of sine and cosine in codes of 32 bits.
     """
 
     observer: FixedPositionObserver
@@ -83,21 +79,15 @@ class FixedObserverFit:
 def fit_observer(design: Design, observer: PositionObserver, width: int) -> FixedObserverFit:
     """A position observer in integers behind a control of 16 or 32 bits.
 
-    Parameters
-    ----------
-    design:
-        Machine and bases.
-    observer:
-        The observer that was tuned.
-    width:
-        Bits of a code of the control.
+    Args:
+        design: Machine and bases.
+        observer: The observer that was tuned.
+        width: Bits of a code of the control.
 
-    Raises
-    ------
-    InputError
-        The bases do not hold the largest current or speed, or the method is not there in integers.
-    NoSolutionError
-        A quantity can overflow, or a gain has no format.
+    Raises:
+        InputError: The bases do not hold the largest current or speed, or the method is not there
+            in integers.
+        NoSolutionError: A quantity can overflow, or a gain has no format.
     """
     require_scales(design)
     method, bases = fixed_method_named(observer.method.name), design.control.bases

@@ -47,16 +47,8 @@ from dqforge.optimizer.fixed_observers.scales import Scales, gain
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.open_loop_flux import OpenLoopFluxGains
 
-BITS = 25
-
-"""Fractional bits of the factor c of the filter, which stays below 2^(30 - 25)."""
-
-
-LARGEST = 1 << (WIDTH - 2)
-
-"""Limit of both parts of c in codes."""
-
-
+BITS = 25  # Fractional bits of the factor c of the filter, which stays below 2^(30 - 25).
+LARGEST = 1 << (WIDTH - 2)  # Limit of both parts of c in codes.
 _MOST_CORNER = 1 << 36
 _SHARE_BITS = 30
 
@@ -82,17 +74,13 @@ class FixedOpenLoop:
 def design(gains: OpenLoopFluxGains, scales: Scales) -> FixedOpenLoop:
     """The estimator in integers.
 
-    Parameters
-    ----------
-    gains:
-        Those in double precision.
-    scales:
-        Full scales of the control.
+    Args:
+        gains: Those in double precision.
+        scales: Full scales of the control.
 
-    Raises
-    ------
-    NoSolutionError
-        A gain has no format, or the corner of the filter is beyond that of any speed.
+    Raises:
+        NoSolutionError: A gain has no format, or the corner of the filter is beyond that of any
+            speed.
     """
     x = scales.turn
     least = round(gains.kappa_0 / x * ONE)

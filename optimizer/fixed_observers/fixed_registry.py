@@ -16,6 +16,7 @@ from dqforge.optimizer.fixed_observers import (
 )
 from dqforge.optimizer.fixed_observers.fixed_method import FixedMethod
 
+# The methods by name.
 FIXED_METHODS: Mapping[str, FixedMethod] = MappingProxyType(
     {
         method.name: method
@@ -30,16 +31,12 @@ FIXED_METHODS: Mapping[str, FixedMethod] = MappingProxyType(
     }
 )
 
-"""The methods by name."""
-
 
 def fixed_method_named(name: str) -> FixedMethod:
     """The method of that name.
 
-    Raises
-    ------
-    InputError
-        It is not there in integers.
+    Raises:
+        InputError: It is not there in integers.
     """
     if name not in FIXED_METHODS:
         raise InputError(

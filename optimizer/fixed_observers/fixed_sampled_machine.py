@@ -38,12 +38,9 @@ class FixedSampled:
 def fixed_sampled(model: SampledGains, scales: Scales) -> FixedSampled:
     """The sampled machine in integers.
 
-    Parameters
-    ----------
-    model:
-        In double precision.
-    scales:
-        Full scales of the control.
+    Args:
+        model: In double precision.
+        scales: Full scales of the control.
     """
     return FixedSampled(
         common_scale("sampled machine", entry_rows(model, scales), _ENTRY_BITS),

@@ -51,12 +51,9 @@ class FixedCurrentModel:
 def fixed_flux_path(path: FluxPath, scales: Scales) -> FixedFluxPath:
     """The voltage model in integers.
 
-    Parameters
-    ----------
-    path:
-        In double precision.
-    scales:
-        Full scales of the control.
+    Args:
+        path: In double precision.
+        scales: Full scales of the control.
     """
     current = scales.current / scales.flux
     return FixedFluxPath(

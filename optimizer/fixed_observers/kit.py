@@ -21,26 +21,12 @@ from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, magnitude, ro
 from dqforge.optimizer.fixed_control.gains import scaled
 from dqforge.optimizer.loops.integer_gains import FixedGain
 
-WIDTH = 32
+WIDTH = 32  # Bits of every code inside an observer.
+ONE = 2 ** (WIDTH - 1)  # Codes of full scale, and of a radian.
+TOP = ONE - 1  # The largest code.
 
-"""Bits of every code inside an observer."""
-
-
-ONE = 2 ** (WIDTH - 1)
-
-"""Codes of full scale, and of a radian."""
-
-
-TOP = ONE - 1
-
-"""The largest code."""
-
-
+# Names of quantities that must fit 32 bits begin so, because the C divides them there.
 NARROW = "int32: "
-
-"""Names of quantities that must fit 32 bits begin so, because the C divides them there."""
-
-
 _HALF_WORD = 16
 _MOST_DIVISOR = 2**62
 _SIZE_BITS = 15

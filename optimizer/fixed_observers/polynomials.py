@@ -30,21 +30,14 @@ def common_scale(
 ) -> FixedPolynomials:
     """Coefficients at the finest common scale at which no value needs more than ``bits`` bits.
 
-    Parameters
-    ----------
-    name:
-        What the polynomials are, for the message.
-    rows:
-        Coefficients of rising powers of s per unit.
-    bits:
-        A value stays below 2^bits in magnitude.
-    weights:
-        Largest s^k of each power where that is less than 1.
+    Args:
+        name: What the polynomials are, for the message.
+        rows: Coefficients of rising powers of s per unit.
+        bits: A value stays below 2^bits in magnitude.
+        weights: Largest s^k of each power where that is less than 1.
 
-    Raises
-    ------
-    NoSolutionError
-        No scale holds them.
+    Raises:
+        NoSolutionError: No scale holds them.
     """
     count = len(rows[0])
     most = weights if weights is not None else [1.0] * count

@@ -65,19 +65,13 @@ class Scales:
 def gain(name: str, value: float, argument: int = ONE) -> FixedGain:
     """A gain between codes.
 
-    Parameters
-    ----------
-    name:
-        What it is, for the message.
-    value:
-        The gain.
-    argument:
-        Largest magnitude of what it is multiplied with.
+    Args:
+        name: What it is, for the message.
+        value: The gain.
+        argument: Largest magnitude of what it is multiplied with.
 
-    Raises
-    ------
-    NoSolutionError
-        No format of 32 bits holds it.
+    Raises:
+        NoSolutionError: No format of 32 bits holds it.
     """
     try:
         return quantise(value, WIDTH, argument)
@@ -88,10 +82,8 @@ def gain(name: str, value: float, argument: int = ONE) -> FixedGain:
 def code(name: str, share: float, one: int = ONE) -> int:
     """Code of a share of full scale.
 
-    Raises
-    ------
-    NoSolutionError
-        It is beyond full scale.
+    Raises:
+        NoSolutionError: It is beyond full scale.
     """
     found = round(share * one)
     if abs(found) > TOP:

@@ -22,17 +22,12 @@ from dqforge.optimizer.fixed_observers.kit import NARROW, TOP, WIDTH
 def observer_reaches(method: FixedMethod, gains: Any, width: int) -> tuple[Reach, ...]:
     """Range of every named product and sum of the emitted functions, in the order of evaluation.
 
-    Parameters
-    ----------
-    method, gains:
-        The observer.
-    width:
-        Bits of a code of the control.
+    Args:
+        method, gains: The observer.
+        width: Bits of a code of the control.
 
-    Raises
-    ------
-    NoSolutionError
-        A quantity can leave its word, or a state its range; the message names it.
+    Raises:
+        NoSolutionError: A quantity can leave its word, or a state its range; the message names it.
     """
     every, angle = codes(width), Range(0, 2**width - 1)
     found: dict[str, Reach] = {}

@@ -66,23 +66,15 @@ def fit_phase_control(
 ) -> FixedPhaseFit:
     """Integers of a phase machine's control for the bases of a design.
 
-    Parameters
-    ----------
-    design:
-        For the bases, and the link.
-    control:
-        The real numbers.
-    width:
-        Bits of a code.
-    speed:
-        Gains of the speed loop, and of the current loop that makes its torque; None without.
+    Args:
+        design: For the bases, and the link.
+        control: The real numbers.
+        width: Bits of a code.
+        speed: Gains of the speed loop, and of the current loop that makes its torque; None without.
 
-    Raises
-    ------
-    InputError
-        The bases do not hold the largest current, speed or voltage.
-    NoSolutionError
-        A quantity can overflow, or a gain has no format.
+    Raises:
+        InputError: The bases do not hold the largest current, speed or voltage.
+        NoSolutionError: A quantity can overflow, or a gain has no format.
     """
     if control.feedforward == "measured":
         raise InputError(

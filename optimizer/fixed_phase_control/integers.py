@@ -75,49 +75,32 @@ class FixedMidpoint:
 class FixedPhaseControl:
     """Everything that the header in integers holds.
 
-    Parameters
-    ----------
-    width:
-        Bits of a code, 16 or 32.
-    bases:
-        Full scales of current in A, voltage in V, mechanical speed in rad/s, torque in N m, flux
-        (back-EMF over electrical speed) in Wb.
-    frame, feedforward, topology:
-        As in `PhaseControl`.
-    shape:
-        Codes of the flux of phase a, or of all three: one row or three, N + 1 entries each, of
-        which the last repeats the first.
-    turns:
-        Electrical periods of the shape.
-    fundamental:
-        Code of the flux of the fundamental.
-    fade, fade_end:
-        From what the speed lacks of ``fade_end`` (code) to the share of the harmonics in the
-        references.
-    unit, unit_bits, least_square:
-        i = t f / s with t = ``unit`` times the torque, s the square of the flux, at least
-        ``least_square``; the quotient has ``unit_bits`` bits less than a code.
-    sample:
-        Turn of the shape in a sample, from codes of the speed to codes of its angle.
-    electrical:
-        Reactance of the flux: from speed times flux to voltage.
-    d, q, zero:
-        Controllers; None for a zero sequence that nothing drives.
-    rate, harmonic_fraction:
-        What harmonic integrators learn in a sample, and the further bits of their states.
-    error_max:
-        Sum of the magnitudes of the errors, in codes, above which they rest.
-    harmonics:
-        The integrators.
-    midpoint:
-        For a split link, else None.
-    dc_scale, dc_least:
-        Full scale of the link is 2^dc_scale times that of the voltage; below the code
-        ``dc_least`` it counts as that.
-    current_per_torque:
-        For the frame dq: from the code of the torque to that of i_q.
-    speed, speed_filter, torque_max, ratio:
-        The speed loop, as in `FixedControl`.
+    Args:
+        width: Bits of a code, 16 or 32.
+        bases: Full scales of current in A, voltage in V, mechanical speed in rad/s, torque in N m,
+            flux (back-EMF over electrical speed) in Wb.
+        frame, feedforward, topology: As in `PhaseControl`.
+        shape: Codes of the flux of phase a, or of all three: one row or three, N + 1 entries each,
+            of which the last repeats the first.
+        turns: Electrical periods of the shape.
+        fundamental: Code of the flux of the fundamental.
+        fade, fade_end: From what the speed lacks of ``fade_end`` (code) to the share of the
+            harmonics in the references.
+        unit, unit_bits, least_square: i = t f / s with t = ``unit`` times the torque, s the square
+            of the flux, at least ``least_square``; the quotient has ``unit_bits`` bits less than a
+            code.
+        sample: Turn of the shape in a sample, from codes of the speed to codes of its angle.
+        electrical: Reactance of the flux: from speed times flux to voltage.
+        d, q, zero: Controllers; None for a zero sequence that nothing drives.
+        rate, harmonic_fraction: What harmonic integrators learn in a sample, and the further bits
+            of their states.
+        error_max: Sum of the magnitudes of the errors, in codes, above which they rest.
+        harmonics: The integrators.
+        midpoint: For a split link, else None.
+        dc_scale, dc_least: Full scale of the link is 2^dc_scale times that of the voltage; below
+            the code ``dc_least`` it counts as that.
+        current_per_torque: For the frame dq: from the code of the torque to that of i_q.
+        speed, speed_filter, torque_max, ratio: The speed loop, as in `FixedControl`.
     """
 
     width: int

@@ -17,10 +17,8 @@ from dqforge.optimizer.fixed_phase_control.phase_step import (
 def phase_ranges(control: FixedPhaseControl) -> tuple[Reach, ...]:
     """Range of every named product and sum of the step, from any codes and any state.
 
-    Raises
-    ------
-    NoSolutionError
-        A quantity can leave its word; the message names it.
+    Raises:
+        NoSolutionError: A quantity can leave its word; the message names it.
     """
     width, top = control.width, control.top
     found = Ranges(width, "phase control: ")

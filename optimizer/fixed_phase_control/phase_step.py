@@ -364,20 +364,13 @@ def control_step(
 ) -> PhaseStep[N]:
     """One sample: duty cycles that act from the next one on, for one period.
 
-    Parameters
-    ----------
-    o:
-        The arithmetic.
-    control:
-        The integers.
-    state:
-        What the last step left.
-    sample:
-        What is measured now.
-    torque:
-        Code of the torque; of no account in frame dq.
-    constant:
-        Codes of constant dq currents; in frame dq the reference.
+    Args:
+        o: The arithmetic.
+        control: The integers.
+        state: What the last step left.
+        sample: What is measured now.
+        torque: Code of the torque; of no account in frame dq.
+        constant: Codes of constant dq currents; in frame dq the reference.
     """
     width, codes = control.width, Codes(o, control.width)
     v_dc = o.clamp(sample.v_dc, control.dc_least, control.top)

@@ -27,44 +27,30 @@ from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 _LINE_ROWS = (1, 2, 4, 8, 16, 32, 64, 128)
 
-
+# Share of the largest torque by which a reference of the torque alone may err, where the float32
+# reference does not err by more.
 _LINE_ERROR = 0.001
 
-"""Share of the largest torque by which a reference of the torque alone may err, where the float32
-reference does not err by more."""
-
-
+# Cells along torque and flux linkage that are tried.
 _SHAPES = ((8, 4), (16, 4), (16, 8), (32, 4), (32, 8), (32, 16), (64, 16))
-
-"""Cells along torque and flux linkage that are tried."""
-
-
 _HALVINGS = 60
 
-
+# Share of the least flux linkage by which the mesh goes below it, so that what is rounded still
+# lies inside.
 _MARGIN = 0.005
-
-"""Share of the least flux linkage by which the mesh goes below it, so that what is rounded still
-lies inside."""
 
 
 @dataclass(frozen=True, slots=True)
 class FixedReferenceFit:
     """An integer reference with its evidence.
 
-    Parameters
-    ----------
-    reference:
-        The integers.
-    errors:
-        Largest errors found.
-    proven:
-        Bounds of what limits are exceeded by.
-    reaches:
-        Proven range of every product and sum, for any codes.
-    speed:
-        Largest mechanical speed in rad/s at the design's voltage for which the errors hold; None
-        where the voltage limits nothing.
+    Args:
+        reference: The integers.
+        errors: Largest errors found.
+        proven: Bounds of what limits are exceeded by.
+        reaches: Proven range of every product and sum, for any codes.
+        speed: Largest mechanical speed in rad/s at the design's voltage for which the errors hold;
+            None where the voltage limits nothing.
     """
 
     reference: CurrentMesh
@@ -89,23 +75,15 @@ def fit_line(
 ) -> FixedReferenceFit:
     """Reference of the torque alone.
 
-    Parameters
-    ----------
-    design:
-        Machine and bases.
-    choice:
-        The exact currents.
-    end:
-        Largest torque in N m.
-    permitted:
-        Torque error over the largest torque that other references of the design have.
-    width:
-        Bits of a code.
+    Args:
+        design: Machine and bases.
+        choice: The exact currents.
+        end: Largest torque in N m.
+        permitted: Torque error over the largest torque that other references of the design have.
+        width: Bits of a code.
 
-    Raises
-    ------
-    NoSolutionError
-        Its torques are too small a part of full scale.
+    Raises:
+        NoSolutionError: Its torques are too small a part of full scale.
     """
     end = _end(design, end, width)
     worst = max(permitted, _LINE_ERROR)
@@ -161,23 +139,15 @@ def fit_mesh(
 ) -> FixedReferenceFit:
     """Smallest reference over torque, voltage and speed that keeps the errors of the design.
 
-    Parameters
-    ----------
-    design:
-        Machine, bases, voltage limit and budget.
-    domain:
-        Torque, voltage and speed.
-    end:
-        Largest torque in N m.
-    width:
-        Bits of a code.
-    dc:
-        Scale of the dc link and its least code, as `FixedControl` has them.
+    Args:
+        design: Machine, bases, voltage limit and budget.
+        domain: Torque, voltage and speed.
+        end: Largest torque in N m.
+        width: Bits of a code.
+        dc: Scale of the dc link and its least code, as `FixedControl` has them.
 
-    Raises
-    ------
-    NoSolutionError
-        No size keeps the permitted errors, or a scale is missing.
+    Raises:
+        NoSolutionError: No size keeps the permitted errors, or a scale is missing.
     """
     settings = design.weakening
     if settings is None:

@@ -29,18 +29,13 @@ from dqforge.optimizer.loops.integer_gains import FixedGain
 class VoltageScale:
     """How the voltage limit is told in integers.
 
-    Parameters
-    ----------
-    limit:
-        Largest phase amplitude over the dc link, between their codes.
-    dc_least:
-        Code below which the dc link is taken as this.
-    shift:
-        Bits by which squared voltages are shifted right, so that every sum holds.
-    heat:
-        Bits by which the entries ``heat`` of the mesh are shifted left to become squared voltages.
-    drop:
-        From the product of torque and speed, a code, to the squared voltage that it takes.
+    Args:
+        limit: Largest phase amplitude over the dc link, between their codes.
+        dc_least: Code below which the dc link is taken as this.
+        shift: Bits by which squared voltages are shifted right, so that every sum holds.
+        heat: Bits by which the entries ``heat`` of the mesh are shifted left to become squared
+            voltages.
+        drop: From the product of torque and speed, a code, to the squared voltage that it takes.
     """
 
     limit: FixedGain
@@ -54,21 +49,14 @@ class VoltageScale:
 class CurrentMesh:
     """Everything that ``<prefix>_reference_q15.h`` holds.
 
-    Parameters
-    ----------
-    width:
-        Bits of a code, 16 or 32.
-    bases:
-        Full scales of current in A, voltage in V, mechanical speed in rad/s, torque in N m.
-    torque:
-        Codes of the torque of each row, rising from 0; one more than a power of two.
-    d, q:
-        Codes of the currents of the nodes, row by row.
-    flux, heat:
-        Squared flux linkages and squared currents of the nodes as squared voltages (see
-        `VoltageScale`), row by row; empty where the voltage limits nothing.
-    voltage:
-        Scales of the voltage limit, None where the voltage limits nothing: one column.
+    Args:
+        width: Bits of a code, 16 or 32.
+        bases: Full scales of current in A, voltage in V, mechanical speed in rad/s, torque in N m.
+        torque: Codes of the torque of each row, rising from 0; one more than a power of two.
+        d, q: Codes of the currents of the nodes, row by row.
+        flux, heat: Squared flux linkages and squared currents of the nodes as squared voltages (see
+            `VoltageScale`), row by row; empty where the voltage limits nothing.
+        voltage: Scales of the voltage limit, None where the voltage limits nothing: one column.
     """
 
     width: int

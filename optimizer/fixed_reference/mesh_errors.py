@@ -14,16 +14,8 @@ from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
 
 _TORQUES, _SPEEDS = 25, 24
-
-
 _VOLTAGES = (1.0, LEAST_VOLTAGE, 0.9, 1.1)
-
-
-_LOADED = 0.05
-
-"""Share of the largest torque from which the loss above the least is told."""
-
-
+_LOADED = 0.05  # Share of the largest torque from which the loss above the least is told.
 _LINE_POINTS = 20_001
 
 
@@ -31,23 +23,15 @@ _LINE_POINTS = 20_001
 class MeshErrors:
     """Largest errors of an integer reference, found by sampling.
 
-    Parameters
-    ----------
-    torque:
-        Torque made less the one asked for, or less the largest one that can be had, in N m.
-    torque_relative:
-        The same over the largest torque.
-    current:
-        Distance from the exact currents in A.
-    current_excess:
-        Magnitude of the current beyond its limit, relative to it.
-    voltage_excess:
-        Phase voltage with its resistance drop beyond the limit, relative to it; None where the
-        voltage limits nothing.
-    loss_relative:
-        Copper loss above the least, where the torque can be had.
-    samples:
-        How many points were looked at.
+    Args:
+        torque: Torque made less the one asked for, or less the largest one that can be had, in N m.
+        torque_relative: The same over the largest torque.
+        current: Distance from the exact currents in A.
+        current_excess: Magnitude of the current beyond its limit, relative to it.
+        voltage_excess: Phase voltage with its resistance drop beyond the limit, relative to it;
+            None where the voltage limits nothing.
+        loss_relative: Copper loss above the least, where the torque can be had.
+        samples: How many points were looked at.
     """
 
     torque: float

@@ -16,22 +16,13 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.field_weakening.exact import WeakeningRegion
 
+# Points on the way of the currents, whose lengths decide where nodes lie.
 _FINE_ROWS, _FINE_COLUMNS = 161, 33
 
-"""Points on the way of the currents, whose lengths decide where nodes lie."""
-
-
+# Levels of the flux linkage at which the largest torque is looked up, and steps from there.
 _LEVELS = 257
-
-
 _HALVINGS = 20
-
-"""Levels of the flux linkage at which the largest torque is looked up, and steps from there."""
-
-
 _LEAST_FLUX = 1e-9  # of the largest one
-
-
 Currents = tuple[FloatArray, FloatArray]
 
 
@@ -63,14 +54,10 @@ def _even(way: FloatArray, at: FloatArray, cells: int) -> FloatArray:
 def line_nodes(currents: Callable[[FloatArray], Currents], end: float, rows: int) -> Nodes:
     """Nodes of one column: currents that a torque alone decides.
 
-    Parameters
-    ----------
-    currents:
-        (i_d, i_q) in A of torques in N m, shape (N,).
-    end:
-        Largest torque in N m.
-    rows:
-        Cells along the torque.
+    Args:
+        currents: (i_d, i_q) in A of torques in N m, shape (N,).
+        end: Largest torque in N m.
+        rows: Cells along the torque.
     """
     # Crowded at the start, where currents may rise like a root.
     fine = end * np.linspace(0.0, 1.0, _FINE_ROWS) ** 3
@@ -140,14 +127,10 @@ def _way(region: WeakeningRegion, torque: FloatArray) -> FloatArray:
 def mesh_nodes(region: WeakeningRegion, ways: RowWays, shape: tuple[int, int]) -> Nodes:
     """Nodes over torque and flux linkage.
 
-    Parameters
-    ----------
-    region:
-        Domain of torque and flux linkage.
-    ways:
-        Its ways along the torque.
-    shape:
-        Cells along the torque, and along the flux linkage.
+    Args:
+        region: Domain of torque and flux linkage.
+        ways: Its ways along the torque.
+        shape: Cells along the torque, and along the flux linkage.
     """
     rows, columns = shape
     torque = _rows(ways, rows)

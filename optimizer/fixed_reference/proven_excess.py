@@ -21,9 +21,7 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE
 from dqforge.optimizer.fixed_reference.mesh import CurrentMesh
 
-_SLACK = 1e-9
-
-"""Share of the limit that stands for what doubles round when nodes are made."""
+_SLACK = 1e-9  # Share of the limit that stands for what doubles round when nodes are made.
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,14 +41,11 @@ class ProvenExcess:
 def proven_excess(design: Design, mesh: CurrentMesh, speed: float | None) -> ProvenExcess:
     """Bounds for a mesh.
 
-    Parameters
-    ----------
-    design:
-        Machine and limits.
-    mesh:
-        The integers.
-    speed:
-        Largest mechanical speed in rad/s at the design's voltage, None where that limits nothing.
+    Args:
+        design: Machine and limits.
+        mesh: The integers.
+        speed: Largest mechanical speed in rad/s at the design's voltage, None where that limits
+            nothing.
     """
     unit = mesh.bases[0] / 2.0 ** (mesh.width - 1)
     currents = _nodes(mesh, mesh.d) * unit, _nodes(mesh, mesh.q) * unit

@@ -21,21 +21,14 @@ _MOST_SHIFT = 20
 def in_integers(design: Design, nodes: Nodes, width: int, dc: tuple[int, int]) -> CurrentMesh:
     """The nodes in words of ``width`` bits.
 
-    Parameters
-    ----------
-    design:
-        Machine, bases and voltage limit.
-    nodes:
-        Torques in N m and currents in A; one column where the voltage limits nothing.
-    width:
-        Bits of a code, 16 or 32.
-    dc:
-        Scale of the dc link and its least code, as `FixedControl` has them.
+    Args:
+        design: Machine, bases and voltage limit.
+        nodes: Torques in N m and currents in A; one column where the voltage limits nothing.
+        width: Bits of a code, 16 or 32.
+        dc: Scale of the dc link and its least code, as `FixedControl` has them.
 
-    Raises
-    ------
-    NoSolutionError
-        Two rows have the same code, or squared voltages have no scale.
+    Raises:
+        NoSolutionError: Two rows have the same code, or squared voltages have no scale.
     """
     bases = design.control.bases
     one, top = 2 ** (width - 1), 2 ** (width - 1) - 1
@@ -132,10 +125,8 @@ def _shift(induced: float, heat: float, drop: float) -> int:
 def mesh_ranges(mesh: CurrentMesh) -> tuple[Reach, ...]:
     """Range of every product and sum for any codes, in the order of evaluation.
 
-    Raises
-    ------
-    NoSolutionError
-        A quantity can leave its word.
+    Raises:
+        NoSolutionError: A quantity can leave its word.
     """
     found = Ranges(mesh.width, "reference: ")
     every = codes(mesh.width)

@@ -21,19 +21,13 @@ def solve_fixed_references(
     """Integer references for the fixed-point formats of the control functions; none where each
     sign of the torque has a reference of its own (the halves of a flux map).
 
-    Parameters
-    ----------
-    design:
-        The design.
-    fit:
-        Its current reference over torque: strategy, speed and end of the domain.
-    weakening:
-        Its reference over torque, voltage and speed, None where it asks for none.
+    Args:
+        design: The design.
+        fit: Its current reference over torque: strategy, speed and end of the domain.
+        weakening: Its reference over torque, voltage and speed, None where it asks for none.
 
-    Raises
-    ------
-    NoSolutionError
-        As `fit_line` and `fit_mesh`.
+    Raises:
+        NoSolutionError: As `fit_line` and `fit_mesh`.
     """
     if design.halves is not None:
         return ()

@@ -9,15 +9,12 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.flashing_choice.choices import COMPARED, FlashRow
 from dqforge.optimizer.flashing_choice.solve import FlashComparison
 
+# By how much the torque ripple of plain dq may be above that of the table, over the torque, for the
+# simpler controller to be enough.
 SMOOTH = 5e-3
 
-"""By how much the torque ripple of plain dq may be above that of the table, over the torque, for
-the simpler controller to be enough."""
-
-
+# Share of the losses that more legs, or capacitors in halves, must save to be worth having.
 WORTH = 5e-3
-
-"""Share of the losses that more legs, or capacitors in halves, must save to be worth having."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +59,8 @@ def advise(found: FlashComparison) -> Advice:
 
     Without a device the bridges cannot be weighed: then it is the first topology that can be had.
 
-    Parameters
-    ----------
-    found:
-        The comparison, with what was simulated of it.
+    Args:
+        found: The comparison, with what was simulated of it.
     """
     tables = [_candidate(found, topology) for topology in COMPARED]
     possible = [row for row in tables if not row.obstacle]

@@ -9,35 +9,23 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 
+# What the torque ripple is asked for besides: an offset of one current sensor, noise of all of
+# them, an inductance of the plant 30 % lower, and a back-EMF 5 % higher than the firmware's.
 COMPARED: tuple[Topology, ...] = ("three-wire", "four-leg", "six-leg", "split-capacitor")
-
-
 DEVIATIONS = ("offset", "noise", "inductance", "back_emf")
+OFFSET = NOISE = 30e-3  # Of a sensor in A; the noise r.m.s.
 
-"""What the torque ripple is asked for besides: an offset of one current sensor, noise of all of
-them, an inductance of the plant 30 % lower, and a back-EMF 5 % higher than the firmware's."""
-
-
-OFFSET = NOISE = 30e-3
-
-"""Of a sensor in A; the noise r.m.s."""
-
-
+# Relative deviations of the plant from the model in the firmware.
 INDUCTANCE, BACK_EMF = -0.3, 0.05
-
-"""Relative deviations of the plant from the model in the firmware."""
 
 
 @dataclass(frozen=True, slots=True)
 class RippleFigures:
     """Torque ripple, peak to peak of the means over a PWM period, over the mean torque.
 
-    Parameters
-    ----------
-    plain:
-        With the design's dead time.
-    deviating:
-        With each of `DEVIATIONS` besides.
+    Args:
+        plain: With the design's dead time.
+        deviating: With each of `DEVIATIONS` besides.
     """
 
     plain: float
@@ -48,32 +36,21 @@ class RippleFigures:
 class FlashRow:
     """A topology with a controller at the operating point.
 
-    Parameters
-    ----------
-    topology, frame:
-        What is compared; ``table`` has harmonic integrators, the others none.
-    obstacle:
-        Why this cannot be run here; empty where it can. The numbers are NaN where it cannot.
-    copper:
-        Copper loss in W, of the switching's own currents and the neutral's conductor too.
-    bridge:
-        Loss of all legs in W; NaN where the design has no device.
-    neutral_leg:
-        Loss of the neutral's leg in W, NaN where there is none or it is not known.
-    link:
-        Voltage of the link in V that is needed, with what dead time takes.
-    neutral:
-        R.m.s. in A of the neutral current, that of the switching included.
-    ripple:
-        By closed form: references, and what the loop leaves of dead time and deviations.
-    constants:
-        Bytes of the table of the back-EMF.
-    control:
-        Current control of the row, None where it cannot be run.
-    simulated:
-        From the emitted C in the compiled simulation; None where it was not run.
-    cycles:
-        Mean estimate of a sample on the design's core, (low, high); None where it was not measured.
+    Args:
+        topology, frame: What is compared; ``table`` has harmonic integrators, the others none.
+        obstacle: Why this cannot be run here; empty where it can. The numbers are NaN where it
+            cannot.
+        copper: Copper loss in W, of the switching's own currents and the neutral's conductor too.
+        bridge: Loss of all legs in W; NaN where the design has no device.
+        neutral_leg: Loss of the neutral's leg in W, NaN where there is none or it is not known.
+        link: Voltage of the link in V that is needed, with what dead time takes.
+        neutral: R.m.s. in A of the neutral current, that of the switching included.
+        ripple: By closed form: references, and what the loop leaves of dead time and deviations.
+        constants: Bytes of the table of the back-EMF.
+        control: Current control of the row, None where it cannot be run.
+        simulated: From the emitted C in the compiled simulation; None where it was not run.
+        cycles: Mean estimate of a sample on the design's core, (low, high); None where it was not
+            measured.
     """
 
     topology: Topology
@@ -104,10 +81,8 @@ class FlashRow:
 def compared_frames(topology: Topology) -> tuple[CurrentFrame, ...]:
     """Controllers that are compared on a topology.
 
-    Parameters
-    ----------
-    topology:
-        Without a neutral there is no dqy.
+    Args:
+        topology: Without a neutral there is no dqy.
     """
     if TOPOLOGIES[topology].neutral:
         return ("dq", "dqx", "dqy", "table")

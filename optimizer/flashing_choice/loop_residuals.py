@@ -30,10 +30,8 @@ _FADES_FROM = 0.8
 def stationary(phases: FloatArray) -> tuple[ComplexArray, FloatArray]:
     """Alpha and beta as a complex waveform (N,), and the mean of the phases (N,).
 
-    Parameters
-    ----------
-    phases:
-        Phase quantities, shape (3, N).
+    Args:
+        phases: Phase quantities, shape (3, N).
     """
     turn = np.exp(2j * np.pi / 3.0 * np.arange(3))
     return np.asarray(2.0 / 3.0 * (turn @ phases)), np.asarray(np.mean(phases, axis=0))
@@ -42,10 +40,8 @@ def stationary(phases: FloatArray) -> tuple[ComplexArray, FloatArray]:
 def phases_of(plane: ComplexArray, zero: FloatArray) -> FloatArray:
     """Phase quantities (3, N) of alpha, beta and the zero sequence.
 
-    Parameters
-    ----------
-    plane, zero:
-        As from `stationary`.
+    Args:
+        plane, zero: As from `stationary`.
     """
     turn = np.exp(-2j * np.pi / 3.0 * np.arange(3))
     return np.asarray(np.real(turn[:, np.newaxis] * plane) + zero)
@@ -89,18 +85,13 @@ def residual_currents(
 ) -> FloatArray:
     """Phase currents in A, shape (3, N), that the loop leaves of voltages.
 
-    Parameters
-    ----------
-    control:
-        Gains, inductances and integrators.
-    disturbance:
-        Voltages in V that act on the phases beside what the controller knows, shape (3, N).
-    omega_e:
-        Electrical speed in rad/s, not 0.
-    share:
-        Inductance of the plant over the model's.
-    turns:
-        Electrical periods that the waveforms span; orders between the whole ones count.
+    Args:
+        control: Gains, inductances and integrators.
+        disturbance: Voltages in V that act on the phases beside what the controller knows, shape
+            (3, N).
+        omega_e: Electrical speed in rad/s, not 0.
+        share: Inductance of the plant over the model's.
+        turns: Electrical periods that the waveforms span; orders between the whole ones count.
     """
     plane, zero = stationary(disturbance)
     orders = np.fft.fftfreq(plane.size, turns / plane.size).astype(np.float64)
@@ -122,14 +113,10 @@ def followed_offsets(control: PhaseControl, offset: FloatArray, omega_e: float) 
     """Currents in A, shape (3,), that the machine gets because its sensors are off by ``offset``
     (3,) in A: the loop's answer at standstill of the stationary frame.
 
-    Parameters
-    ----------
-    control:
-        Gains and integrators.
-    offset:
-        Errors of the sensors of a, b and c.
-    omega_e:
-        Electrical speed in rad/s, not 0.
+    Args:
+        control: Gains and integrators.
+        offset: Errors of the sensors of a, b and c.
+        omega_e: Electrical speed in rad/s, not 0.
     """
     plane, zero = stationary(offset[:, np.newaxis])
     gains, gains_0 = control.gains[1], control.gains[2]
@@ -142,14 +129,10 @@ def followed_offsets(control: PhaseControl, offset: FloatArray, omega_e: float) 
 def noise_gain(gains: AxisGains, r_s: float, inductance: float, t_s: float) -> float:
     """R.m.s. of a current over that of white noise of its sensor, proportional action alone.
 
-    Parameters
-    ----------
-    gains:
-        Of the axis.
-    r_s, inductance:
-        Of the axis in Ohm and H.
-    t_s:
-        Sampling period in s.
+    Args:
+        gains: Of the axis.
+        r_s, inductance: Of the axis in Ohm and H.
+        t_s: Sampling period in s.
     """
     z = np.exp(1j * np.linspace(-np.pi, np.pi, 4096, endpoint=False))
     pole = np.exp(-r_s * t_s / inductance)

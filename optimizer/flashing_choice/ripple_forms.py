@@ -29,9 +29,7 @@ from dqforge.optimizer.flashing_choice.loop_residuals import (
 )
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 
-_PEAKS = 6.0
-
-"""Peak to peak of noise over its r.m.s., as it is seen in a second of samples."""
+_PEAKS = 6.0  # Peak to peak of noise over its r.m.s., as it is seen in a second of samples.
 
 
 def dead_time_voltages(inverter: Inverter, wave: LegWaveforms) -> FloatArray:
@@ -39,12 +37,9 @@ def dead_time_voltages(inverter: Inverter, wave: LegWaveforms) -> FloatArray:
 
     Half of it falls on each edge, by the sign that the leg's current has there.
 
-    Parameters
-    ----------
-    inverter:
-        Dead time, carrier and link.
-    wave:
-        Legs of one point.
+    Args:
+        inverter: Dead time, carrier and link.
+        wave: Legs of one point.
     """
     flux = inverter.v_dc / inverter.f_sw
     current, away = wave.current[0], flux * wave.rising[0]
@@ -66,16 +61,11 @@ def ripple_figures(
 ) -> RippleFigures:
     """Torque ripple over the mean torque.
 
-    Parameters
-    ----------
-    machine, inverter, control:
-        The drive.
-    currents:
-        References in A, shape (3, N).
-    wave:
-        Legs of the point, with one row.
-    omega_m:
-        Mechanical speed in rad/s, not 0.
+    Args:
+        machine, inverter, control: The drive.
+        currents: References in A, shape (3, N).
+        wave: Legs of the point, with one row.
+        omega_m: Mechanical speed in rad/s, not 0.
     """
     omega = machine.pole_pairs * omega_m
     neutral = TOPOLOGIES[inverter.topology].neutral

@@ -36,33 +36,25 @@ from dqforge.optimizer.waveforms.phase_currents import dq_waveform, unit_current
 
 _KEY = "control.current_loop.frame: "
 
-
+# Swing of the midpoint over the link's voltage that a split link is given capacitors for, where the
+# design names none.
 SPLIT_SWING = 0.02
-
-"""Swing of the midpoint over the link's voltage that a split link is given capacitors for, where
-the design names none."""
 
 
 @dataclass(frozen=True, slots=True)
 class FlashComparison:
     """Rows at one operating point.
 
-    Parameters
-    ----------
-    torque, omega_m:
-        In N m and rad/s.
-    v_dc:
-        Of the design's link in V.
-    rows:
-        Every topology with every controller.
-    without_device:
-        Whether nothing is known of the switches, so that the bridge is left out.
-    capacitance:
-        Of the split link in F that its row is computed with.
-    without_phase:
-        What constant torque costs on four legs with a phase open, None where it cannot be made.
-    unsimulated:
-        Why no row was simulated, empty where they were; ``uncounted`` the same of the cycles.
+    Args:
+        torque, omega_m: In N m and rad/s.
+        v_dc: Of the design's link in V.
+        rows: Every topology with every controller.
+        without_device: Whether nothing is known of the switches, so that the bridge is left out.
+        capacitance: Of the split link in F that its row is computed with.
+        without_phase: What constant torque costs on four legs with a phase open, None where it
+            cannot be made.
+        unsimulated: Why no row was simulated, empty where they were; ``uncounted`` the same of the
+            cycles.
     """
 
     torque: float
@@ -83,14 +75,11 @@ class FlashComparison:
 def variant(design: Design, topology: Topology, frame: CurrentFrame, capacitance: float) -> Design:
     """The design with another topology and controller; everything else as it is.
 
-    Parameters
-    ----------
-    design:
-        Any design of a phase machine.
-    topology, frame:
-        What feeds it, and how its current is controlled; ``table`` runs harmonic integrators.
-    capacitance:
-        Of a split link in F.
+    Args:
+        design: Any design of a phase machine.
+        topology, frame: What feeds it, and how its current is controlled; ``table`` runs harmonic
+            integrators.
+        capacitance: Of a split link in F.
     """
     loop = replace(
         design.control.current_loop,
@@ -108,17 +97,12 @@ def variant(design: Design, topology: Topology, frame: CurrentFrame, capacitance
 def compare_flashing(design: Design, settings: WaveformSettings | None = None) -> FlashComparison:
     """Every topology with every controller: losses, voltage, ripple and table, in closed form.
 
-    Parameters
-    ----------
-    design:
-        The design; its own topology is one among the others.
-    settings:
-        The operating point; that of the design when None.
+    Args:
+        design: The design; its own topology is one among the others.
+        settings: The operating point; that of the design when None.
 
-    Raises
-    ------
-    InputError
-        The machine has a sinusoidal back-EMF, or the point has no torque or no speed.
+    Raises:
+        InputError: The machine has a sinusoidal back-EMF, or the point has no torque or no speed.
     """
     machine = require_phases(design)
     chosen = design.waveform if settings is None else settings
@@ -166,14 +150,10 @@ def reference_currents(
 ) -> FloatArray:
     """Phase currents in A, shape (3, N), that a controller asks for.
 
-    Parameters
-    ----------
-    design, machine:
-        The drive.
-    frame, topology:
-        The controller; ``table`` asks for the least loss of the topology.
-    torque:
-        In N m.
+    Args:
+        design, machine: The drive.
+        frame, topology: The controller; ``table`` asks for the least loss of the topology.
+        torque: In N m.
     """
     zero = frame == "dqy" or (frame == "table" and TOPOLOGIES[topology].neutral)
     if frame == "dq":
@@ -189,14 +169,10 @@ def reference_currents(
 def pointwise_dq(design: Design, torque: float, machine: AnyPhaseMachine) -> FloatArray:
     """Sinusoidal currents in A of a salient machine by MTPA, shape (3, N).
 
-    Parameters
-    ----------
-    design:
-        The design, of whose machine in dq coordinates it is.
-    torque:
-        In N m.
-    machine:
-        The machine, on whose angles they are.
+    Args:
+        design: The design, of whose machine in dq coordinates it is.
+        torque: In N m.
+        machine: The machine, on whose angles they are.
     """
     from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
@@ -288,14 +264,10 @@ def with_rows(
 ) -> FlashComparison:
     """The comparison with rows that know more, and what is said of what they do not know.
 
-    Parameters
-    ----------
-    found:
-        The comparison.
-    rows:
-        Its rows, in their order.
-    unsimulated, uncounted:
-        As in the comparison; None leaves what it says.
+    Args:
+        found: The comparison.
+        rows: Its rows, in their order.
+        unsimulated, uncounted: As in the comparison; None leaves what it says.
     """
     return replace(
         found,

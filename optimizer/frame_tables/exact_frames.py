@@ -23,25 +23,19 @@ from dqforge.machines.phase_machines.phase_machine import PhaseMachine, grid
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import POWER_INVARIANT
 
-DENSE = 23_040
+DENSE = 23_040  # Angles of an electrical period at which tables are judged; all sizes divide it.
 
-"""Angles of an electrical period at which tables are judged; all sizes divide it."""
-
-
+# Length of the alpha-beta vector of the back-EMF, of which the largest phase value is 1, below
+# which the frames turn faster than a table follows.
 LEAST_LENGTH = 0.05
 
-"""Length of the alpha-beta vector of the back-EMF, of which the largest phase value is 1,
-below which the frames turn faster than a table follows."""
-
-
+# What a table holds, in its order: factors; angles in rad; 1 + theta_x' and theta_y'; a'/a in
+# 1/rad; back-EMF of the qy axis over the electrical speed in Wb; coupling of dqy in H by row and
+# column.
 ANGLES = ("a_x", "a_y", "theta_x", "theta_y")
 RATES = ("turn_x", "rate_y", "growth_x", "growth_y")
 COUPLING = ("c_dd", "c_dq", "c_d0", "c_qd", "c_qq", "c_q0", "c_0d", "c_0q", "c_00")
 COLUMNS = (*ANGLES, *RATES, "emf", *COUPLING)
-
-"""What a table holds, in its order: factors; angles in rad; 1 + theta_x' and theta_y'; a'/a in
-1/rad; back-EMF of the qy axis over the electrical speed in Wb; coupling of dqy in H by row and
-column."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,10 +54,8 @@ class ExactFrames:
 def exact_frames(machine: PhaseMachine) -> ExactFrames:
     """Everything at the dense angles.
 
-    Raises
-    ------
-    InputError
-        The frames have no direction at an angle, or turn too fast near it.
+    Raises:
+        InputError: The frames have no direction at an angle, or turn too fast near it.
     """
     flux = resampled(machine.flux, machine.turns * DENSE)
     scale = float(np.max(np.abs(flux)))
@@ -91,14 +83,10 @@ def exact_frames(machine: PhaseMachine) -> ExactFrames:
 def torque_errors(shape: FloatArray, theta: FloatArray, found: FloatArray) -> tuple[float, float]:
     """Largest relative errors of the torque of currents that are constant in dqx and in dqy.
 
-    Parameters
-    ----------
-    shape:
-        Back-EMF shape at the angles, shape (3, M).
-    theta:
-        Electrical angles in rad, shape (M,).
-    found:
-        The first four of `COLUMNS` as the firmware reads them, shape (4, M).
+    Args:
+        shape: Back-EMF shape at the angles, shape (3, M).
+        theta: Electrical angles in rad, shape (M,).
+        found: The first four of `COLUMNS` as the firmware reads them, shape (4, M).
     """
     a_x, a_y, theta_x, theta_y = found
     alpha, beta, zero = CLARKE @ shape

@@ -30,14 +30,8 @@ from dqforge.optimizer.frame_tables.exact_frames import (
     torque_errors,
 )
 
-SIZES = (48, 96, 192, 384, 768, 1536)
-
-"""Intervals of an electrical period."""
-
-
+SIZES = (48, 96, 192, 384, 768, 1536)  # Intervals of an electrical period.
 _FLOAT_BYTES = 4
-
-
 _LEAST_SCALE = 1e-9
 
 
@@ -160,12 +154,9 @@ def errors_of(exact: ExactFrames, table: FrameTable, turns: int) -> FrameErrors:
 def fit_frames(machine: PhaseMachine, tolerance: float) -> FrameTables:
     """The smallest table whose torque errs by at most ``tolerance``.
 
-    Raises
-    ------
-    InputError
-        The frames have no steady direction at some angle.
-    NoSolutionError
-        No table holds.
+    Raises:
+        InputError: The frames have no steady direction at some angle.
+        NoSolutionError: No table holds.
     """
     exact = exact_frames(machine)
     parts = 1 if machine.symmetry == "none" else 3
@@ -194,10 +185,8 @@ def fit_frames(machine: PhaseMachine, tolerance: float) -> FrameTables:
 def solve_frame_tables(design: Design) -> FrameTables | None:
     """The tables that a design asks for, None where it asks for none.
 
-    Raises
-    ------
-    InputError
-        The machine has a sinusoidal back-EMF or saliency, or as `fit_frames`.
+    Raises:
+        InputError: The machine has a sinusoidal back-EMF or saliency, or as `fit_frames`.
     """
     if not design.export.frame_tables:
         return None

@@ -50,12 +50,9 @@ _SLOWEST = 2.0 * math.pi * 0.5  # in rad/s
 def usual_loop(omega_max: float, t_s: float) -> float:
     """Double pole of the loop in rad/s with which the range begins at a fifth of the largest speed.
 
-    Parameters
-    ----------
-    omega_max:
-        Largest electrical speed in rad/s.
-    t_s:
-        Sampling period in s.
+    Args:
+        omega_max: Largest electrical speed in rad/s.
+        t_s: Sampling period in s.
     """
     return min(max(_LOOP * omega_max, _SLOWEST), 0.5 / t_s)
 
@@ -63,14 +60,10 @@ def usual_loop(omega_max: float, t_s: float) -> float:
 def current_angle(machine: SalientPhaseMachine, amplitude: float, i_max: float) -> float:
     """Angle in rad by which currents may turn the third harmonic, at most.
 
-    Parameters
-    ----------
-    machine:
-        Whose inductances vary.
-    amplitude:
-        Of the integral of the sum voltage in V s.
-    i_max:
-        Largest current in A, peak.
+    Args:
+        machine: Whose inductances vary.
+        amplitude: Of the integral of the sum voltage in V s.
+        i_max: Largest current in A, peak.
     """
     sums = np.sum(machine.inductance, axis=1)
     away = sums - np.mean(sums)
@@ -81,19 +74,14 @@ def current_angle(machine: SalientPhaseMachine, amplitude: float, i_max: float) 
 def design_third_harmonic(design: Design, settings: ObserverSettings) -> ThirdHarmonicGains:
     """Gains of the firmware.
 
-    Parameters
-    ----------
-    design:
-        Machine, topology and sampling.
-    settings:
-        ``pll_bandwidth`` is the double pole of the loop, ``bandwidth`` that of flux and offset.
+    Args:
+        design: Machine, topology and sampling.
+        settings: ``pll_bandwidth`` is the double pole of the loop, ``bandwidth`` that of flux and
+            offset.
 
-    Raises
-    ------
-    InputError
-        A pole is out of range, or the neutral carries a current.
-    NoSolutionError
-        There is no third harmonic, too little of it, or too much besides.
+    Raises:
+        InputError: A pole is out of range, or the neutral carries a current.
+        NoSolutionError: There is no third harmonic, too little of it, or too much besides.
     """
     machine, phases, t_s = design.machine, design.phase_machine, design.control.t_s
     omega_m = machine.omega_m_max

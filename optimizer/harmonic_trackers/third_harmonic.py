@@ -27,10 +27,9 @@ product of all steps over a period of lambda (`turn_pole`).
 The angle is known but for multiples of 120 degrees, and the direction of rotation does not show:
 the start angle and the sign of the start speed decide.
 
-References
-----------
-J. Moreira, "Indirect sensing for rotor flux position of permanent magnet AC motors operating over a
-wide speed range", IEEE Trans. Ind. Applications 32, 1996; paper 001, 7.2.3.
+References:
+    J. Moreira, "Indirect sensing for rotor flux position of permanent magnet AC motors operating
+    over a wide speed range", IEEE Trans. Ind. Applications 32, 1996; paper 001, 7.2.3.
 """
 
 from __future__ import annotations
@@ -44,35 +43,27 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.models.matsui_model import ObserverRun
 from dqforge.optimizer.observers.sampled_machine import wrapped
 
+# Third harmonic over the fundamental, each as flux linkage, below which converters and unequal
+# phases hide it.
 _LEAST = 0.005
 
-"""Third harmonic over the fundamental, each as flux linkage, below which converters
-and unequal phases hide it."""
-
-
+# How many times slower than the ripple of lambda the loops must be for the range that is stated.
 _APART = 4.0
-
-"""How many times slower than the ripple of lambda the loops must be for
-the range that is stated."""
 
 
 @dataclass(frozen=True, slots=True)
 class ThirdHarmonic:
     """A tracker of the third harmonic.
 
-    Parameters
-    ----------
-    t_s:
-        Sampling period in s.
-    amplitude, phase:
-        a in V s and phi in rad of the integral of the sum voltage, a cos(3 theta - phi).
-    k, k_b:
-        Share of the flux error taken off per period, and the offset's
-        correction in V per V s and period.
-    k_p, k_i:
-        PLL: share of the angle error per period, and the speed's correction in 1/s per period.
-    omega_max:
-        Limit of the estimate in rad/s (electrical).
+    Args:
+        t_s: Sampling period in s.
+        amplitude, phase: a in V s and phi in rad of the integral of the sum voltage, a cos(3 theta
+            - phi).
+        k, k_b: Share of the flux error taken off per period, and the offset's correction in V per V
+            s and period.
+        k_p, k_i: PLL: share of the angle error per period, and the speed's correction in 1/s per
+            period.
+        omega_max: Limit of the estimate in rad/s (electrical).
     """
 
     t_s: float
@@ -124,24 +115,16 @@ def third_harmonic(
 ) -> ThirdHarmonic:
     """A tracker by pole placement (method ``bandwidth``).
 
-    Parameters
-    ----------
-    machine:
-        The machine in phase quantities, None for one with sinusoidal back-EMF.
-    bandwidth:
-        Double pole of the PLL in rad/s.
-    drift:
-        Double pole of flux and offset in rad/s, by default as the PLL.
-    omega_max:
-        Largest electrical speed in rad/s.
+    Args:
+        machine: The machine in phase quantities, None for one with sinusoidal back-EMF.
+        bandwidth: Double pole of the PLL in rad/s.
+        drift: Double pole of flux and offset in rad/s, by default as the PLL.
+        omega_max: Largest electrical speed in rad/s.
 
-    Raises
-    ------
-    InputError
-        A pole is out of range.
-    NoSolutionError
-        No third harmonic, or too little; or the sampling leaves fewer than
-        six samples per turn of it.
+    Raises:
+        InputError: A pole is out of range.
+        NoSolutionError: No third harmonic, or too little; or the sampling leaves fewer than six
+            samples per turn of it.
     """
     own = bandwidth if drift is None else drift
     for value in (bandwidth, own):

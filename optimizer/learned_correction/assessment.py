@@ -22,42 +22,22 @@ from dqforge.optimizer.learned_correction.steady_errors import Drives, SteadyErr
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.training import Limits, Training, TrainingBox
 
-POINTS = 20_000
-
-"""Drives drawn for a training."""
-
-
-TRIED = 8_000
-
-"""Drives drawn for its assessment, and as many beyond the box."""
-
-
-LEAST_HELD = 0.2
-
-"""Least share of the drives of the box at which the observer has a steady state."""
-
-
+POINTS = 20_000  # Drives drawn for a training.
+TRIED = 8_000  # Drives drawn for its assessment, and as many beyond the box.
+LEAST_HELD = 0.2  # Least share of the drives of the box at which the observer has a steady state.
 ALONE, REGRESSION = "flux observer alone", "linear regression"
 
+# Corrected once, with the currents still held in the angle that is not corrected.
 ANSWERED = "first answer"
 
-"""Corrected once, with the currents still held in the angle that is not corrected."""
-
-
+# At rest with the correction: the currents are held in the corrected angle.
 CORRECTED = "corrected"
-
-"""At rest with the correction: the currents are held in the corrected angle."""
-
-
 _TRAINED, _TRIED, _BEYOND = 1, 2, 3  # seeds
-
 _EDGES = (0.03, 0.06, 0.12, 0.3, 1.0)
-
 _PASSES = 8
 
+# Inputs of -1 to 1, shape (6, M) -> correction in rad, shape (M,).
 Corrects = Callable[[FloatArray], FloatArray]
-
-"""Inputs of -1 to 1, shape (6, M) -> correction in rad, shape (M,)."""
 
 
 @lru_cache(maxsize=4)
@@ -67,10 +47,8 @@ def training_drives(gains: FluxGains, machine: LinearMachine, box: TrainingBox) 
     The correction turns the angle in which the currents are held, and with it what the observer
     sees: what is learned has to be right before it acts, when it has acted, and in between.
 
-    Raises
-    ------
-    NoSolutionError
-        The observer holds on hardly any of them.
+    Raises:
+        NoSolutionError: The observer holds on hardly any of them.
     """
     drives = drawn(machine, box, gains.path.t_s, POINTS, _TRAINED)
     bare = drives.at_rest(gains)
@@ -148,20 +126,13 @@ def assessed(
 ) -> Training:
     """Errors with and without a correction, on drives drawn anew.
 
-    Parameters
-    ----------
-    gains:
-        Of the flux observer.
-    frame:
-        What the correction is told, and its limit.
-    omega_max:
-        Largest electrical speed in rad/s, of which the bands are shares.
-    corrects:
-        What was learned.
-    rules:
-        Bound of its rules in rad, None where it has none.
-    numbers:
-        How many constants were learned.
+    Args:
+        gains: Of the flux observer.
+        frame: What the correction is told, and its limit.
+        omega_max: Largest electrical speed in rad/s, of which the bands are shares.
+        corrects: What was learned.
+        rules: Bound of its rules in rad, None where it has none.
+        numbers: How many constants were learned.
     """
     trained = training_drives(gains, machine, box)
     linear = least_squares(_regression(trained, box), -trained.error)

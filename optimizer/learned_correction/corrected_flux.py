@@ -27,9 +27,8 @@ from dqforge.optimizer.learned_correction.correction_frame import (
 from dqforge.optimizer.observers.methods import flux
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
 
+# (gains, inputs of -1 to 1, arithmetic) -> correction in rad, within the limit.
 Learned = Callable[[Any, Inputs, Arithmetic], Reals]
-
-"""(gains, inputs of -1 to 1, arithmetic) -> correction in rad, within the limit."""
 
 
 def start(theta_e: Reals, omega_e: Reals) -> ObserverState:
@@ -98,10 +97,8 @@ def step(
 def sizes(scalars: FloatArray, _omega: FloatArray) -> FloatArray:
     """A hundredth of a radian, and one, see `ObserverMethod`.
 
-    Parameters
-    ----------
-    scalars:
-        Of M states, shape (M, 3).
+    Args:
+        scalars: Of M states, shape (M, 3).
     """
     return np.broadcast_to(np.array([0.01, 1.0, 1.0]), scalars.shape).copy()
 
@@ -109,9 +106,7 @@ def sizes(scalars: FloatArray, _omega: FloatArray) -> FloatArray:
 def scale(gains: Any) -> tuple[float, float]:
     """Sampling period in s and magnet flux linkage in Wb.
 
-    Parameters
-    ----------
-    gains:
-        With a member ``flux``.
+    Args:
+        gains: With a member ``flux``.
     """
     return float(gains.flux.path.t_s), float(gains.flux.psi_pm)

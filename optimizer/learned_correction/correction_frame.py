@@ -25,14 +25,8 @@ from dqforge.optimizer.observers.parts import EXACT, Arithmetic, at_least
 from dqforge.optimizer.observers.training import TrainingBox
 
 INPUTS = 6
-
-TOLD = 5
-
-"""Of which the first five are learned from."""
-
-Inputs = tuple[Reals, ...]
-
-"""The six inputs, each shape (N,)."""
+TOLD = 5  # Of which the first five are learned from.
+Inputs = tuple[Reals, ...]  # The six inputs, each shape (N,).
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +48,8 @@ class CorrectionFrame:
             raise ValueError("a correction has six inputs")
 
 
+# A frame in which nothing is ever corrected, of an observer that has not been trained.
 SILENT = CorrectionFrame(1.0, 1.0, (3.0,) * INPUTS, (1.0,) * INPUTS, 1.0, 0.0)
-
-"""A frame in which nothing is ever corrected, of an observer that has not been trained."""
 
 
 def _single(value: float) -> float:
@@ -97,17 +90,12 @@ def outside(x: Inputs) -> Reals:
 def frame_of(seen: SteadyErrors, box: TrainingBox, share: float, limit: float) -> CorrectionFrame:
     """The frame of a training.
 
-    Parameters
-    ----------
-    seen:
-        The drives that are trained on: their residuals and currents bound the inputs; the residual
-        on q, which is nil at rest, may be half as far from it as the other one varies.
-    box:
-        Bounds the speeds.
-    share:
-        Of a new value in the filter.
-    limit:
-        Of the correction, in rad.
+    Args:
+        seen: The drives that are trained on: their residuals and currents bound the inputs; the
+            residual on q, which is nil at rest, may be half as far from it as the other one varies.
+        box: Bounds the speeds.
+        share: Of a new value in the filter.
+        limit: Of the correction, in rad.
     """
     middle = float(np.sqrt(box.omega_low * box.omega_high))
     ends = np.array([box.omega_low, box.omega_high])

@@ -12,14 +12,10 @@ from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 def in_words(tuning: ObserverTuning, gains: Any, t_s: float, what: str) -> str:
     """Numbers of the flux observer, then those of the correction.
 
-    Parameters
-    ----------
-    gains:
-        With a member ``frame``.
-    t_s:
-        Sampling period in s.
-    what:
-        What was learned.
+    Args:
+        gains: With a member ``frame``.
+        t_s: Sampling period in s.
+        what: What was learned.
     """
     frame = gains.frame
     words = flux_in_words(tuning, gains, t_s)

@@ -8,10 +8,9 @@ answer is the mean of four neighbouring rules with weights that are not negative
 It is linear in the 80 numbers c: one least-squares solve trains it. And it lies between the least
 and the largest of its rules, each of which is largest in a corner of its box: that bounds it.
 
-References
-----------
-T. Takagi, M. Sugeno, "Fuzzy identification of systems and its applications to modeling and
-control", IEEE Trans. Systems, Man and Cybernetics 15, 1985; paper 001, 7.2.8.
+References:
+    T. Takagi, M. Sugeno, "Fuzzy identification of systems and its applications to modeling and
+    control", IEEE Trans. Systems, Man and Cybernetics 15, 1985; paper 001, 7.2.8.
 """
 
 from __future__ import annotations
@@ -32,19 +31,13 @@ from dqforge.optimizer.learned_correction.least_squares import least_squares
 from dqforge.optimizer.observers.parts import Arithmetic
 
 KNOTS = 4
-
 TERMS = 5
 
+# Of i_q over its range: two close to nought, where the voltage of a dead time turns over.
 CURRENT_KNOTS = (-1.0, -0.125, 0.125, 1.0)
 
-"""Of i_q over its range: two close to nought, where the voltage of a dead time turns over."""
-
-
+# Of u over its range, nearly even in the logarithm of the speed.
 SPEED_KNOTS = (-1.0, -0.3125, 0.3125, 1.0)
-
-"""Of u over its range, nearly even in the logarithm of the speed."""
-
-
 _SPEED, _CURRENT = 4, 3  # which inputs the memberships are of
 
 
@@ -84,9 +77,7 @@ def _rules(answers: FloatArray) -> FuzzyRules:
     )
 
 
-NO_RULES = _rules(np.zeros(KNOTS * KNOTS * TERMS))
-
-"""Rules that answer nought."""
+NO_RULES = _rules(np.zeros(KNOTS * KNOTS * TERMS))  # Rules that answer nought.
 
 
 def _cell(knots: Any, slopes: Any, x: Reals) -> tuple[Any, Reals]:
@@ -98,12 +89,9 @@ def _cell(knots: Any, slopes: Any, x: Reals) -> tuple[Any, Reals]:
 def answered(rules: Any, x: Inputs, _: Arithmetic) -> Reals:
     """The mean of the four rules around the inputs (-1 to 1), in rad.
 
-    Parameters
-    ----------
-    rules:
-        `FuzzyRules` in the numbers of an arithmetic.
-    x:
-        The six inputs, shape (N,) each.
+    Args:
+        rules: `FuzzyRules` in the numbers of an arithmetic.
+        x: The six inputs, shape (N,) each.
     """
     k, f = _cell(rules.speed_knots, rules.speed_slopes, x[_SPEED])
     n, g = _cell(rules.current_knots, rules.current_slopes, x[_CURRENT])
@@ -131,12 +119,9 @@ def _hats(knots: tuple[float, ...], x: FloatArray) -> FloatArray:
 def trained_rules(x: FloatArray, wanted: FloatArray) -> FuzzyRules:
     """The rules with the least sum of squares.
 
-    Parameters
-    ----------
-    x:
-        Inputs of -1 to 1, shape (6, M).
-    wanted:
-        Corrections in rad, shape (M,).
+    Args:
+        x: Inputs of -1 to 1, shape (6, M).
+        wanted: Corrections in rad, shape (M,).
     """
     speed, current = _hats(SPEED_KNOTS, x[_SPEED]), _hats(CURRENT_KNOTS, x[_CURRENT])
     terms = np.concatenate([np.ones((1, x.shape[1])), x[: TERMS - 1]])
@@ -151,10 +136,8 @@ def largest_rule(rules: FuzzyRules, frame: CorrectionFrame) -> float:
     factor asks for. Speed and current lie where the rule has a weight, between its neighbouring
     knots.
 
-    Parameters
-    ----------
-    frame:
-        Of the inputs.
+    Args:
+        frame: Of the inputs.
     """
     answers = np.array(rules.answers).reshape(KNOTS, KNOTS, TERMS)
     current, speed = np.array(rules.current_knots), np.array(rules.speed_knots)

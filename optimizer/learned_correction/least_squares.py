@@ -6,9 +6,8 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 
+# Share of the mean square of a column that is added: unknowns that no sample tells are nought.
 _RIDGE = 1e-10
-
-"""Share of the mean square of a column that is added: unknowns that no sample tells are nought."""
 
 
 def least_squares(columns: FloatArray, wanted: FloatArray) -> FloatArray:

@@ -23,23 +23,10 @@ from dqforge.machines.transforms import Reals
 from dqforge.optimizer.learned_correction.correction_frame import TOLD, Inputs
 from dqforge.optimizer.observers.parts import Arithmetic
 
-STEPS = 400
-
-"""Of L-BFGS."""
-
-
+STEPS = 400  # Of L-BFGS.
 SEED = 20
-
-END = 4.97
-
-"""Size of the argument from which on the rational function is replaced by its sign."""
-
-
-TANH_ERROR = 1.0e-4
-
-"""Largest difference of `hyperbolic_tangent` from the hyperbolic tangent."""
-
-
+END = 4.97  # Size of the argument from which on the rational function is replaced by its sign.
+TANH_ERROR = 1.0e-4  # Largest difference of `hyperbolic_tangent` from the hyperbolic tangent.
 _UPPER = (135135.0, 17325.0, 378.0, 1.0)
 _LOWER = (135135.0, 62370.0, 3150.0, 28.0)
 
@@ -72,20 +59,16 @@ class Network:
         return sum(map(len, parts)) + 1
 
 
+# A network that answers nought.
 NO_NETWORK = Network((0.0,) * TOLD, (0.0,), (0.0,), (0.0,), (0.0,), 0.0)
-
-"""A network that answers nought."""
 
 
 def hyperbolic_tangent(x: Reals, maths: Arithmetic) -> Reals:
     """Lambert's continued fraction to the seventh power, within -1 to 1 for every x.
 
-    Parameters
-    ----------
-    x:
-        Any shape.
-    maths:
-        In whose numbers.
+    Args:
+        x: Any shape.
+        maths: In whose numbers.
     """
     number = maths.number
     end = number(END)
@@ -114,16 +97,11 @@ def _layer(weights: Any, offsets: Any, x: list[Reals], maths: Arithmetic) -> lis
 def answered(network: Any, limit: Any, x: Inputs, maths: Arithmetic) -> Reals:
     """What the network says to inputs of -1 to 1, in rad.
 
-    Parameters
-    ----------
-    network:
-        `Network` in the numbers of an arithmetic.
-    limit:
-        Of the answer in rad.
-    x:
-        The six inputs, shape (N,) each.
-    maths:
-        The arithmetic.
+    Args:
+        network: `Network` in the numbers of an arithmetic.
+        limit: Of the answer in rad.
+        x: The six inputs, shape (N,) each.
+        maths: The arithmetic.
     """
     first = _layer(network.weights_1, network.offsets_1, list(x[:TOLD]), maths)
     second = _layer(network.weights_2, network.offsets_2, first, maths)
@@ -159,14 +137,10 @@ def mean_square(
 ) -> Callable[[FloatArray], tuple[float, FloatArray]]:
     """Weights -> mean square of answer less ``wanted`` (over the limit), and its gradient.
 
-    Parameters
-    ----------
-    x:
-        Inputs of -1 to 1, shape (5, M).
-    wanted:
-        Corrections over the limit, shape (M,).
-    first, second:
-        Neurons of the hidden layers.
+    Args:
+        x: Inputs of -1 to 1, shape (5, M).
+        wanted: Corrections over the limit, shape (M,).
+        first, second: Neurons of the hidden layers.
     """
     count = len(wanted)
 
@@ -197,16 +171,11 @@ def trained_network(
 ) -> Network:
     """A network of two hidden layers.
 
-    Parameters
-    ----------
-    x:
-        Inputs of -1 to 1, shape (6, M).
-    wanted:
-        Corrections in rad, shape (M,).
-    hidden:
-        Neurons of the hidden layers.
-    limit:
-        Of the answer in rad.
+    Args:
+        x: Inputs of -1 to 1, shape (6, M).
+        wanted: Corrections in rad, shape (M,).
+        hidden: Neurons of the hidden layers.
+        limit: Of the answer in rad.
     """
     from scipy.optimize import minimize
 

@@ -31,14 +31,8 @@ from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, 
 from dqforge.optimizer.observers.training import Training, TrainingBox
 from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
-HIDDEN = (8, 8)
-
-"""Neurons of the hidden layers where the design names none."""
-
-
-_EVERY = 2
-
-"""Of the drawn drives, every second one trains: twice as many gain no tenth of a degree."""
+HIDDEN = (8, 8)  # Neurons of the hidden layers where the design names none.
+_EVERY = 2  # Of the drawn drives, every second one trains: twice as many gain no tenth of a degree.
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +54,8 @@ def design(
 def learned(gains: NeuralGains, x: Inputs, maths: Arithmetic) -> Reals:
     """What the network answers in rad.
 
-    Parameters
-    ----------
-    x:
-        The six inputs of -1 to 1.
+    Args:
+        x: The six inputs of -1 to 1.
     """
     return network.answered(gains.network, gains.frame.limit, x, maths)
 
@@ -99,12 +91,9 @@ def train(
 ) -> tuple[NeuralGains, Training]:
     """A network by L-BFGS over the drives of the box.
 
-    Parameters
-    ----------
-    settings:
-        Hidden layers, filter and limit, where the design names them.
-    omega_max:
-        Largest electrical speed in rad/s.
+    Args:
+        settings: Hidden layers, filter and limit, where the design names them.
+        omega_max: Largest electrical speed in rad/s.
     """
     frame = frame_for(gains.flux, machine, settings, box)
     hidden = HIDDEN if settings.hidden_layers is None else settings.hidden_layers

@@ -51,10 +51,8 @@ def design(
 def learned(gains: NeuroFuzzyGains, x: Inputs, maths: Arithmetic) -> Reals:
     """The mean of the rules in rad.
 
-    Parameters
-    ----------
-    x:
-        The six inputs of -1 to 1.
+    Args:
+        x: The six inputs of -1 to 1.
     """
     return fuzzy_rules.answered(gains.rules, x, maths)
 
@@ -84,12 +82,9 @@ def train(
 ) -> tuple[NeuroFuzzyGains, Training]:
     """Rules by one least-squares solve over the drives of the box.
 
-    Parameters
-    ----------
-    settings:
-        Filter and limit, where the design names them.
-    omega_max:
-        Largest electrical speed in rad/s.
+    Args:
+        settings: Filter and limit, where the design names them.
+        omega_max: Largest electrical speed in rad/s.
     """
     frame = frame_for(gains.flux, machine, settings, box)
     found = _trained(gains, machine, frame, box)

@@ -28,24 +28,13 @@ from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.parts import EXACT
 from dqforge.optimizer.observers.training import TrainingBox
 
+# Share of the largest current below which a dead time takes less than its whole voltage.
 SOFT = 0.02
 
-"""Share of the largest current below which a dead time takes less than its whole voltage."""
-
-
+# Angle error in rad beyond which the angle counts as lost: no correction would help.
 LARGEST_ERROR = 2.0
-
-"""Angle error in rad beyond which the angle counts as lost: no correction would help."""
-
-
-NOISE = 0.003
-
-"""Standard deviation of the residual over psi_pm, on each axis, that is trained."""
-
-
+NOISE = 0.003  # Standard deviation of the residual over psi_pm, on each axis, that is trained.
 _GRID = np.radians(np.arange(-180.0, 181.0, 10.0))
-
-
 _HALVINGS = 45
 
 
@@ -76,10 +65,9 @@ class SteadyErrors:
         )
 
 
+# Voltage d + j q in V, at the end of a period in the frame of the rotor, that a steady state takes
+# without current, and what one ampere of i_d and of i_q adds to it.
 Volts = tuple[ComplexArray, ComplexArray, ComplexArray]
-
-"""Voltage d + j q in V, at the end of a period in the frame of the rotor, that a steady state takes
-without current, and what one ampere of i_d and of i_q adds to it."""
 
 
 def volts_of(plant: Plants, omega: FloatArray, t_s: float) -> Volts:
@@ -160,20 +148,13 @@ def steady_errors(
 ) -> SteadyErrors:
     """Where the observer rests on M drives.
 
-    Parameters
-    ----------
-    gains:
-        Of the flux observer.
-    volts:
-        Of the true machines, see `volts_of`.
-    current:
-        i_d + j i_q in A in the angle of the observer, shape (M,).
-    omega:
-        Electrical speed in rad/s, not nil, shape (M,).
-    lost:
-        Voltage in V along the current that the observer knows nothing of, shape (M,).
-    i_max:
-        Largest current in A; below `SOFT` of it the lost voltage fades.
+    Args:
+        gains: Of the flux observer.
+        volts: Of the true machines, see `volts_of`.
+        current: i_d + j i_q in A in the angle of the observer, shape (M,).
+        omega: Electrical speed in rad/s, not nil, shape (M,).
+        lost: Voltage in V along the current that the observer knows nothing of, shape (M,).
+        i_max: Largest current in A; below `SOFT` of it the lost voltage fades.
     """
     along = lost * current / np.sqrt(np.abs(current) ** 2 + (SOFT * i_max) ** 2)
     samples = []
@@ -202,12 +183,9 @@ class Drives:
     def at_rest(self, gains: FluxGains, correction: FloatArray | float = 0.0) -> SteadyErrors:
         """Where the observer rests if the currents are held in its angle with a correction.
 
-        Parameters
-        ----------
-        gains:
-            Of the flux observer.
-        correction:
-            Angle in rad that is added to the observer's, shape (M,) or one for all.
+        Args:
+            gains: Of the flux observer.
+            correction: Angle in rad that is added to the observer's, shape (M,) or one for all.
         """
         current = self.current * np.exp(1j * np.asarray(correction))
         found = steady_errors(gains, self.volts, current, self.omega, self.lost, self.i_max)

@@ -11,9 +11,8 @@ from dqforge.optimizer.learned_correction.correction_frame import CorrectionFram
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.training import TrainingBox
 
+# Time constant of the filter of the correction in s where the design names none.
 FILTER_TIME = 0.02
-
-"""Time constant of the filter of the correction in s where the design names none."""
 
 
 def frame_for(
@@ -22,12 +21,9 @@ def frame_for(
     """What the correction is told; its limit is the largest error of the training where the design
     names none.
 
-    Parameters
-    ----------
-    gains:
-        Of the flux observer.
-    settings:
-        The observer of the design.
+    Args:
+        gains: Of the flux observer.
+        settings: The observer of the design.
     """
     drives = training_drives(gains, machine, box)
     time = FILTER_TIME if settings.correction_filter is None else settings.correction_filter

@@ -49,22 +49,14 @@ def analyse_current_loop(
     positive by a scan. Parameters as in `dqforge.optimizer.loops.plants.current_loop`; without
     ``respond`` the disturbance response, which can be long, is left out.
 
-    Parameters
-    ----------
-    r_s:
-        Phase resistance in Ohm.
-    inductance:
-        Inductance of the axis in H.
-    t_s:
-        Sampling period in s.
-    kp, ki:
-        Gains in V/A and V/(A s).
-    method:
-        What is said of where the gains come from.
-    loop:
-        Which axis: ``i_d`` or ``i_q``.
-    respond:
-        Whether the disturbance response is simulated.
+    Args:
+        r_s: Phase resistance in Ohm.
+        inductance: Inductance of the axis in H.
+        t_s: Sampling period in s.
+        kp, ki: Gains in V/A and V/(A s).
+        method: What is said of where the gains come from.
+        loop: Which axis: ``i_d`` or ``i_q``.
+        respond: Whether the disturbance response is simulated.
     """
     model = current_loop(r_s, inductance, t_s, kp, ki)
     response = (
@@ -96,20 +88,13 @@ def analyse_speed_loop(
 
     Without ``respond`` the disturbance response, which can be long, is left out.
 
-    Parameters
-    ----------
-    machine:
-        Any machine, with its inertia.
-    current_gains:
-        The current loop of the q axis.
-    control:
-        Sampling period and settings of the speed loop.
-    kp, ki:
-        Gains in N m s/rad and N m/rad.
-    method:
-        What is said of where the gains come from.
-    respond:
-        Whether the disturbance response is simulated.
+    Args:
+        machine: Any machine, with its inertia.
+        current_gains: The current loop of the q axis.
+        control: Sampling period and settings of the speed loop.
+        kp, ki: Gains in N m s/rad and N m/rad.
+        method: What is said of where the gains come from.
+        respond: Whether the disturbance response is simulated.
     """
     model = speed_model(machine, current_gains, control, (kp, ki))
     response = (
@@ -145,18 +130,12 @@ def speed_step_response(
     There is a point every current sample, or every few speed samples where those would be
     more than a figure can show.
 
-    Parameters
-    ----------
-    machine:
-        Any machine, with its inertia.
-    current_gains:
-        The current loop of the q axis.
-    control:
-        Sampling period and settings of the speed loop.
-    gains:
-        The speed loop.
-    duration:
-        Length in s.
+    Args:
+        machine: Any machine, with its inertia.
+        current_gains: The current loop of the q axis.
+        control: Sampling period and settings of the speed loop.
+        gains: The speed loop.
+        duration: Length in s.
     """
     return _speed_response(
         speed_model(machine, current_gains, control, (gains.kp, gains.ki)), duration
@@ -226,15 +205,11 @@ def _evidence(
 def speed_settings(control: ControlSettings) -> SpeedLoopSettings:
     """Settings of the speed loop.
 
-    Parameters
-    ----------
-    control:
-        The controllers of a design.
+    Args:
+        control: The controllers of a design.
 
-    Raises
-    ------
-    InputError
-        There is no speed loop.
+    Raises:
+        InputError: There is no speed loop.
     """
     if control.speed_loop is None:
         raise InputError(
@@ -265,14 +240,10 @@ def speed_model(
 ) -> SpeedLoop:
     """Speed loop, closed over the current loop.
 
-    Parameters
-    ----------
-    machine, current_gains:
-        What turns, with its inertia, and the q axis that makes its torque.
-    control:
-        The controllers of the design.
-    speed_gains:
-        kp in N m s/rad and ki in N m/rad.
+    Args:
+        machine, current_gains: What turns, with its inertia, and the q axis that makes its torque.
+        control: The controllers of the design.
+        speed_gains: kp in N m s/rad and ki in N m/rad.
     """
     settings = speed_settings(control)
     return speed_loop(

@@ -32,29 +32,20 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.sampled_systems import LEAST_SHARE, LoopMargins
 
 _MOST_STEPS = 80
-
-
-_STILL = 1e-8
-
-"""Step in log y after which the peak stands still to rounding: |S| is level there."""
+_STILL = 1e-8  # Step in log y after which the peak stands still to rounding: |S| is level there.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurrentLoops:
     """N current loops, arrays of shape (N,).
 
-    Parameters
-    ----------
-    decay:
-        s = 1 - exp(-R t_s/L), dimensionless; 0 without resistance, negative for a negative one.
-    gain:
-        b in A/V: current after one period of 1 V, with the gain of the voltage.
-    kp:
-        n0 in V/A, positive.
-    step:
-        q = ki t_s in V/A, positive.
-    t_s:
-        Sampling period in s.
+    Args:
+        decay: s = 1 - exp(-R t_s/L), dimensionless; 0 without resistance, negative for a negative
+            one.
+        gain: b in A/V: current after one period of 1 V, with the gain of the voltage.
+        kp: n0 in V/A, positive.
+        step: q = ki t_s in V/A, positive.
+        t_s: Sampling period in s.
     """
 
     decay: FloatArray
@@ -98,10 +89,8 @@ class CurrentMargins:
 def has_closed_margins(kp: ArrayLike, ki: ArrayLike) -> BoolArray:
     """Whether the formulas hold: both gains positive and finite, any shapes that fit.
 
-    Parameters
-    ----------
-    kp, ki:
-        Gains in V/A and V/(A s).
+    Args:
+        kp, ki: Gains in V/A and V/(A s).
     """
     both = np.stack(np.broadcast_arrays(np.asarray(kp), np.asarray(ki)))
     return np.asarray(np.all((both > 0.0) & np.isfinite(both), axis=0))
@@ -117,18 +106,12 @@ def current_loops(
 ) -> CurrentLoops:
     """Loops of windings under PI control, every argument one number or of shape (N,).
 
-    Parameters
-    ----------
-    r_s:
-        Phase resistances in Ohm; zero and negative ones are permitted.
-    inductance:
-        Inductances in H.
-    t_s:
-        Sampling periods in s.
-    kp, ki:
-        Gains in V/A and V/(A s), positive.
-    gain:
-        Gain of the voltage: link voltage that acts over the one that is reckoned with.
+    Args:
+        r_s: Phase resistances in Ohm; zero and negative ones are permitted.
+        inductance: Inductances in H.
+        t_s: Sampling periods in s.
+        kp, ki: Gains in V/A and V/(A s), positive.
+        gain: Gain of the voltage: link voltage that acts over the one that is reckoned with.
     """
     given = (np.asarray(value, dtype=np.float64) for value in (r_s, inductance, t_s, kp, ki, gain))
     r_s, inductance, t_s, kp, ki, gain = (
@@ -147,10 +130,8 @@ def current_margins(loops: CurrentLoops) -> CurrentMargins:
     As `dqforge.optimizer.sampled_systems.loop_margins` of each, which finds them by a scan; like
     there a crossover below `LEAST_SHARE` of the Nyquist frequency is none.
 
-    Parameters
-    ----------
-    loops:
-        N loops.
+    Args:
+        loops: N loops.
     """
     crossing = _crossover(loops)
     angle = 2.0 * np.arcsin(np.sqrt(0.5 * crossing))

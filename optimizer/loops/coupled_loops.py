@@ -59,12 +59,9 @@ class CurrentControl:
 def closed_matrices(machines: TurningMachines, control: CurrentControl) -> FloatArray:
     """Maps of (i_d, i_q, v_d, v_q, I_d, I_q) over one sampling period, shape (M, 6, 6).
 
-    Parameters
-    ----------
-    machines:
-        M machines at constant electrical speeds.
-    control:
-        Gains, decoupling and sampling period.
+    Args:
+        machines: M machines at constant electrical speeds.
+        control: Gains, decoupling and sampling period.
     """
     from scipy.linalg import expm
 
@@ -95,12 +92,9 @@ def closed_matrices(machines: TurningMachines, control: CurrentControl) -> Float
 def largest_pole(machines: TurningMachines, control: CurrentControl) -> FloatArray:
     """Largest modulus of the poles of both loops together, shape (M,); stable below 1.
 
-    Parameters
-    ----------
-    machines:
-        M machines at constant electrical speeds.
-    control:
-        Gains, decoupling and sampling period.
+    Args:
+        machines: M machines at constant electrical speeds.
+        control: Gains, decoupling and sampling period.
     """
     poles = np.linalg.eigvals(closed_matrices(machines, control))
     return np.asarray(np.max(np.abs(poles), axis=1), dtype=np.float64)

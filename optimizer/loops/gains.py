@@ -48,14 +48,10 @@ def speed_delay(current_gains: LoopGains, t_s: float, settings: SpeedLoopSetting
     The current loop counts as 1/crossover, the time constant of the first-order
     system with its crossover. TI's rule knows it alone, by the bandwidth kp/L that it is meant for.
 
-    Parameters
-    ----------
-    current_gains:
-        The current loop of the q axis, with its crossover in rad/s.
-    t_s:
-        Sampling period of the current loops in s.
-    settings:
-        Ratio of the sampling rates and time constant of the filter in s.
+    Args:
+        current_gains: The current loop of the q axis, with its crossover in rad/s.
+        t_s: Sampling period of the current loops in s.
+        settings: Ratio of the sampling rates and time constant of the filter in s.
     """
     inductance = current_gains.inductance
     lag = None if inductance is None else inductance / current_gains.kp
@@ -67,16 +63,11 @@ def small_delays(
 ) -> float:
     """The same sum in s from numbers of the current loop.
 
-    Parameters
-    ----------
-    crossover:
-        Of the current loop of the q axis, in rad/s.
-    lag:
-        Its L/kp in s, for TI's rule; None where the winding is not known.
-    t_s:
-        Sampling period of the current loops in s.
-    settings:
-        Ratio of the sampling rates and time constant of the filter in s.
+    Args:
+        crossover: Of the current loop of the q axis, in rad/s.
+        lag: Its L/kp in s, for TI's rule; None where the winding is not known.
+        t_s: Sampling period of the current loops in s.
+        settings: Ratio of the sampling rates and time constant of the filter in s.
     """
     if settings.method == "ti" and lag is not None:
         return lag
@@ -96,27 +87,19 @@ def tune_current_loop(
 ) -> LoopGains:
     """PI gains of one current loop by the method of the settings, checked on the sampled loop.
 
-    Parameters
-    ----------
-    r_s:
-        Phase resistance in Ohm.
-    inductance:
-        Inductance of the axis in H.
-    t_s:
-        Sampling period in s.
-    loop:
-        Which axis, for the messages: ``i_d``, ``i_q`` or ``i_0``.
-    plants:
-        For the method ``optimised`` the plants whose M_s is bounded, such as the corners of a
-        tolerance box; None for the winding alone.
-    rule_inductance:
-        Inductance in H that the rule of a vendor takes for this axis; None for the axis' own.
+    Args:
+        r_s: Phase resistance in Ohm.
+        inductance: Inductance of the axis in H.
+        t_s: Sampling period in s.
+        loop: Which axis, for the messages: ``i_d``, ``i_q`` or ``i_0``.
+        plants: For the method ``optimised`` the plants whose M_s is bounded, such as the corners of
+            a tolerance box; None for the winding alone.
+        rule_inductance: Inductance in H that the rule of a vendor takes for this axis; None for the
+            axis' own.
 
-    Raises
-    ------
-    NoSolutionError
-        If a gain is not positive, the loop is unstable or its phase margin too small;
-        says what would hold.
+    Raises:
+        NoSolutionError: If a gain is not positive, the loop is unstable or its phase margin too
+            small; says what would hold.
     """
     key, one = "control.current_loop", np.ones(1)
     bounded = current_plants(r_s * one, inductance * one, t_s, one) if plants is None else plants
@@ -156,26 +139,17 @@ def tune_speed_loop(
     """PI gains of the speed loop (output: torque) by the method of the settings,
     checked on the exact two-rate loop.
 
-    Parameters
-    ----------
-    machine:
-        The machine; its inertia must be known.
-    current_gains:
-        Gains of the q axis.
-    control:
-        Sampling and settings; ``speed_loop`` must be there.
-    plants:
-        As in `tune_current_loop`.
-    lag:
-        By how much in s an observer tells the speed too late: a small delay of the loop.
+    Args:
+        machine: The machine; its inertia must be known.
+        current_gains: Gains of the q axis.
+        control: Sampling and settings; ``speed_loop`` must be there.
+        plants: As in `tune_current_loop`.
+        lag: By how much in s an observer tells the speed too late: a small delay of the loop.
 
-    Raises
-    ------
-    InputError
-        If the inertia or a setting is missing.
-    NoSolutionError
-        If a gain is not positive, the loop is unstable or its phase margin too small;
-        says what would hold.
+    Raises:
+        InputError: If the inertia or a setting is missing.
+        NoSolutionError: If a gain is not positive, the loop is unstable or its phase margin too
+            small; says what would hold.
     """
     settings, inertia = speed_settings(control), inertia_of(machine)
     t_sum = speed_delay(current_gains, control.t_s, settings) + lag

@@ -17,12 +17,9 @@ def inductance_range(
     Current loops are tuned for the least ones: a loop is fastest there, so that it is slower and
     has more margin everywhere else.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    i_max:
-        Current limit in A (peak).
+    Args:
+        machine: Any machine.
+        i_max: Current limit in A (peak).
     """
     if isinstance(machine, LinearMachine):
         return (machine.l_d, machine.l_q), (machine.l_d, machine.l_q)

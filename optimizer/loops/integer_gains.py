@@ -54,19 +54,13 @@ class FixedGain:
 def to_q(value: float, bits: int, width: Literal[16, 32] = 16) -> int:
     """Round value 2^bits to the nearest integer, halves away from zero.
 
-    Parameters
-    ----------
-    value:
-        The number, dimensionless.
-    bits:
-        Fractional bits, 0 to ``width`` - 1.
-    width:
-        Size of the signed integer that must hold the result, 16 (default) or 32 bits.
+    Args:
+        value: The number, dimensionless.
+        bits: Fractional bits, 0 to ``width`` - 1.
+        width: Size of the signed integer that must hold the result, 16 (default) or 32 bits.
 
-    Raises
-    ------
-    NoSolutionError
-        If the integer does not fit, or if a value other than zero would become 0.
+    Raises:
+        NoSolutionError: If the integer does not fit, or if a value other than zero would become 0.
     """
     if not 0 <= bits < width:
         raise InputError(
@@ -92,23 +86,17 @@ def quantise(
     """Largest mantissa that a word of ``width`` bits holds and whose product with the
     argument twice the width holds.
 
-    Parameters
-    ----------
-    value:
-        The gain, dimensionless.
-    width:
-        Bits of the mantissa, 16 or 32; the product with half of what the shift
-        leaves has twice as many.
-    argument:
-        Largest magnitude of what the gain is multiplied with.
-    style:
-        ``power-of-two``: any shift up to 2 width - 2; ``q``: below the width,
-        as Qn formats have it.
+    Args:
+        value: The gain, dimensionless.
+        width: Bits of the mantissa, 16 or 32; the product with half of what the shift leaves has
+            twice as many.
+        argument: Largest magnitude of what the gain is multiplied with.
+        style: ``power-of-two``: any shift up to 2 width - 2; ``q``: below the width, as Qn formats
+            have it.
 
-    Raises
-    ------
-    NoSolutionError
-        The gain is too large for the mantissa even without a shift, or so small that it becomes 0.
+    Raises:
+        NoSolutionError: The gain is too large for the mantissa even without a shift, or so small
+            that it becomes 0.
     """
     largest = width - 1 if style == "q" else 2 * width - 2
     if value == 0.0:
@@ -131,14 +119,10 @@ def quantise(
 def given(value: float, bits: int, width: Literal[16, 32] = 16) -> FixedGain:
     """A gain in a format that was asked for; errors as `to_q`.
 
-    Parameters
-    ----------
-    value:
-        The gain as a real number.
-    bits:
-        Fractional bits of the format.
-    width:
-        Bits of the integer.
+    Args:
+        value: The gain as a real number.
+        bits: Fractional bits of the format.
+        width: Bits of the integer.
     """
     return FixedGain(to_q(value, bits, width), bits, value)
 
@@ -160,17 +144,12 @@ def pi_integers(
 
     ``auto`` gives each gain the plain Qn format, n up to 30, with the most digits.
 
-    Parameters
-    ----------
-    kp, ki_ts:
-        Gain and integral gain times the sampling period, per unit.
-    q_formats:
-        Fractional bits of both, ``auto``, or None.
+    Args:
+        kp, ki_ts: Gain and integral gain times the sampling period, per unit.
+        q_formats: Fractional bits of both, ``auto``, or None.
 
-    Raises
-    ------
-    NoSolutionError
-        An integer does not fit its format, or becomes 0.
+    Raises:
+        NoSolutionError: An integer does not fit its format, or becomes 0.
     """
     if q_formats is None:
         return None
@@ -200,14 +179,10 @@ def per_unit_gains(
 
     Errors as `pi_integers`.
 
-    Parameters
-    ----------
-    gains:
-        The loop, gains in SI units.
-    bases:
-        Per-unit bases in SI units.
-    q_formats:
-        Fractional bits of both gains, ``auto``, or None.
+    Args:
+        gains: The loop, gains in SI units.
+        bases: Per-unit bases in SI units.
+        q_formats: Fractional bits of both gains, ``auto``, or None.
     """
     kp, ki_ts = per_unit(gains, *loop_bases(bases, gains.loop))
     return PerUnitGains(kp, ki_ts, pi_integers(kp, ki_ts, q_formats))

@@ -115,13 +115,10 @@ def current_plants(
 ) -> PlantBatch:
     """Current loops' plants: L di/dt = g v - R i, one period of computation, zero-order hold.
 
-    Parameters
-    ----------
-    r_s, inductance, gain:
-        Resistance in Ohm (zero and negative ones are permitted), inductance in H and gain
-        of the voltage, shape (N,).
-    t_s:
-        Sampling period in s.
+    Args:
+        r_s, inductance, gain: Resistance in Ohm (zero and negative ones are permitted), inductance
+            in H and gain of the voltage, shape (N,).
+        t_s: Sampling period in s.
     """
     r_s, inductance, gain = (
         np.asarray(v, dtype=np.float64) for v in np.broadcast_arrays(r_s, inductance, gain)
@@ -171,21 +168,14 @@ def speed_plants(
 
         L dx/dt = g K v - R x - e omega,   J domega/dt = f x - B omega,   T_f dw/dt = omega - w
 
-    Parameters
-    ----------
-    drive:
-        The variants.
-    friction:
-        B in N m s/rad, one number or shape (N,).
-    t_s:
-        Sampling period of the current control in s.
-    current_gains:
-        kp in V/A and ki in V/(A s) of the q axis, one number each or shape (N,).
-    ratio:
-        Current samples per speed sample.
-    filter_time:
-        T_f in s of the filter on the measured speed, one number or shape (N,); 0 for none, of all
-        variants alike.
+    Args:
+        drive: The variants.
+        friction: B in N m s/rad, one number or shape (N,).
+        t_s: Sampling period of the current control in s.
+        current_gains: kp in V/A and ki in V/(A s) of the q axis, one number each or shape (N,).
+        ratio: Current samples per speed sample.
+        filter_time: T_f in s of the filter on the measured speed, one number or shape (N,); 0 for
+            none, of all variants alike.
     """
     from scipy.linalg import expm
 
@@ -231,14 +221,10 @@ def close_loops(plants: PlantBatch, kp: FloatArray | float, ki: FloatArray | flo
     """Close a backward-Euler PI with gains kp and ki (1/s), one number or shape (N,),
     around every plant.
 
-    Parameters
-    ----------
-    plants:
-        N plants of one order.
-    kp:
-        Proportional gains, one number or shape (N,).
-    ki:
-        Integral gains per second, one number or shape (N,).
+    Args:
+        plants: N plants of one order.
+        kp: Proportional gains, one number or shape (N,).
+        ki: Integral gains per second, one number or shape (N,).
     """
     a, b = _open(plants, kp, np.asarray(ki) * plants.t_s)
     closed = a.copy()

@@ -29,30 +29,21 @@ LoopName = Literal["i_d", "i_q", "i_0", "speed"]
 class LoopGains:
     """PI gains of one loop with the evidence for them.
 
-    Parameters
-    ----------
-    loop:
-        ``i_d``, ``i_q``, ``i_0`` (zero sequence) or ``speed``.
-    method:
-        The tuning method, as in the settings.
-    kp, ki:
-        Gains of the parallel form, V/A and V/(A s), or N m s/rad and N m/rad.
-    t_s:
-        Sampling period of this controller in s.
-    poles:
-        All closed-loop poles in the z plane of ``t_s``, largest modulus first, shape (n,).
-    margins:
-        Crossovers and margins of the sampled loop.
-    disturbance:
-        Answer to a unit step of the disturbance: 1 V at the winding, or 1 N m of load torque.
-    model:
-        The sampled loop that poles and margins are those of; of a speed loop on an encoder with the
-        drive between its samples.
-    inductance:
-        Inductance of the winding in H that a current loop is meant for; None for the speed loop.
-    observed:
-        Of a speed loop that runs on an observer what that makes of it; poles and margins are then
-        those with its lag, at the worst speed. None for all others.
+    Args:
+        loop: ``i_d``, ``i_q``, ``i_0`` (zero sequence) or ``speed``.
+        method: The tuning method, as in the settings.
+        kp, ki: Gains of the parallel form, V/A and V/(A s), or N m s/rad and N m/rad.
+        t_s: Sampling period of this controller in s.
+        poles: All closed-loop poles in the z plane of ``t_s``, largest modulus first, shape (n,).
+        margins: Crossovers and margins of the sampled loop.
+        disturbance: Answer to a unit step of the disturbance: 1 V at the winding, or 1 N m of load
+            torque.
+        model: The sampled loop that poles and margins are those of; of a speed loop on an encoder
+            with the drive between its samples.
+        inductance: Inductance of the winding in H that a current loop is meant for; None for the
+            speed loop.
+        observed: Of a speed loop that runs on an observer what that makes of it; poles and margins
+            are then those with its lag, at the worst speed. None for all others.
     """
 
     loop: LoopName
@@ -155,14 +146,10 @@ def per_unit(gains: LoopGains, in_base: float, out_base: float) -> tuple[float, 
     ``in_base`` is the base of the controlled quantity (A, or rad/s),
     ``out_base`` that of the output (V, or N m).
 
-    Parameters
-    ----------
-    gains:
-        The loop, gains in SI units.
-    in_base:
-        Base of the controlled quantity, in A or rad/s.
-    out_base:
-        Base of the output, in V or N m.
+    Args:
+        gains: The loop, gains in SI units.
+        in_base: Base of the controlled quantity, in A or rad/s.
+        out_base: Base of the output, in V or N m.
     """
     if not (in_base > 0.0 and out_base > 0.0):
         raise InputError(f"per-unit bases must be positive, got {in_base:g} and {out_base:g}")
@@ -172,11 +159,8 @@ def per_unit(gains: LoopGains, in_base: float, out_base: float) -> tuple[float, 
 def loop_bases(bases: PerUnitBases, loop: LoopName) -> tuple[float, float]:
     """Bases of what a loop controls and of its output: A and V, or rad/s and N m.
 
-    Parameters
-    ----------
-    bases:
-        Per-unit bases in SI units.
-    loop:
-        Which loop.
+    Args:
+        bases: Per-unit bases in SI units.
+        loop: Which loop.
     """
     return (bases.speed, bases.torque) if loop == "speed" else (bases.current, bases.voltage)

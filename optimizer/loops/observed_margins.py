@@ -50,10 +50,9 @@ class Corner:
         return ", ".join(parts + [f"dead time {self.lost:.3g} V"] * (self.lost != 0.0))
 
 
+# What ends a range: a loop that is not stable, a speed that is told too wrongly, or a voltage that
+# the dc link does not have.
 Failure = Literal["unstable", "speed-error", "voltage"]
-
-"""What ends a range: a loop that is not stable, a speed that is told too wrongly, or a voltage that
-the dc link does not have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,42 +207,28 @@ class ObservedLoop:
 
     Arrays of shape (S,).
 
-    Parameters
-    ----------
-    observer:
-        The method, in words.
-    omega, crossover, phase_margin, radius:
-        Speeds, gain crossovers in rad/s, phase margins in rad, largest moduli
-        of the closed loop's poles.
-    worst:
-        Index of the speed that counts: unstable, or with the least margin.
-    loop:
-        The loop there.
-    required:
-        Phase margin in rad that the design asks for.
-    left:
-        Crossover in rad/s that the observer leaves: the fastest loop of the same shape that is
-        stable and has the required margin at all speeds. The loop's own where it has; None where no
-        slower one has.
-    advice:
-        What to write for that loop; empty where the loop itself holds.
-    cycle:
-        How the loop swings; None where it is stable, or runs away without swinging.
-    stable_advice:
-        What to write for the fastest slower loop that is stable; empty where the loop itself is,
-        or none is.
-    pll_least:
-        Least bandwidth of the observer's phase-locked loop in rad/s with which the loop as it is
-        becomes stable; None where it is, or where none is found.
-    corners:
-        Where all corners of the tolerances hold; None for a speed observer, and for a tracker
-        without a loop of its own.
-    slowed:
-        Spread of the speed loop where the one of the rule was too fast for the corners; None where
-        it was not.
-    beyond:
-        Largest electrical speed of the design in rad/s where the dc link does not reach it: the
-        speeds end where it does. None where it reaches it.
+    Args:
+        observer: The method, in words.
+        omega, crossover, phase_margin, radius: Speeds, gain crossovers in rad/s, phase margins in
+            rad, largest moduli of the closed loop's poles.
+        worst: Index of the speed that counts: unstable, or with the least margin.
+        loop: The loop there.
+        required: Phase margin in rad that the design asks for.
+        left: Crossover in rad/s that the observer leaves: the fastest loop of the same shape that
+            is stable and has the required margin at all speeds. The loop's own where it has; None
+            where no slower one has.
+        advice: What to write for that loop; empty where the loop itself holds.
+        cycle: How the loop swings; None where it is stable, or runs away without swinging.
+        stable_advice: What to write for the fastest slower loop that is stable; empty where the
+            loop itself is, or none is.
+        pll_least: Least bandwidth of the observer's phase-locked loop in rad/s with which the loop
+            as it is becomes stable; None where it is, or where none is found.
+        corners: Where all corners of the tolerances hold; None for a speed observer, and for a
+            tracker without a loop of its own.
+        slowed: Spread of the speed loop where the one of the rule was too fast for the corners;
+            None where it was not.
+        beyond: Largest electrical speed of the design in rad/s where the dc link does not reach it:
+            the speeds end where it does. None where it reaches it.
     """
 
     observer: str

@@ -8,11 +8,10 @@ a tolerance box. The bound on M_s keeps the loop from oscillating: the integral 
 error is 11 % above that of the error at M_s = 1.3 and 15 % at 1.6, where the least absolute error
 under the same bound would be 6 % less.
 
-References
-----------
-K. J. Astroem, H. Panagopoulos, T. Haegglund, "Design of PI controllers based on non-convex
-optimization", Automatica 34(5), 1998, doi:10.1016/S0005-1098(98)00011-9: largest ki under a bound
-on M_s, for one plant.
+References:
+    K. J. Astroem, H. Panagopoulos, T. Haegglund, "Design of PI controllers based on non-convex
+    optimization", Automatica 34(5), 1998, doi:10.1016/S0005-1098(98)00011-9: largest ki under a
+    bound on M_s, for one plant.
 """
 
 from __future__ import annotations
@@ -81,16 +80,11 @@ def sensitivity_excess(
 
     Large where a loop is unstable.
 
-    Parameters
-    ----------
-    plants:
-        N plants whose sensitivity is bounded.
-    gains:
-        kp and ki of the loop.
-    max_sensitivity:
-        Bound of M_s.
-    omega:
-        Frequencies in rad/s, shape (K,).
+    Args:
+        plants: N plants whose sensitivity is bounded.
+        gains: kp and ki of the loop.
+        max_sensitivity: Bound of M_s.
+        omega: Frequencies in rad/s, shape (K,).
     """
     loops = close_loops(plants, *gains)
     radius = loops.radius
@@ -185,21 +179,14 @@ def optimised_pi(
     NLopt searches the logarithms of both gains (DIRECT-L, then COBYLA) on the few plants that bind;
     the worst of the others joins them until none exceeds the bound. Deterministic.
 
-    Parameters
-    ----------
-    plants:
-        The plants, of a tolerance box its corners; the first is where the search begins.
-    max_sensitivity:
-        Bound on M_s, above 1.
-    scale:
-        Order of magnitude of the gains, see `pi_scale`.
-    key:
-        Section of the design for the message.
+    Args:
+        plants: The plants, of a tolerance box its corners; the first is where the search begins.
+        max_sensitivity: Bound on M_s, above 1.
+        scale: Order of magnitude of the gains, see `pi_scale`.
+        key: Section of the design for the message.
 
-    Raises
-    ------
-    NoSolutionError
-        No gains keep the bound for all plants.
+    Raises:
+        NoSolutionError: No gains keep the bound for all plants.
     """
     active: list[int] = [0]
     found: FloatArray | None = None

@@ -33,14 +33,10 @@ SEARCH_BISECTIONS = 14  # the factor is then known to better than the three digi
 def required_setting(value: float | None, key: str, method: str) -> float:
     """Return a setting that the method cannot do without.
 
-    Parameters
-    ----------
-    value:
-        The setting, None where it is not given.
-    key:
-        Its key in the design file.
-    method:
-        The method, for the message.
+    Args:
+        value: The setting, None where it is not given.
+        key: Its key in the design file.
+        method: The method, for the message.
     """
     if value is None:
         raise InputError(f"{key} is missing: method '{method}' needs it")
@@ -65,16 +61,11 @@ def current_pi(
 
     ``r_s`` in Ohm, ``inductance`` in H, ``t_s`` in s.
 
-    Parameters
-    ----------
-    r_s:
-        Phase resistance in Ohm.
-    inductance:
-        Inductance of the axis in H.
-    t_s:
-        Sampling period in s.
-    settings:
-        Method and its settings.
+    Args:
+        r_s: Phase resistance in Ohm.
+        inductance: Inductance of the axis in H.
+        t_s: Sampling period in s.
+        settings: Method and its settings.
     """
     method, key, t_sum = settings.method, "control.current_loop", CURRENT_DELAY * t_s
     if method == "given":
@@ -112,14 +103,10 @@ def speed_pi(
     the double pole s^2 + w s + w^2/4 = (s + w/2)^2: the fastest integral action that leaves the
     poles real.
 
-    Parameters
-    ----------
-    inertia, friction:
-        J in kg m^2, B in N m s/rad.
-    t_sum:
-        Sum of the small delays in s, see `speed_delay`.
-    settings:
-        Method and its settings.
+    Args:
+        inertia, friction: J in kg m^2, B in N m s/rad.
+        t_sum: Sum of the small delays in s, see `speed_delay`.
+        settings: Method and its settings.
     """
     method, key = settings.method, "control.speed_loop"
     if method == "given":
@@ -151,18 +138,12 @@ def require_positive(
 ) -> None:
     """Refuse gains that are not positive and finite; ``rate`` in rad/s is R/(2 L) or B/(2 J).
 
-    Parameters
-    ----------
-    key:
-        Section of the design file, for the message.
-    loop:
-        Which loop, for the message.
-    settings:
-        Method and its settings.
-    gains:
-        kp and ki.
-    rate:
-        Rate of decay in rad/s that the loop must exceed: R/(2 L) or B/(2 J).
+    Args:
+        key: Section of the design file, for the message.
+        loop: Which loop, for the message.
+        settings: Method and its settings.
+        gains: kp and ki.
+        rate: Rate of decay in rad/s that the loop must exceed: R/(2 L) or B/(2 J).
     """
     kp, ki = gains
     if kp > 0.0 and ki > 0.0 and np.isfinite(kp) and np.isfinite(ki):
@@ -183,10 +164,8 @@ def require_positive(
 def by_spread(settings: CurrentLoopSettings | SpeedLoopSettings) -> bool:
     """Whether a method's number is its spread: the symmetrical optimum, and TI's speed loop.
 
-    Parameters
-    ----------
-    settings:
-        Method and its settings.
+    Args:
+        settings: Method and its settings.
     """
     of_ti = settings.method == "ti" and isinstance(settings, SpeedLoopSettings)
     return settings.method == "symmetrical-optimum" or of_ti
@@ -242,14 +221,10 @@ def _rate_text(omega: float, *, up: bool) -> str:
 def loop_advice(key: str, settings: CurrentLoopSettings | SpeedLoopSettings, factor: float) -> str:
     """Say what to write for a loop that holds, given the factor from `largest_factor`.
 
-    Parameters
-    ----------
-    key:
-        Key of the design file whose value does not hold.
-    settings:
-        Method and its settings.
-    factor:
-        Factor by which all gains may grow at most.
+    Args:
+        key: Key of the design file whose value does not hold.
+        settings: Method and its settings.
+        factor: Factor by which all gains may grow at most.
     """
     if settings.method == "given":
         return f"multiply {key}.kp and {key}.ki by {_three_digits(factor, up=False):.6g} or less"

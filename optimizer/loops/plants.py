@@ -129,16 +129,11 @@ def current_loop(r_s: float, inductance: float, t_s: float, kp: float, ki: float
     """Current loop of one axis: L di/dt = v - R i, computation delay of one period,
     zero-order hold, PI.
 
-    Parameters
-    ----------
-    r_s:
-        Phase resistance in Ohm.
-    inductance:
-        Inductance of the axis in H.
-    t_s:
-        Sampling period in s.
-    kp, ki:
-        Gains in V/A and V/(A s).
+    Args:
+        r_s: Phase resistance in Ohm.
+        inductance: Inductance of the axis in H.
+        t_s: Sampling period in s.
+        kp, ki: Gains in V/A and V/(A s).
     """
     a, b = np.array([[-r_s / inductance]]), np.array([[1.0 / inductance]])
     plant = delayed_plant(a, b, np.ones((1, 1)), t_s, tau=t_s)
@@ -180,22 +175,15 @@ def speed_loop(
     filter) is stepped ``ratio`` times under a held torque reference; the speed controller closes
     around the result.
 
-    Parameters
-    ----------
-    winding:
-        Resistance in Ohm and q-axis inductance in H.
-    mechanics:
-        Inertia in kg m^2 and viscous friction in N m s/rad.
-    t_s:
-        Sampling period of the current controller in s.
-    current_gains:
-        kp in V/A and ki in V/(A s) of the q axis.
-    ratio:
-        Sampling period of the speed controller in current samples.
-    speed_gains:
-        kp in N m s/rad and ki in N m/rad.
-    filter_time:
-        Time constant in s of a continuous first-order filter on the measured speed, 0 for none.
+    Args:
+        winding: Resistance in Ohm and q-axis inductance in H.
+        mechanics: Inertia in kg m^2 and viscous friction in N m s/rad.
+        t_s: Sampling period of the current controller in s.
+        current_gains: kp in V/A and ki in V/(A s) of the q axis.
+        ratio: Sampling period of the speed controller in current samples.
+        speed_gains: kp in N m s/rad and ki in N m/rad.
+        filter_time: Time constant in s of a continuous first-order filter on the measured speed, 0
+            for none.
     """
     a, b_voltage, b_load, c_speed = _mechanics(*winding, *mechanics, filter_time)
     torque = np.zeros_like(c_speed)
@@ -217,10 +205,8 @@ def speed_loop(
 def response_length(closed: SampledSystem) -> int:
     """Samples until the slowest mode of a stable loop has decayed to 1e-5.
 
-    Parameters
-    ----------
-    closed:
-        The closed loop.
+    Args:
+        closed: The closed loop.
     """
     slowest = float(np.abs(closed.poles[0]))
     if slowest >= 1.0:
@@ -237,14 +223,10 @@ def current_step(loop: PiLoop, steps: int, stride: int = 1) -> StepResponse:
 
     ``steps`` counts the points, which are every ``stride``-th sample.
 
-    Parameters
-    ----------
-    loop:
-        A current loop.
-    steps:
-        Number of points.
-    stride:
-        Samples from point to point.
+    Args:
+        loop: A current loop.
+        steps: Number of points.
+        stride: Samples from point to point.
     """
     closed = lift(loop.closed, stride)
     reference = constant_input_states(closed, np.array([1.0, 0.0]), steps)
@@ -298,10 +280,8 @@ def speed_step(speed: SpeedLoop, steps: int, stride: int = 1) -> StepResponse:
 def disturbance_summary(response: StepResponse) -> DisturbanceResponse:
     """Peak and settling time of the answer to the disturbance.
 
-    Parameters
-    ----------
-    response:
-        Samples of the response to a unit step.
+    Args:
+        response: Samples of the response to a unit step.
     """
     deviation = np.abs(response.disturbance)
     peak = float(np.max(deviation))

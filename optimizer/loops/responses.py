@@ -13,17 +13,9 @@ from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.plants import PiLoop, SpeedLoop, StepResponse, current_step
 from dqforge.optimizer.sampled_systems import ComplexArray
 
-_CURRENT_TIME, _SPEED_TIME = 9.0, 22.0
-
-"""Length of a step response in 1/crossover."""
-
-
+_CURRENT_TIME, _SPEED_TIME = 9.0, 22.0  # Length of a step response in 1/crossover.
 _LEAST_SAMPLES = 12.0
-
-
 _BELOW_CROSSOVER = 40.0
-
-
 _FREQUENCIES = 160
 
 
@@ -31,19 +23,13 @@ _FREQUENCIES = 160
 class LoopResponse:
     """How one loop answers.
 
-    Parameters
-    ----------
-    gains:
-        The loop.
-    step:
-        Answer of the closed loop to a unit step of its reference;
-        of a speed loop on an observer that at its samples.
-    frequency:
-        Hz, ascending, shape (N,).
-    gain, phase:
-        Of the open loop there, as a factor and in degrees, shape (N,).
-    phase_at_crossover:
-        The same phase at the crossover of ``gains``, in degrees.
+    Args:
+        gains: The loop.
+        step: Answer of the closed loop to a unit step of its reference; of a speed loop on an
+            observer that at its samples.
+        frequency: Hz, ascending, shape (N,).
+        gain, phase: Of the open loop there, as a factor and in degrees, shape (N,).
+        phase_at_crossover: The same phase at the crossover of ``gains``, in degrees.
     """
 
     gains: LoopGains
@@ -60,14 +46,10 @@ def loop_responses(
     """Step and frequency responses of the loops; without the speed loop where its
     observer makes it unstable.
 
-    Parameters
-    ----------
-    i_d, i_q:
-        The current loops; their step responses are of one length.
-    speed:
-        The speed loop, None where there is none.
-    zero:
-        The loop of the zero-sequence current, None where nothing drives one.
+    Args:
+        i_d, i_q: The current loops; their step responses are of one length.
+        speed: The speed loop, None where there is none.
+        zero: The loop of the zero-sequence current, None where nothing drives one.
     """
     currents = [i_d, i_q] if zero is None else [i_d, i_q, zero]
     loops = currents if speed is None else [*currents, speed]

@@ -49,22 +49,14 @@ class Worst:
 class LoopRobustness:
     """What one loop keeps over the box.
 
-    Parameters
-    ----------
-    corners, samples:
-        How many corners and how many points inside were checked.
-    phase_margin:
-        Least modulus of the phase margin in rad.
-    gain_margin:
-        Least gain margin as a factor.
-    delay_margin:
-        Least delay margin in s.
-    max_sensitivity:
-        Largest M_s.
-    radius:
-        Largest modulus of a closed-loop pole.
-    inside_worse:
-        Whether a point inside the box was worse than every corner in any of these.
+    Args:
+        corners, samples: How many corners and how many points inside were checked.
+        phase_margin: Least modulus of the phase margin in rad.
+        gain_margin: Least gain margin as a factor.
+        delay_margin: Least delay margin in s.
+        max_sensitivity: Largest M_s.
+        radius: Largest modulus of a closed-loop pole.
+        inside_worse: Whether a point inside the box was worse than every corner in any of these.
     """
 
     corners: int
@@ -100,12 +92,9 @@ class RobustSet:
 def summarise(margins: BatchMargins, points: BoxPoints) -> LoopRobustness:
     """Worst values over the points, each with its place.
 
-    Parameters
-    ----------
-    margins:
-        Margins of the loop at N points of the box.
-    points:
-        The points.
+    Args:
+        margins: Margins of the loop at N points of the box.
+        points: The points.
     """
     unstable = margins.radius >= 1.0
     badness = {
@@ -130,14 +119,10 @@ def summarise(margins: BatchMargins, points: BoxPoints) -> LoopRobustness:
 def first_fault(margins: BatchMargins, points: BoxPoints, required: float) -> str | None:
     """What the worst point does not keep, in words, or None.
 
-    Parameters
-    ----------
-    margins:
-        Margins of the loop at N points of the box.
-    points:
-        The points.
-    required:
-        Phase margin in rad that the loop must have.
+    Args:
+        margins: Margins of the loop at N points of the box.
+        points: The points.
+        required: Phase margin in rad that the loop must have.
     """
     unstable = margins.radius >= 1.0
     if unstable.any():
@@ -198,18 +183,12 @@ def optimised_current(
 
     Arguments in Ohm, H and s.
 
-    Parameters
-    ----------
-    r_s:
-        Phase resistance in Ohm.
-    inductance:
-        Inductance of the axis in H.
-    t_s:
-        Sampling period in s.
-    bound:
-        Bound of M_s.
-    plants:
-        Plants whose M_s is bounded.
+    Args:
+        r_s: Phase resistance in Ohm.
+        inductance: Inductance of the axis in H.
+        t_s: Sampling period in s.
+        bound: Bound of M_s.
+        plants: Plants whose M_s is bounded.
     """
     return optimised_pi(
         plants, bound, pi_scale(inductance, r_s, CURRENT_DELAY * t_s), "control.current_loop"
@@ -219,20 +198,14 @@ def optimised_current(
 def current_robustness(box: DriveBox, gains: LoopGains, axis: Axis) -> LoopRobustness:
     """Margins of a current loop over the box.
 
-    Parameters
-    ----------
-    box:
-        The drive with its tolerances.
-    gains:
-        The loop.
-    axis:
-        Which axis.
+    Args:
+        box: The drive with its tolerances.
+        gains: The loop.
+        axis: Which axis.
 
-    Raises
-    ------
-    NoSolutionError
-        The loop is unstable or misses its phase margin at a point of the box;
-        names it and says what would hold.
+    Raises:
+        NoSolutionError: The loop is unstable or misses its phase margin at a point of the box;
+            names it and says what would hold.
     """
     control, r_s = box.design.control, box.design.machine.r_s
     inductance = box.nominal[0 if axis == "i_d" else 1]
@@ -256,12 +229,9 @@ def zero_robustness(box: DriveBox, gains: LoopGains) -> LoopRobustness:
     """Margins of the loop of the zero-sequence current over the box; raises as
     `current_robustness`.
 
-    Parameters
-    ----------
-    box:
-        The drive with its tolerances.
-    gains:
-        The loop.
+    Args:
+        box: The drive with its tolerances.
+        gains: The loop.
     """
     control, r_s, inductance = box.design.control, box.design.machine.r_s, gains.inductance
     assert inductance is not None
@@ -288,17 +258,12 @@ def turning_robustness(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> Worst |
 
     None where the machine states no largest speed.
 
-    Parameters
-    ----------
-    box:
-        The drive with its tolerances.
-    i_d, i_q:
-        The current loops.
+    Args:
+        box: The drive with its tolerances.
+        i_d, i_q: The current loops.
 
-    Raises
-    ------
-    NoSolutionError
-        The loops are unstable at a point; names it with its speed.
+    Raises:
+        NoSolutionError: The loops are unstable at a point; names it with its speed.
     """
     machine, control = box.design.machine, box.design.control
     if machine.omega_m_max is None:
@@ -324,12 +289,9 @@ def turning_robustness(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> Worst |
 def unstable_together(at: str, radius: float) -> NoSolutionError:
     """The refusal of current loops that are unstable together.
 
-    Parameters
-    ----------
-    at:
-        Speed and drive, in words.
-    radius:
-        Largest pole modulus there.
+    Args:
+        at: Speed and drive, in words.
+        radius: Largest pole modulus there.
     """
     return NoSolutionError(
         "control.current_loop: within control.tolerances both current loops together are "
@@ -342,14 +304,10 @@ def unstable_together(at: str, radius: float) -> NoSolutionError:
 def speed_robustness(box: DriveBox, gains: LoopGains, current_gains: LoopGains) -> LoopRobustness:
     """Margins of the speed loop over the box; raises as `current_robustness`.
 
-    Parameters
-    ----------
-    box:
-        The drive with its tolerances.
-    gains:
-        The speed loop.
-    current_gains:
-        The current loop of the q axis.
+    Args:
+        box: The drive with its tolerances.
+        gains: The speed loop.
+        current_gains: The current loop of the q axis.
     """
     machine, control = box.design.machine, box.design.control
     settings, inertia = control.speed_loop, machine.inertia

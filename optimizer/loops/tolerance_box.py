@@ -42,19 +42,9 @@ from dqforge.optimizer.loops.loop_batch import (
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 
 FloatArray = NDArray[np.float64]
-
-
 Axis = Literal["i_d", "i_q"]
-
-
 _NAMES: tuple[ToleranceName, ...] = get_args(ToleranceName)
-
-
-SAMPLES = 400
-
-"""Random points inside the box that are checked besides its corners."""
-
-
+SAMPLES = 400  # Random points inside the box that are checked besides its corners.
 _SEED = 20_261_121
 
 
@@ -97,12 +87,9 @@ def _part(name: str, value: float) -> str:
 def box_points(limits: dict[str, tuple[float, float]], *, loads: bool = False) -> BoxPoints:
     """Corners of a box, random points inside it (the same every time), and the data themselves.
 
-    Parameters
-    ----------
-    limits:
-        Lower and upper deviation by parameter; parameters with none are left out.
-    loads:
-        Whether every point is taken at no load and at full current.
+    Args:
+        limits: Lower and upper deviation by parameter; parameters with none are left out.
+        loads: Whether every point is taken at no load and at full current.
     """
     names = tuple(name for name, (low, high) in limits.items() if high > low)
     low, high = (np.array([limits[name][side] for name in names]) for side in (0, 1))
@@ -307,13 +294,10 @@ def drive_box(
 
     Of a design without tolerances the inductances that saturation lets appear, alone.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    nominal, largest:
-        (l_d, l_q) in H that the loops are tuned for, and the largest ones
-        along the current reference.
+    Args:
+        design: The design.
+        nominal, largest: (l_d, l_q) in H that the loops are tuned for, and the largest ones along
+            the current reference.
     """
     tolerances = design.control.tolerances or Tolerances()
     follows = design.control.current_loop.schedule or isinstance(design.machine, LinearMachine)

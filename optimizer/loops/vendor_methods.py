@@ -18,10 +18,8 @@ _TI_INTEGRAL = 0.25  # of R/L: setupControllers takes a quarter of it into its s
 def is_vendor(method: str) -> bool:
     """Whether a method is the rule of a vendor's tool.
 
-    Parameters
-    ----------
-    method:
-        As in ``control.current_loop.method``.
+    Args:
+        method: As in ``control.current_loop.method``.
     """
     return method in get_args(VendorMethod)
 
@@ -31,14 +29,10 @@ def vendor_inductance(method: str, inductances: tuple[float, float], place: int)
 
     ``vesc`` knows the mean of both, ``st-mcsdk`` that of q alone (LS); the others each axis' own.
 
-    Parameters
-    ----------
-    method:
-        As in ``control.current_loop.method``; of those that are no vendor's, the axis' own.
-    inductances:
-        L_d and L_q in H.
-    place:
-        0 for d, 1 for q.
+    Args:
+        method: As in ``control.current_loop.method``; of those that are no vendor's, the axis' own.
+        inductances: L_d and L_q in H.
+        place: 0 for d, 1 for q.
     """
     if method == "vesc":
         return 0.5 * (inductances[0] + inductances[1])
@@ -55,16 +49,11 @@ def vendor_current_pi(
         st-mcsdk, vesc, infineon, moteus
                      kp = w L              ki = w R
 
-    Parameters
-    ----------
-    method:
-        The rule.
-    r_s, inductance:
-        Resistance in Ohm, and inductance in H as of `vendor_inductance`.
-    omega:
-        Bandwidth in rad/s.
-    damping:
-        Damping ratio, for nxp-mcat.
+    Args:
+        method: The rule.
+        r_s, inductance: Resistance in Ohm, and inductance in H as of `vendor_inductance`.
+        omega: Bandwidth in rad/s.
+        damping: Damping ratio, for nxp-mcat.
     """
     if method == "nxp-mcat":
         return 2.0 * damping * omega * inductance - r_s, omega**2 * inductance
@@ -85,23 +74,15 @@ def vendor_speed_pi(
         infineon     kp = w J              ki = w B
         ti           kp = w J/delta        ki = kp w/delta^2      w of the current loop
 
-    Parameters
-    ----------
-    method:
-        The rule.
-    mechanics:
-        Inertia J in kg m^2 and friction B in N m s/rad.
-    omega:
-        Bandwidth in rad/s: of the speed loop, for ti that of the current loop.
-    damping:
-        Damping ratio xi, for nxp-mcat.
-    spread:
-        delta, for ti.
+    Args:
+        method: The rule.
+        mechanics: Inertia J in kg m^2 and friction B in N m s/rad.
+        omega: Bandwidth in rad/s: of the speed loop, for ti that of the current loop.
+        damping: Damping ratio xi, for nxp-mcat.
+        spread: delta, for ti.
 
-    Raises
-    ------
-    NoSolutionError
-        infineon makes its integral gain of the friction, and there is none.
+    Raises:
+        NoSolutionError: infineon makes its integral gain of the friction, and there is none.
     """
     inertia, friction = mechanics
     if method == "nxp-mcat":

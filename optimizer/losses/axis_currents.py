@@ -25,36 +25,20 @@ from dqforge.optimizer.losses.drive_comparison import AIM, EXCESS, ROUNDS
 from dqforge.optimizer.machine_batch.batch_currents import largest_torques, strategy_currents
 
 _STEPS = 60
-
-
-_STILL = 1e-13
-
-"""Newton step over the size of the current after which a crossing stands still."""
-
-
-_ROUNDING = 1e-9
-
-"""Relative slack within which a limit counts as kept, as of single points."""
-
-
-_DOUBT = 1e-6
-
-"""Relative distance from a limit within which a single machine decides."""
+_STILL = 1e-13  # Newton step over the size of the current after which a crossing stands still.
+_ROUNDING = 1e-9  # Relative slack within which a limit counts as kept, as of single points.
+_DOUBT = 1e-6  # Relative distance from a limit within which a single machine decides.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisCurrents:
     """Currents of N points, arrays of shape (N,).
 
-    Parameters
-    ----------
-    i_d, i_q:
-        In A, NaN where the torque is out of reach.
-    reached:
-        Whether they make the torque within the limits.
-    doubtful:
-        True where a limit is so near that only the solver of single machines says on which side the
-        point lies, or finds it.
+    Args:
+        i_d, i_q: In A, NaN where the torque is out of reach.
+        reached: Whether they make the torque within the limits.
+        doubtful: True where a limit is so near that only the solver of single machines says on
+            which side the point lies, or finds it.
     """
 
     i_d: FloatArray
@@ -74,18 +58,12 @@ def axis_currents(
     """Currents of one strategy at N points, a machine for each, as
     `dqforge.optimizer.losses.drive_comparison.strategy_currents` of single machines.
 
-    Parameters
-    ----------
-    machines:
-        A machine per point, its current limit in ``i_max``.
-    strategy:
-        ``mtpa``, which weakens the field, or ``id0``, which does not look at the voltage.
-    torque, omega_m:
-        In N m and rad/s, any sign, shape (N,).
-    v_max:
-        Largest phase amplitudes in V, shape (N,).
-    options:
-        What else drops voltage; the field is weakened for it, too.
+    Args:
+        machines: A machine per point, its current limit in ``i_max``.
+        strategy: ``mtpa``, which weakens the field, or ``id0``, which does not look at the voltage.
+        torque, omega_m: In N m and rad/s, any sign, shape (N,).
+        v_max: Largest phase amplitudes in V, shape (N,).
+        options: What else drops voltage; the field is weakened for it, too.
     """
     if strategy == "id0":
         return _without_weakening(machines, torque)

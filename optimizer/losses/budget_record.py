@@ -15,6 +15,7 @@ from dqforge.machines.losses.machine_budget import WindingHeat
 from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
 from dqforge.machines.records import dataclass
 
+# Kinds of loss that make up the total, machine first.
 PARTS = (
     "copper",
     "ripple_copper",
@@ -27,27 +28,20 @@ PARTS = (
     "capacitor",
 )
 
-"""Kinds of loss that make up the total, machine first."""
-
 
 @dataclass(frozen=True, slots=True)
 class BudgetOptions:
     """What is counted beside copper, conduction and switching.
 
-    Parameters
-    ----------
-    machine_loss:
-        AC copper, iron and magnet loss.
-    winding:
-        How warm the winding becomes; None keeps the machine's resistance.
-    capacitor_esr:
-        Series resistance of the DC-link capacitor in Ohm at the carrier frequency.
-    ripple_resistance:
-        Resistance of the winding at the carrier frequency over that of the fundamental; None leaves
-        out what the ripple makes, in copper and in iron.
-    sheet_corner:
-        Frequency in Hz at which the skin depth equals the thickness of the sheets (`sheet_factor`);
-        None leaves the skin effect out of the iron loss that the switching makes.
+    Args:
+        machine_loss: AC copper, iron and magnet loss.
+        winding: How warm the winding becomes; None keeps the machine's resistance.
+        capacitor_esr: Series resistance of the DC-link capacitor in Ohm at the carrier frequency.
+        ripple_resistance: Resistance of the winding at the carrier frequency over that of the
+            fundamental; None leaves out what the ripple makes, in copper and in iron.
+        sheet_corner: Frequency in Hz at which the skin depth equals the thickness of the sheets
+            (`sheet_factor`); None leaves the skin effect out of the iron loss that the switching
+            makes.
     """
 
     machine_loss: MachineLoss = field(default=NO_EXTRA_LOSS)
@@ -78,45 +72,31 @@ class DriveBudget:
     """Powers and temperatures, arrays of the shape (M, F, P): modulators, carrier frequencies,
     points.
 
-    Parameters
-    ----------
-    torque, shaft_power:
-        Of the currents, in N m and W.
-    friction:
-        Share of the shaft power in W that friction takes; no part of the total,
-        since no alternative changes it.
-    copper, ripple_copper, iron, ripple_iron, magnet:
-        Losses of the machine in W; the second is what the ripple of the current adds, the fourth
-        what switched voltages add.
-    conduction, dead_time, switching:
-        Losses of the bridge in W; dead time is what the diodes of a MOSFET bridge add in the gaps.
-    capacitor:
-        Loss in the DC-link capacitor in W.
-    total, input_power:
-        All losses, and power from the DC source, in W.
-    junction_temperature, diode_temperature:
-        Of the hotter position in degC; equal where both share a junction.
-    winding_temperature:
-        In degC; NaN where nothing is known of the winding's heat.
-    voltage:
-        Amplitude of the phase voltage in V, peak.
-    voltage_error:
-        Amplitude in V that dead time takes, against the current, where nothing compensates it.
-    capacitor_current, ripple_current:
-        R.m.s. in A: of the DC-link capacitor, and of the ripple of a phase current.
-    thermal_residual:
-        Largest residual of the balances of heat, in K.
-    linear:
-        False beyond the linear range of the modulator less the dead time's share
-        (`dead_time_factor`): the voltage cannot be made there.
-    steady:
-        False where a junction or the winding runs away; what depends on it is NaN there.
-    cool_enough:
-        False where a junction is hotter than the device permits.
-    within_tables:
-        False where device tables were carried on beyond their ends.
-    known:
-        False where no currents were given (NaN); everything is NaN there.
+    Args:
+        torque, shaft_power: Of the currents, in N m and W.
+        friction: Share of the shaft power in W that friction takes; no part of the total, since no
+            alternative changes it.
+        copper, ripple_copper, iron, ripple_iron, magnet: Losses of the machine in W; the second is
+            what the ripple of the current adds, the fourth what switched voltages add.
+        conduction, dead_time, switching: Losses of the bridge in W; dead time is what the diodes of
+            a MOSFET bridge add in the gaps.
+        capacitor: Loss in the DC-link capacitor in W.
+        total, input_power: All losses, and power from the DC source, in W.
+        junction_temperature, diode_temperature: Of the hotter position in degC; equal where both
+            share a junction.
+        winding_temperature: In degC; NaN where nothing is known of the winding's heat.
+        voltage: Amplitude of the phase voltage in V, peak.
+        voltage_error: Amplitude in V that dead time takes, against the current, where nothing
+            compensates it.
+        capacitor_current, ripple_current: R.m.s. in A: of the DC-link capacitor, and of the ripple
+            of a phase current.
+        thermal_residual: Largest residual of the balances of heat, in K.
+        linear: False beyond the linear range of the modulator less the dead time's share
+            (`dead_time_factor`): the voltage cannot be made there.
+        steady: False where a junction or the winding runs away; what depends on it is NaN there.
+        cool_enough: False where a junction is hotter than the device permits.
+        within_tables: False where device tables were carried on beyond their ends.
+        known: False where no currents were given (NaN); everything is NaN there.
     """
 
     torque: FloatArray
@@ -161,12 +141,9 @@ class DriveBudget:
 def stacked_budgets(budgets: Sequence[DriveBudget], axis: int) -> DriveBudget:
     """Budgets of one shape along a new axis.
 
-    Parameters
-    ----------
-    budgets:
-        Budgets of one shape.
-    axis:
-        Place of the new axis.
+    Args:
+        budgets: Budgets of one shape.
+        axis: Place of the new axis.
     """
     names = [part.name for part in fields(DriveBudget)]
     return DriveBudget(

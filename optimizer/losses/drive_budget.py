@@ -53,10 +53,7 @@ __all__ = [
     "waveform_averages",
 ]
 
-_VOLTAGE_ROUNDING = 1e-6
-
-"""Excess over the linear range that solvers of operating points leave."""
-
+_VOLTAGE_ROUNDING = 1e-6  # Excess over the linear range that solvers of operating points leave.
 
 _LOSSLESS = SwitchDevice(
     "mosfet", 0.0, 0.0, 0.0, 1.0, 1.0, thermal_resistance=1.0, max_junction_temperature=1e4
@@ -66,10 +63,8 @@ _LOSSLESS = SwitchDevice(
 def known_bridge(inverter: Inverter) -> BridgeTables:
     """Tables of the bridge; of one without losses where nothing is known of its switch.
 
-    Parameters
-    ----------
-    inverter:
-        DC link, device and coolant.
+    Args:
+        inverter: DC link, device and coolant.
     """
     return bridge_tables(
         inverter if inverter.device is not None else replace(inverter, device=_LOSSLESS)
@@ -80,14 +75,10 @@ def known_bridge(inverter: Inverter) -> BridgeTables:
 class Supply:
     """What feeds N points.
 
-    Parameters
-    ----------
-    v_dc, dead_time:
-        Link voltage in V and dead time in s, of all points or of each, shape (N,).
-    frequency:
-        Carrier frequencies in Hz, shape (F, 1) of all points, (1, N) of each.
-    energy_factors:
-        As of `bridge_averages`, where the link voltage is not that of the tables.
+    Args:
+        v_dc, dead_time: Link voltage in V and dead time in s, of all points or of each, shape (N,).
+        frequency: Carrier frequencies in Hz, shape (F, 1) of all points, (1, N) of each.
+        energy_factors: As of `bridge_averages`, where the link voltage is not that of the tables.
     """
 
     v_dc: FloatArray | float
@@ -109,32 +100,22 @@ def drive_budget(
 ) -> DriveBudget:
     """Budget at P points with M modulators and F carrier frequencies.
 
-    Parameters
-    ----------
-    machine, inverter:
-        The drive; of several machines one per point (`MachineBatch`). The tables of its device are
-        used where it has them, else its constants; without a device the bridge counts as lossless,
-        and its temperatures are NaN.
-    i_d, i_q:
-        Currents in A (peak) that make the torque, broadcastable to (M, P): each modulator may have
-        its own. NaN where there are none.
-    omega_m:
-        Mechanical speed in rad/s, broadcastable likewise.
-    modulations:
-        M modulators.
-    frequencies:
-        F carrier frequencies in Hz, shape (F,); that of the inverter when None.
-    options:
-        What else is counted.
+    Args:
+        machine, inverter: The drive; of several machines one per point (`MachineBatch`). The tables
+            of its device are used where it has them, else its constants; without a device the
+            bridge counts as lossless, and its temperatures are NaN.
+        i_d, i_q: Currents in A (peak) that make the torque, broadcastable to (M, P): each modulator
+            may have its own. NaN where there are none.
+        omega_m: Mechanical speed in rad/s, broadcastable likewise.
+        modulations: M modulators.
+        frequencies: F carrier frequencies in Hz, shape (F,); that of the inverter when None.
+        options: What else is counted.
 
-    Returns
-    -------
-    DriveBudget
+    Returns:
+        DriveBudget
 
-    Raises
-    ------
-    InputError
-        There is no modulator, or a frequency is not positive.
+    Raises:
+        InputError: There is no modulator, or a frequency is not positive.
     """
     chosen = BudgetOptions() if options is None else options
     tables = known_bridge(inverter)
@@ -163,19 +144,14 @@ def supplied_budget(
 ) -> DriveBudget:
     """Budget at P points that may each have their own link voltage, dead time and carrier.
 
-    Parameters
-    ----------
-    machine, inverter, i_d, i_q, omega_m, modulations, options:
-        As of `drive_budget`; link voltage, dead time and carrier frequency are those of the supply.
-    supply:
-        What feeds the points.
-    tables:
-        Tables of the bridge at the inverter's link voltage (`known_bridge`).
+    Args:
+        machine, inverter, i_d, i_q, omega_m, modulations, options: As of `drive_budget`; link
+            voltage, dead time and carrier frequency are those of the supply.
+        supply: What feeds the points.
+        tables: Tables of the bridge at the inverter's link voltage (`known_bridge`).
 
-    Raises
-    ------
-    InputError
-        The shapes do not fit.
+    Raises:
+        InputError: The shapes do not fit.
     """
     given = [np.asarray(value, dtype=np.float64) for value in (i_d, i_q, omega_m)]
     shape = np.broadcast_shapes((len(modulations), 1), *(value.shape for value in given))
@@ -204,22 +180,14 @@ def waveform_averages(
 
     The machine's arrays have the shape (N,), without NaN.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    inverter:
-        DC link, device and coolant.
-    tables:
-        Tables of the bridge.
-    found:
-        Budget of the machine at the points, arrays of shape (N,) without NaN.
-    modulation:
-        The modulator.
-    options:
-        What is counted beside the bridge and the winding.
-    supply:
-        Where points have link voltages of their own; None for that of the inverter.
+    Args:
+        machine: Any machine.
+        inverter: DC link, device and coolant.
+        tables: Tables of the bridge.
+        found: Budget of the machine at the points, arrays of shape (N,) without NaN.
+        modulation: The modulator.
+        options: What is counted beside the bridge and the winding.
+        supply: Where points have link voltages of their own; None for that of the inverter.
     """
     voltage, current = np.stack([found.v_d, found.v_q]), np.stack([found.i_d, found.i_q])
     factors = None
@@ -248,18 +216,12 @@ def harmonic_square(
     """Mean square in A^2 of the low harmonics of a phase current that overmodulation makes at N
     points, shape (N,); zero where the ripple is left out.
 
-    Parameters
-    ----------
-    machine, inverter:
-        The drive.
-    found:
-        Budget of the machine at the points, arrays of shape (N,) without NaN.
-    omega_m:
-        Mechanical speeds in rad/s, shape (N,).
-    modulation:
-        The modulator.
-    options:
-        What is counted.
+    Args:
+        machine, inverter: The drive.
+        found: Budget of the machine at the points, arrays of shape (N,) without NaN.
+        omega_m: Mechanical speeds in rad/s, shape (N,).
+        modulation: The modulator.
+        options: What is counted.
     """
     method = overmodulation_of(inverter, modulation)
     if options.ripple_resistance is None or method == "none":
@@ -282,16 +244,11 @@ def switched_iron(
     """Iron loss in W that the switching makes, for phase amplitudes in V and carrier
     frequencies in Hz, broadcast.
 
-    Parameters
-    ----------
-    options:
-        The coefficients of the machine's loss.
-    voltage:
-        Phase-voltage amplitudes in V (peak), any shape.
-    v_dc:
-        DC-link voltage in V.
-    frequency:
-        Carrier frequencies in Hz, a shape that fits.
+    Args:
+        options: The coefficients of the machine's loss.
+        voltage: Phase-voltage amplitudes in V (peak), any shape.
+        v_dc: DC-link voltage in V.
+        frequency: Carrier frequencies in Hz, a shape that fits.
     """
     if options.ripple_resistance is None:
         return np.zeros(np.broadcast_shapes(np.shape(voltage), np.shape(frequency)))

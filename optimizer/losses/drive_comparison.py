@@ -37,19 +37,11 @@ from dqforge.optimizer.operating_points.loss_model import loss_coefficients
 from dqforge.optimizer.operating_points.points import optimal_points
 
 _EQUAL_LOSS = 1e-9
+_WARM = 100.0  # Junction temperature in degC at which ``least-loss`` takes the on resistance.
 
-
-_WARM = 100.0
-
-"""Junction temperature in degC at which ``least-loss`` takes the on resistance."""
-
-
+# Excess of the voltage that is corrected, and by how much the correction goes further.
 ROUNDS = 6
-
-
 EXCESS, AIM = 1e-7, 1e-6
-
-"""Excess of the voltage that is corrected, and by how much the correction goes further."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,19 +67,13 @@ class Alternatives:
 class DriveComparison:
     """Budgets of all alternatives at P points.
 
-    Parameters
-    ----------
-    alternatives:
-        Labels of the first three axes.
-    torque, omega_m:
-        What is asked for, in N m and rad/s, shape (P,).
-    budget:
-        Arrays of the shape (S, M, F, P).
-    reached:
-        Whether the currents make the torque within the limits, shape (S, M, F, P).
-    best:
-        Flat index of the usable alternative that loses least, shape (P,), or -1;
-        of equal ones the first.
+    Args:
+        alternatives: Labels of the first three axes.
+        torque, omega_m: What is asked for, in N m and rad/s, shape (P,).
+        budget: Arrays of the shape (S, M, F, P).
+        reached: Whether the currents make the torque within the limits, shape (S, M, F, P).
+        best: Flat index of the usable alternative that loses least, shape (P,), or -1; of equal
+            ones the first.
     """
 
     alternatives: Alternatives
@@ -118,18 +104,12 @@ def strategy_currents(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Currents (i_d, i_q) in A of a strategy, and whether they make the torque, shape (P,) each.
 
-    Parameters
-    ----------
-    machine, strategy:
-        The machine and how its currents are chosen.
-    torque, omega_m:
-        In N m and rad/s, shape (P,).
-    v_max, i_max:
-        Limits in V (phase amplitude) and A (peak).
-    options:
-        What else drops voltage; the field is weakened for it, too.
-    loss:
-        What ``least-loss`` minimises.
+    Args:
+        machine, strategy: The machine and how its currents are chosen.
+        torque, omega_m: In N m and rad/s, shape (P,).
+        v_max, i_max: Limits in V (phase amplitude) and A (peak).
+        options: What else drops voltage; the field is weakened for it, too.
+        loss: What ``least-loss`` minimises.
     """
     if strategy == "id0":
         if machine.psi_pm == 0.0:
@@ -178,25 +158,16 @@ def compare_drives(
 ) -> DriveComparison:
     """Budgets of every strategy with every modulator at every frequency, at P points.
 
-    Parameters
-    ----------
-    machine, inverter:
-        The drive; the inverter with a device.
-    torque, omega_m:
-        In N m and rad/s, shape (P,) each.
-    alternatives:
-        What is compared.
-    i_max:
-        Current limit in A (peak).
-    options:
-        What else is counted.
-    margin:
-        Share of the voltage that is kept free for control.
+    Args:
+        machine, inverter: The drive; the inverter with a device.
+        torque, omega_m: In N m and rad/s, shape (P,) each.
+        alternatives: What is compared.
+        i_max: Current limit in A (peak).
+        options: What else is counted.
+        margin: Share of the voltage that is kept free for control.
 
-    Raises
-    ------
-    InputError
-        There is nothing to compare, or a strategy cannot drive the machine.
+    Raises:
+        InputError: There is nothing to compare, or a strategy cannot drive the machine.
     """
     if 0 in alternatives.shape:
         raise InputError(
@@ -229,12 +200,9 @@ def compare_drives(
 def dead_time_share(inverter: Inverter, alternatives: Alternatives) -> tuple[float, float]:
     """Least and largest share of the linear range that dead time takes of the alternatives.
 
-    Parameters
-    ----------
-    inverter:
-        Dead time in s.
-    alternatives:
-        Modulators and carrier frequencies in Hz.
+    Args:
+        inverter: Dead time in s.
+        alternatives: Modulators and carrier frequencies in Hz.
     """
     kept = [
         float(dead_time_factor(name, inverter.dead_time, frequency))
@@ -292,14 +260,10 @@ def usable_limit(inverter: Inverter, name: ModulationName, margin: float = 0.0) 
     """Largest phase amplitude in V: linear range of topology and modulator less dead time
     and a margin (0 to 1) for control.
 
-    Parameters
-    ----------
-    inverter:
-        Topology, DC link, carrier frequency and dead time.
-    name:
-        The modulator.
-    margin:
-        Share of 0 to 1 that is kept for control.
+    Args:
+        inverter: Topology, DC link, carrier frequency and dead time.
+        name: The modulator.
+        margin: Share of 0 to 1 that is kept for control.
     """
     left = float(dead_time_factor(name, inverter.dead_time, inverter.f_sw))
     return amplitude_limit(inverter, name) * left * (1.0 - margin)

@@ -17,20 +17,15 @@ from dqforge.optimizer.losses.drive_budget import DriveBudget
 class PhaseBudget:
     """Budgets of a phase machine, arrays of the shape (..., F, P): carrier frequencies, points.
 
-    Parameters
-    ----------
-    budget:
-        As of any drive; ``copper`` counts the neutral's conductor, ``ripple_copper`` what the
-        switching makes in phases and neutral, zero sequence included.
-    legs:
-        Names of the half bridges, the axis L of the next two.
-    leg_loss, leg_temperature:
-        Conduction, dead time and switching of each leg in W, and its hotter junction in degC,
-        shape (..., F, P, L).
-    neutral_current, neutral_ripple:
-        R.m.s. in A of the sum of the phase currents without ripple, and of its ripple alone.
-    link_demand:
-        Least voltage of the link in V, without what dead time takes.
+    Args:
+        budget: As of any drive; ``copper`` counts the neutral's conductor, ``ripple_copper`` what
+            the switching makes in phases and neutral, zero sequence included.
+        legs: Names of the half bridges, the axis L of the next two.
+        leg_loss, leg_temperature: Conduction, dead time and switching of each leg in W, and its
+            hotter junction in degC, shape (..., F, P, L).
+        neutral_current, neutral_ripple: R.m.s. in A of the sum of the phase currents without
+            ripple, and of its ripple alone.
+        link_demand: Least voltage of the link in V, without what dead time takes.
     """
 
     budget: DriveBudget
@@ -45,12 +40,9 @@ class PhaseBudget:
 def stacked_phase_budgets(found: Sequence[PhaseBudget], axis: int = 0) -> PhaseBudget:
     """Budgets of one shape along a new axis.
 
-    Parameters
-    ----------
-    found:
-        Budgets of the same legs.
-    axis:
-        Place of the new axis.
+    Args:
+        found: Budgets of the same legs.
+        axis: Place of the new axis.
     """
     return _combined(found, lambda rows: np.stack(rows, axis=axis))
 
@@ -58,12 +50,9 @@ def stacked_phase_budgets(found: Sequence[PhaseBudget], axis: int = 0) -> PhaseB
 def joined_phase_budgets(found: Sequence[PhaseBudget], axis: int = 0) -> PhaseBudget:
     """Budgets one behind the other along an axis that they have.
 
-    Parameters
-    ----------
-    found:
-        Budgets of the same legs.
-    axis:
-        The axis.
+    Args:
+        found: Budgets of the same legs.
+        axis: The axis.
     """
     return _combined(found, lambda rows: np.concatenate(rows, axis=axis))
 

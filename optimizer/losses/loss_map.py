@@ -114,16 +114,11 @@ def solve_map(
     """Compare over the motoring quadrant, up to the most torque and the largest
     speed of the best modulator.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    alternatives:
-        Strategies, modulators and frequencies.
-    margin:
-        Share of the voltage of 0 to 1 that is kept for control.
-    torques, speeds:
-        Numbers of torques and speeds.
+    Args:
+        design: The design.
+        alternatives: Strategies, modulators and frequencies.
+        margin: Share of the voltage of 0 to 1 that is kept for control.
+        torques, speeds: Numbers of torques and speeds.
     """
     limit = _widest(design.inverter, alternatives, margin)
     figures = characteristics(design.machine, limit.v_max, design.i_max)
@@ -146,16 +141,11 @@ def compare_alternatives(
 ) -> DriveComparison:
     """Budgets of a design's machine by all alternatives, P points.
 
-    Parameters
-    ----------
-    design:
-        The design; one with any back-EMF is compared by the rules of its phase currents.
-    torque, omega_m:
-        In N m and rad/s, shape (P,).
-    alternatives:
-        Strategies, modulators and frequencies.
-    margin:
-        Share of the voltage of 0 to 1 that is kept for control.
+    Args:
+        design: The design; one with any back-EMF is compared by the rules of its phase currents.
+        torque, omega_m: In N m and rad/s, shape (P,).
+        alternatives: Strategies, modulators and frequencies.
+        margin: Share of the voltage of 0 to 1 that is kept for control.
     """
     options = budget_options(design)
     if design.phase_machine is not None:

@@ -35,24 +35,21 @@ from dqforge.optimizer.losses.drive_budget import (
     supplied_budget,
 )
 
+# Strategies whose currents are found for many machines at once.
 STRATEGIES: tuple[Strategy, ...] = ("id0", "mtpa")
-
-"""Strategies whose currents are found for many machines at once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveAxis:
     """R drives that differ in what stands here, arrays of shape (R,).
 
-    Parameters
-    ----------
-    machines:
-        Their machines, with the current limits of the drives: the least of machine and inverter.
-    inverter:
-        What they have in common: device, coolant, topology. Its link voltage is the one at which
-        the tables of the device are read; the carrier and the dead time are not looked at.
-    v_dc, dead_time, f_sw:
-        Link voltages in V, dead times in s, carrier frequencies in Hz.
+    Args:
+        machines: Their machines, with the current limits of the drives: the least of machine and
+            inverter.
+        inverter: What they have in common: device, coolant, topology. Its link voltage is the one
+            at which the tables of the device are read; the carrier and the dead time are not looked
+            at.
+        v_dc, dead_time, f_sw: Link voltages in V, dead times in s, carrier frequencies in Hz.
     """
 
     machines: MachineBatch
@@ -77,14 +74,11 @@ class AxisBudgets:
     """Budgets of R drives with S strategies, M modulators and F carriers at P points, arrays of the
     shape (R, S, M, F, P).
 
-    Parameters
-    ----------
-    budget:
-        Powers, temperatures and marks; numbers are NaN where the torque is out of reach.
-    reached:
-        Whether the currents make the torque within the limits.
-    doubtful:
-        True where only the single path says whether they do: a limit lies nearer than 1e-6.
+    Args:
+        budget: Powers, temperatures and marks; numbers are NaN where the torque is out of reach.
+        reached: Whether the currents make the torque within the limits.
+        doubtful: True where only the single path says whether they do: a limit lies nearer than
+            1e-6.
     """
 
     budget: DriveBudget
@@ -106,12 +100,9 @@ class AxisBudgets:
     def mean(self, name: str, weights: ArrayLike | None = None) -> FloatArray:
         """Mean over the points of a number of the budget, shape (R, S, M, F).
 
-        Parameters
-        ----------
-        name:
-            A field of `DriveBudget`.
-        weights:
-            Of the points, shape (P,) or (R, P); all alike when None.
+        Args:
+            name: A field of `DriveBudget`.
+            weights: Of the points, shape (P,) or (R, P); all alike when None.
         """
         values = np.asarray(getattr(self.budget, name))
         if weights is None:
@@ -125,10 +116,8 @@ class AxisBudgets:
     def largest(self, name: str) -> FloatArray:
         """Largest of a number of the budget over the points, shape (R, S, M, F); NaN where one is.
 
-        Parameters
-        ----------
-        name:
-            A field of `DriveBudget`.
+        Args:
+            name: A field of `DriveBudget`.
         """
         return np.asarray(np.max(getattr(self.budget, name), axis=-1))
 
@@ -143,14 +132,10 @@ def drive_axis(
 ) -> DriveAxis:
     """Drives with an inverter of which some numbers differ.
 
-    Parameters
-    ----------
-    machines:
-        R machines; the inverter's current limit is theirs too.
-    inverter:
-        The inverter.
-    v_dc, dead_time, f_sw:
-        In V, s and Hz, numbers or shape (R,); None for the inverter's own.
+    Args:
+        machines: R machines; the inverter's current limit is theirs too.
+        inverter: The inverter.
+        v_dc, dead_time, f_sw: In V, s and Hz, numbers or shape (R,); None for the inverter's own.
     """
     own = (inverter.v_dc, inverter.dead_time, inverter.f_sw)
     given = (v_dc, dead_time, f_sw)
@@ -176,28 +161,18 @@ def budgets_over_machines(
 ) -> AxisBudgets:
     """Budgets of R drives at P points of torque and speed.
 
-    Parameters
-    ----------
-    drives:
-        R drives.
-    torque, omega_m:
-        In N m and rad/s, shape (P,) of all drives or (R, P) of each.
-    strategies:
-        S strategies of `STRATEGIES`.
-    modulations:
-        M modulators.
-    frequencies:
-        F carrier frequencies in Hz that every drive has, in the place of its own; they share the
-        averages over the electrical period.
-    options:
-        What is counted beside copper, conduction and switching loss.
-    margin:
-        Share of the voltage that is kept free for control.
+    Args:
+        drives: R drives.
+        torque, omega_m: In N m and rad/s, shape (P,) of all drives or (R, P) of each.
+        strategies: S strategies of `STRATEGIES`.
+        modulations: M modulators.
+        frequencies: F carrier frequencies in Hz that every drive has, in the place of its own; they
+            share the averages over the electrical period.
+        options: What is counted beside copper, conduction and switching loss.
+        margin: Share of the voltage that is kept free for control.
 
-    Raises
-    ------
-    InputError
-        A strategy is solved for single machines alone, or there is nothing to compare.
+    Raises:
+        InputError: A strategy is solved for single machines alone, or there is nothing to compare.
     """
     for strategy in strategies:
         if strategy not in STRATEGIES:

@@ -55,31 +55,20 @@ _VOLTAGE_ROUNDING = 1e-6
 class MissionRun:
     """One alternative over a mission of N intervals.
 
-    Parameters
-    ----------
-    strategy, modulation, frequency:
-        The alternative, the frequency in Hz.
-    energy:
-        Losses in J by the kinds of `PARTS`.
-    driving, braking:
-        Shaft work in J given out, and taken in (negative).
-    input_energy:
-        From the DC source in J.
-    junction_max, swing:
-        Largest junction temperature in degC, and largest less smallest of any junction in K, over
-        the mission; NaN where nothing is known of the switch.
-    winding_temperature:
-        Of the mean copper loss of the mission, in degC; NaN where nothing is
-        known of the winding's heat.
-    missed:
-        Lines of the file whose torque or voltage cannot be had.
-    steady, cool_enough:
-        False where the junctions run away, or become hotter than permitted.
-    within_tables:
-        False where device tables were carried on beyond their ends.
-    time, junction:
-        Course of the hottest junction: s and degC, shape (2 N,), each
-        interval with its start and end.
+    Args:
+        strategy, modulation, frequency: The alternative, the frequency in Hz.
+        energy: Losses in J by the kinds of `PARTS`.
+        driving, braking: Shaft work in J given out, and taken in (negative).
+        input_energy: From the DC source in J.
+        junction_max, swing: Largest junction temperature in degC, and largest less smallest of any
+            junction in K, over the mission; NaN where nothing is known of the switch.
+        winding_temperature: Of the mean copper loss of the mission, in degC; NaN where nothing is
+            known of the winding's heat.
+        missed: Lines of the file whose torque or voltage cannot be had.
+        steady, cool_enough: False where the junctions run away, or become hotter than permitted.
+        within_tables: False where device tables were carried on beyond their ends.
+        time, junction: Course of the hottest junction: s and degC, shape (2 N,), each interval with
+            its start and end.
     """
 
     strategy: AnyStrategy
@@ -153,32 +142,21 @@ def compare_mission(
 ) -> MissionComparison:
     """Run a mission with every alternative.
 
-    Parameters
-    ----------
-    machine, inverter:
-        The drive; without a device the bridge counts as lossless. Junctions follow the networks of
-        its device; what lies behind the case has no capacity.
-    mission:
-        Torque and speed over time. Where a torque cannot be had, the largest is driven,
-        and its line listed.
-    alternatives:
-        What is compared.
-    i_max:
-        Current limit in A (peak).
-    options:
-        What else is counted. The winding takes the temperature of the mean
-        copper loss over the mission.
-    margin:
-        Share of the voltage kept free for control.
-    repeated:
-        Whether the mission begins as warm as it ends, or at the coolant's temperature.
+    Args:
+        machine, inverter: The drive; without a device the bridge counts as lossless. Junctions
+            follow the networks of its device; what lies behind the case has no capacity.
+        mission: Torque and speed over time. Where a torque cannot be had, the largest is driven,
+            and its line listed.
+        alternatives: What is compared.
+        i_max: Current limit in A (peak).
+        options: What else is counted. The winding takes the temperature of the mean copper loss
+            over the mission.
+        margin: Share of the voltage kept free for control.
+        repeated: Whether the mission begins as warm as it ends, or at the coolant's temperature.
 
-    Raises
-    ------
-    InputError
-        There is nothing to compare, or a strategy cannot drive the machine.
-    NoSolutionError
-        The winding temperature runs away.
+    Raises:
+        InputError: There is nothing to compare, or a strategy cannot drive the machine.
+        NoSolutionError: The winding temperature runs away.
     """
     if 0 in alternatives.shape:
         raise InputError(
@@ -365,11 +343,8 @@ def _machine_side(
 def held_winding(heat: WindingHeat, temperature: float) -> WindingHeat:
     """A winding that stays at a temperature in degC.
 
-    Parameters
-    ----------
-    heat:
-        Coefficient and reference of its resistance.
-    temperature:
-        In degC.
+    Args:
+        heat: Coefficient and reference of its resistance.
+        temperature: In degC.
     """
     return replace(heat, thermal_resistance=0.0, coolant_temperature=temperature)

@@ -39,18 +39,10 @@ from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, DriveBudget, known_bridge
 from dqforge.optimizer.losses.leg_budgets import PhaseBudget, joined_phase_budgets
 
+# What the topologies with a neutral or second legs do: their extremes centred in the link.
 CENTRED: ModulationName = "svpwm"
-
-"""What the topologies with a neutral or second legs do: their extremes centred in the link."""
-
-
 _VOLTAGE_ROUNDING = 1e-6
-
-
-_NO_CURRENT = 1e-9
-
-"""Sum of the phase currents, relative, that is rounding alone."""
-
+_NO_CURRENT = 1e-9  # Sum of the phase currents, relative, that is rounding alone.
 
 # Points at once: the moments of 32 x 360 angles x 6 x 6 legs are 3 MB.
 _CHUNK = 32
@@ -70,24 +62,17 @@ def phase_budget(
 ) -> PhaseBudget:
     """Budget of phase currents at P points with F carrier frequencies.
 
-    Parameters
-    ----------
-    machine, inverter:
-        The drive, with the inverter's topology; without a device the bridge counts as lossless.
-    currents:
-        Phase currents in A that make the torque, shape (P, 3, N); NaN where there are none.
-    omega_m:
-        Mechanical speeds in rad/s, shape (P,).
-    modulation:
-        Modulator of three legs without neutral; other topologies have their own.
-    frequencies:
-        In Hz, shape (F,); that of the inverter when None.
-    options:
-        What else is counted.
-    friction:
-        Coefficient of the machine's friction in N m s.
-    open_phase:
-        A phase that is not connected.
+    Args:
+        machine, inverter: The drive, with the inverter's topology; without a device the bridge
+            counts as lossless.
+        currents: Phase currents in A that make the torque, shape (P, 3, N); NaN where there are
+            none.
+        omega_m: Mechanical speeds in rad/s, shape (P,).
+        modulation: Modulator of three legs without neutral; other topologies have their own.
+        frequencies: In Hz, shape (F,); that of the inverter when None.
+        options: What else is counted.
+        friction: Coefficient of the machine's friction in N m s.
+        open_phase: A phase that is not connected.
     """
     chosen = BudgetOptions() if options is None else options
     tables = known_bridge(inverter)
@@ -142,10 +127,9 @@ def averages_of_legs(
 ) -> LegAverages:
     """What the legs lose at every temperature of the tables, for who follows their junctions.
 
-    Parameters
-    ----------
-    machine, inverter, currents, omega_m, modulation, options:
-        As of `phase_budget`, at the carrier of the inverter; the currents without NaN.
+    Args:
+        machine, inverter, currents, omega_m, modulation, options: As of `phase_budget`, at the
+            carrier of the inverter; the currents without NaN.
     """
     chosen = BudgetOptions() if options is None else options
     tables = known_bridge(inverter)

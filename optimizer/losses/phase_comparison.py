@@ -80,12 +80,9 @@ class PhaseDrive:
 def phase_rows(drive: PhaseDrive, strategies: tuple[AnyStrategy, ...]) -> tuple[AnyStrategy, ...]:
     """Rows of the comparison for the strategies that a design names.
 
-    Parameters
-    ----------
-    drive:
-        Machine and inverter.
-    strategies:
-        Those of dq machines that the design names.
+    Args:
+        drive: Machine and inverter.
+        strategies: Those of dq machines that the design names.
     """
     plain = isinstance(drive.machine, PhaseMachine)
     rows: list[AnyStrategy] = ["dq"] if plain else list(strategies)
@@ -100,15 +97,11 @@ def compare_phases(
 ) -> PhaseComparison:
     """Budgets of every rule with every modulator at every frequency, at P points.
 
-    Parameters
-    ----------
-    drive:
-        Machine, inverter and limits.
-    torque, omega_m:
-        In N m and rad/s, shape (P,).
-    alternatives:
-        What a design names: its strategies become rows by `phase_rows`; modulators matter on three
-        legs without a neutral, elsewhere the extremes are centred.
+    Args:
+        drive: Machine, inverter and limits.
+        torque, omega_m: In N m and rad/s, shape (P,).
+        alternatives: What a design names: its strategies become rows by `phase_rows`; modulators
+            matter on three legs without a neutral, elsewhere the extremes are centred.
     """
     names = (
         alternatives.modulations if TOPOLOGIES[drive.inverter.topology].modulated else (CENTRED,)
@@ -161,16 +154,11 @@ def rule_currents(
     """Phase currents (P, 3, N) in A of one row, NaN where there are none, and whether they make
     the torque.
 
-    Parameters
-    ----------
-    drive:
-        Machine, inverter and limits.
-    strategy:
-        The row.
-    torque, omega_m:
-        In N m and rad/s, shape (P,).
-    frequency:
-        Carrier in Hz, whose dead time the link pays.
+    Args:
+        drive: Machine, inverter and limits.
+        strategy: The row.
+        torque, omega_m: In N m and rad/s, shape (P,).
+        frequency: Carrier in Hz, whose dead time the link pays.
     """
     if strategy == "limited":
         return _limited(drive, torque, omega_m, frequency)

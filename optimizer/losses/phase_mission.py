@@ -54,22 +54,15 @@ def compare_phase_mission(
 ) -> MissionComparison:
     """Run a mission with every rule, modulator and frequency.
 
-    Parameters
-    ----------
-    drive:
-        Machine, inverter and limits.
-    mission:
-        Torque and speed over time. Where a torque cannot be had, the largest of the rule is driven
-        (none by ``limited``), and its line listed.
-    alternatives:
-        What a design names; its strategies become rows by `phase_rows`.
-    repeated:
-        Whether the mission begins as warm as it ends, or at the coolant's temperature.
+    Args:
+        drive: Machine, inverter and limits.
+        mission: Torque and speed over time. Where a torque cannot be had, the largest of the rule
+            is driven (none by ``limited``), and its line listed.
+        alternatives: What a design names; its strategies become rows by `phase_rows`.
+        repeated: Whether the mission begins as warm as it ends, or at the coolant's temperature.
 
-    Raises
-    ------
-    NoSolutionError
-        The winding temperature runs away.
+    Raises:
+        NoSolutionError: The winding temperature runs away.
     """
     names = alternatives.modulations
     if not TOPOLOGIES[drive.inverter.topology].modulated:

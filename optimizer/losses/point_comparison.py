@@ -26,37 +26,28 @@ from dqforge.optimizer.losses.drive_comparison import Alternatives, compare_driv
 from dqforge.optimizer.losses.leg_budgets import PhaseBudget
 from dqforge.optimizer.losses.phase_comparison import PhaseDrive, compare_phases
 
+# What the total counts; the bridge is left out where nothing is known of its switch.
 LossScope = Literal["drive", "without-bridge"]
-
-"""What the total counts; the bridge is left out where nothing is known of its switch."""
 
 
 @dataclass(frozen=True, slots=True)
 class LossComparison:
     """Losses of S strategies with M modulators at P operating points.
 
-    Parameters
-    ----------
-    strategies, modulations, points:
-        Labels of the three axes.
-    budget:
-        Losses, arrays of the shape (S, M, P); NaN where the torque is out of reach.
-    reached:
-        Whether the strategy makes the torque within its limits, shape (S, M, P).
-    most:
-        Torque in N m that is made there, shape (S, M, P): what is asked for,
-        or as near as the limits allow.
-    saving:
-        Total loss saved, in percent of that of the first strategy with the first modulator, shape
-        (S, M, P); NaN where either of the two is not feasible or the first has no loss.
-    best_strategy, best_modulation:
-        Indices of the feasible alternative with the least total loss, shape (P,), or -1 where none
-        is feasible. Of equally good alternatives the first, in the order of the labels.
-    scope:
-        What the total counts.
-    legs:
-        Half bridges and neutral of a machine with any back-EMF, arrays (S, M, P) and (S, M, P, L)
-        as in `PhaseBudget`; None for others.
+    Args:
+        strategies, modulations, points: Labels of the three axes.
+        budget: Losses, arrays of the shape (S, M, P); NaN where the torque is out of reach.
+        reached: Whether the strategy makes the torque within its limits, shape (S, M, P).
+        most: Torque in N m that is made there, shape (S, M, P): what is asked for, or as near as
+            the limits allow.
+        saving: Total loss saved, in percent of that of the first strategy with the first modulator,
+            shape (S, M, P); NaN where either of the two is not feasible or the first has no loss.
+        best_strategy, best_modulation: Indices of the feasible alternative with the least total
+            loss, shape (P,), or -1 where none is feasible. Of equally good alternatives the first,
+            in the order of the labels.
+        scope: What the total counts.
+        legs: Half bridges and neutral of a machine with any back-EMF, arrays (S, M, P) and (S, M,
+            P, L) as in `PhaseBudget`; None for others.
     """
 
     strategies: tuple[AnyStrategy, ...]
@@ -101,21 +92,14 @@ def compare_points(
 ) -> LossComparison:
     """Complete budgets of every strategy with every modulator at every point.
 
-    Parameters
-    ----------
-    machine, inverter:
-        The drive; without a device the bridge is left out of the total.
-    losses:
-        Operating points, strategies and modulators.
-    i_max:
-        Current limit in A (peak).
-    options:
-        What is counted beside copper, conduction and switching loss.
-    margin:
-        Share of the voltage that is kept free for control.
-    phases:
-        The machine in phase quantities where its back-EMF has any shape: its rules take the place
-        of strategies, its topology that of three legs.
+    Args:
+        machine, inverter: The drive; without a device the bridge is left out of the total.
+        losses: Operating points, strategies and modulators.
+        i_max: Current limit in A (peak).
+        options: What is counted beside copper, conduction and switching loss.
+        margin: Share of the voltage that is kept free for control.
+        phases: The machine in phase quantities where its back-EMF has any shape: its rules take the
+            place of strategies, its topology that of three legs.
     """
     torque = np.array([point.torque for point in losses.points])
     omega_m = np.array([point.omega_m for point in losses.points])

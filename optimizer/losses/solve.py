@@ -55,10 +55,8 @@ def require_losses(design: Design) -> LossComparison:
 def solve_mission(design: Design) -> MissionComparison | None:
     """Energies over the mission of the design, None where it names none.
 
-    Raises
-    ------
-    InputError, NoSolutionError
-        As `compare_mission`.
+    Raises:
+        InputError, NoSolutionError: As `compare_mission`.
     """
     losses = design.losses
     if losses is None or losses.mission is None:
@@ -74,21 +72,14 @@ def mission_comparison(
 ) -> MissionComparison:
     """A mission with every alternative; with any back-EMF by the rules of its phase currents.
 
-    Parameters
-    ----------
-    design:
-        Machine, inverter and losses.
-    mission:
-        Torque and speed over time.
-    alternatives:
-        Strategies, modulators and frequencies.
-    margin:
-        Share of the voltage that is kept free for control.
+    Args:
+        design: Machine, inverter and losses.
+        mission: Torque and speed over time.
+        alternatives: Strategies, modulators and frequencies.
+        margin: Share of the voltage that is kept free for control.
 
-    Raises
-    ------
-    InputError, NoSolutionError
-        As `compare_mission`.
+    Raises:
+        InputError, NoSolutionError: As `compare_mission`.
     """
     from dqforge.optimizer.losses.loss_map import budget_options
     from dqforge.optimizer.losses.mission_budget import compare_mission

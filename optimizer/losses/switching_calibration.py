@@ -36,26 +36,18 @@ def calibrate_switching(
 ) -> SwitchDevice:
     """Scale the switching energies of a device so that the total loss at one measured point is met.
 
-    Parameters
-    ----------
-    total_loss:
-        Measured copper plus inverter loss in W at the point.
-    machine, inverter:
-        The drive; the inverter with the data of its device.
-    i_d, i_q, omega_m, modulation:
-        The measured point: currents in A (peak), mechanical speed in rad/s, and its modulator.
+    Args:
+        total_loss: Measured copper plus inverter loss in W at the point.
+        machine, inverter: The drive; the inverter with the data of its device.
+        i_d, i_q, omega_m, modulation: The measured point: currents in A (peak), mechanical speed in
+            rad/s, and its modulator.
 
-    Returns
-    -------
-    SwitchDevice
+    Returns:
         The device with all three switching energies multiplied by one factor.
 
-    Raises
-    ------
-    InputError
-        Where the measurement contradicts the other data.
-    NoSolutionError
-        At thermal runaway, whatever the switching energies.
+    Raises:
+        InputError: Where the measurement contradicts the other data.
+        NoSolutionError: At thermal runaway, whatever the switching energies.
     """
     device = required_device(inverter)
     currents = np.array([i_d], dtype=np.float64), np.array([i_q], dtype=np.float64)

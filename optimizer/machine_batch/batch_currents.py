@@ -15,20 +15,15 @@ from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.names import Strategy
 
-_NEWTON_STEPS = 4
-
-"""From a start 12 % off at most, the fourth step reaches the last digit."""
+_NEWTON_STEPS = 4  # From a start 12 % off at most, the fourth step reaches the last digit.
 
 
 def drives(batch: MachineBatch, strategy: Strategy) -> BoolArray:
     """Which machines make torque with a strategy, shape (N,).
 
-    Parameters
-    ----------
-    batch:
-        N machines.
-    strategy:
-        ``mtpa`` needs magnet flux or saliency, ``id0`` magnet flux.
+    Args:
+        batch: N machines.
+        strategy: ``mtpa`` needs magnet flux or saliency, ``id0`` magnet flux.
     """
     magnet = batch.psi_pm > 0.0
     return magnet if strategy == "id0" else magnet | (batch.saliency != 0.0)
@@ -39,18 +34,12 @@ def strategy_currents(
 ) -> tuple[FloatArray, FloatArray]:
     """Currents (i_d, i_q) in A of a strategy for torque in N m, without a current limit.
 
-    Parameters
-    ----------
-    batch:
-        N machines, of every saliency.
-    strategy:
-        ``mtpa`` (least copper loss) or ``id0``.
-    torque:
-        Torques of any sign in N m, shape (..., N).
+    Args:
+        batch: N machines, of every saliency.
+        strategy: ``mtpa`` (least copper loss) or ``id0``.
+        torque: Torques of any sign in N m, shape (..., N).
 
-    Returns
-    -------
-    i_d, i_q
+    Returns:
         Shape (..., N); NaN for machines that make no torque with the strategy.
     """
     torque = np.asarray(torque, dtype=np.float64)
@@ -97,14 +86,10 @@ def currents_of_size(
     i_d = psi/(4 dl) - sqrt((psi/(4 dl))^2 + I^2/2) with dl = l_q - l_d, written without
     cancellation.
 
-    Parameters
-    ----------
-    batch:
-        N machines.
-    strategy:
-        ``mtpa`` or ``id0``.
-    current:
-        Magnitudes in A (peak), shape (..., N).
+    Args:
+        batch: N machines.
+        strategy: ``mtpa`` or ``id0``.
+        current: Magnitudes in A (peak), shape (..., N).
     """
     current = np.asarray(current, dtype=np.float64)
     if strategy == "id0":
@@ -123,12 +108,9 @@ def largest_torques(batch: MachineBatch, strategy: Strategy) -> FloatArray:
     """Largest torque in N m within each machine's ``i_max``, shape (N,); NaN where a strategy makes
     none.
 
-    Parameters
-    ----------
-    batch:
-        N machines.
-    strategy:
-        ``mtpa`` or ``id0``.
+    Args:
+        batch: N machines.
+        strategy: ``mtpa`` or ``id0``.
     """
     most = batch.torque(*currents_of_size(batch, strategy, batch.i_max))
     return np.where(drives(batch, strategy), most, np.nan)

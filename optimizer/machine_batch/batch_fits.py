@@ -21,9 +21,8 @@ from dqforge.optimizer.machine_batch.local_series import (
     weighted_fit,
 )
 
+# Methods that fit columns; interpolation is left to the single path.
 BATCH_METHODS: tuple[FitMethod, ...] = ("minimax", "least-squares")
-
-"""Methods that fit columns; interpolation is left to the single path."""
 
 
 def segment_points(nodes: FloatArray, edges: FloatArray) -> FloatArray:
@@ -37,17 +36,12 @@ def fit_columns(
 ) -> tuple[FloatArray, FloatArray]:
     """Series (S, n + 1, N) of curves, and what the method makes small, shape (N,).
 
-    Parameters
-    ----------
-    space:
-        Admissible series.
-    method:
-        ``minimax``, whose cost is the largest error at the nodes, or ``least-squares``, whose cost
-        is the integral of the squared error.
-    widths:
-        Widths of the segments, shape (S, N).
-    values:
-        Curves at the nodes of the segments, shape (S, P, N).
+    Args:
+        space: Admissible series.
+        method: ``minimax``, whose cost is the largest error at the nodes, or ``least-squares``,
+            whose cost is the integral of the squared error.
+        widths: Widths of the segments, shape (S, N).
+        values: Curves at the nodes of the segments, shape (S, P, N).
     """
     if method == "minimax":
         return minimax_fit(space, values)
@@ -79,12 +73,9 @@ def _integral_weights(count: int) -> FloatArray:
 def local_powers(series: FloatArray, widths: FloatArray) -> FloatArray:
     """Ascending powers of t - edge from Chebyshev series, both of shape (S, n + 1, N).
 
-    Parameters
-    ----------
-    series:
-        Series on each segment.
-    widths:
-        Widths of the segments, shape (S, N).
+    Args:
+        series: Series on each segment.
+        widths: Widths of the segments, shape (S, N).
     """
     degree = series.shape[1] - 1
     found, scale = np.zeros_like(series), np.ones_like(widths)
@@ -100,14 +91,10 @@ def local_powers(series: FloatArray, widths: FloatArray) -> FloatArray:
 def power_values(coefficients: FloatArray, edges: FloatArray, argument: FloatArray) -> FloatArray:
     """Values of piecewise polynomials at points that are sorted into segments, shape (S, P, N).
 
-    Parameters
-    ----------
-    coefficients:
-        Ascending powers of t - edge, shape (S, n + 1, N).
-    edges:
-        Edges, shape (S + 1, N).
-    argument:
-        Points, shape (S, P, N), of each segment its own.
+    Args:
+        coefficients: Ascending powers of t - edge, shape (S, n + 1, N).
+        edges: Edges, shape (S + 1, N).
+        argument: Points, shape (S, P, N), of each segment its own.
     """
     local = argument - edges[:-1, np.newaxis]
     value = np.broadcast_to(coefficients[:, -1, np.newaxis], local.shape)

@@ -24,47 +24,23 @@ from dqforge.optimizer.machine_batch.batch_currents import strategy_currents
 from dqforge.optimizer.machine_batch.batch_fits import fit_columns, segment_points
 from dqforge.optimizer.machine_batch.local_series import series_space
 
-_STEPS = 16
+_STEPS = 16  # Entries per octave of tau.
 
-"""Entries per octave of tau."""
-
-
+# Powers of two of the first and the last tau: below, errors are rounding; above, the curve is the
+# root of the torque but for its very beginning.
 _OCTAVES = (-2, 14)
 
-"""Powers of two of the first and the last tau: below, errors are rounding; above, the curve is the
-root of the torque but for its very beginning."""
-
-
+# Breakpoints that are looked at first, over the end of the domain, from 0.001 on; powers as
+# products, which are rounded alike everywhere.
 _SHARES = 0.95 / np.array(list(accumulate([1.0] + 62 * [1.12], mul)))[::-1]
-
-"""Breakpoints that are looked at first, over the end of the domain, from 0.001 on; powers as
-products, which are rounded alike everywhere."""
-
-
-_PLACES = 2
-
-"""So many low places are looked at closer, in steps that shrink thus."""
-
-
+_PLACES = 2  # So many low places are looked at closer, in steps that shrink thus.
 _ZOOMS = (0.12, 0.03)
 
-
+# Relative distance of two entries from which on they lie in different low places.
 _SAME_PLACE = 0.15
-
-"""Relative distance of two entries from which on they lie in different low places."""
-
-
-_ROUNDING = 1e-13
-
-"""Errors of this share of the curve are rounding: every breakpoint is as good."""
-
-
+_ROUNDING = 1e-13  # Errors of this share of the curve are rounding: every breakpoint is as good.
 _WIDE = LinearMachine(pole_pairs=1, r_s=0.0, l_d=1.0, l_q=2.0, psi_pm=1.0, i_max=1.0)
-
-
-_BASE_TORQUE = 0.375
-
-"""Base torque of that machine in N m."""
+_BASE_TORQUE = 0.375  # Base torque of that machine in N m.
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,13 +56,10 @@ class SharedFit:
 def breakpoint_shares(fit: SharedFit, tau: FloatArray) -> FloatArray:
     """Best breakpoints over the end of the domain, shape (N,).
 
-    Parameters
-    ----------
-    fit:
-        What is fitted.
-    tau:
-        Ends of the domain over the base torque 3/4 p psi_pm^2 / (2 |l_q - l_d|), shape (N,);
-        infinite without a magnet, zero where the curve is a straight line.
+    Args:
+        fit: What is fitted.
+        tau: Ends of the domain over the base torque 3/4 p psi_pm^2 / (2 |l_q - l_d|), shape (N,);
+            infinite without a magnet, zero where the curve is a straight line.
     """
     shares = np.full(tau.shape, 0.5)
     rooted = np.isinf(tau)

@@ -42,11 +42,7 @@ from dqforge.optimizer.machine_batch.float_references import (
 )
 from dqforge.optimizer.machine_batch.local_series import series_space
 
-_TOGETHER = 512
-
-"""Machines fitted at once: their arrays stay in the cache."""
-
-
+_TOGETHER = 512  # Machines fitted at once: their arrays stay in the cache.
 _MOST_SEGMENTS = 2
 
 
@@ -54,21 +50,15 @@ _MOST_SEGMENTS = 2
 class ReferenceBatch:
     """Current references of N machines.
 
-    Parameters
-    ----------
-    settings:
-        What was asked for.
-    torque_max:
-        Ends of the domains in N m, shape (N,).
-    edges, coefficients:
-        By axis where the form has a polynomial: edges in N m, shape (S + 1, N), and ascending
-        powers of t - edge in A/(N m)^k, shape (S, n + 1, N).
-    errors:
-        Largest errors, arrays of shape (N,).
-    solved:
-        False where the single path has to say what is wrong, or to answer: no torque is made, the
-        domain asked for needs more current, a breakpoint lies beyond it, or the form does not suit
-        the machine. All numbers are NaN there.
+    Args:
+        settings: What was asked for.
+        torque_max: Ends of the domains in N m, shape (N,).
+        edges, coefficients: By axis where the form has a polynomial: edges in N m, shape (S + 1,
+            N), and ascending powers of t - edge in A/(N m)^k, shape (S, n + 1, N).
+        errors: Largest errors, arrays of shape (N,).
+        solved: False where the single path has to say what is wrong, or to answer: no torque is
+            made, the domain asked for needs more current, a breakpoint lies beyond it, or the form
+            does not suit the machine. All numbers are NaN there.
     """
 
     settings: FitSettings
@@ -88,10 +78,8 @@ class ReferenceBatch:
 def why_not_in_batch(settings: FitSettings) -> str | None:
     """What of fit settings columns do not have, in words; None where they have all of it.
 
-    Parameters
-    ----------
-    settings:
-        Of a linear machine's reference, for operation below the voltage limit.
+    Args:
+        settings: Of a linear machine's reference, for operation below the voltage limit.
     """
     if settings.budget is not None or settings.format not in (None, "float32"):
         return "a budget or a fixed-point format"
@@ -109,20 +97,14 @@ def fit_references(
 ) -> ReferenceBatch:
     """Current references of many machines.
 
-    Parameters
-    ----------
-    batch:
-        N machines.
-    settings:
-        Form, method, degree, segments, breakpoints, side conditions, and the end of the domain
-        where it is given.
-    strategy:
-        ``mtpa`` or ``id0``.
+    Args:
+        batch: N machines.
+        settings: Form, method, degree, segments, breakpoints, side conditions, and the end of the
+            domain where it is given.
+        strategy: ``mtpa`` or ``id0``.
 
-    Raises
-    ------
-    InputError
-        The settings ask for what columns do not have (`why_not_in_batch`).
+    Raises:
+        InputError: The settings ask for what columns do not have (`why_not_in_batch`).
     """
     lacking = why_not_in_batch(settings)
     if lacking is not None:

@@ -21,10 +21,9 @@ from dqforge.optimizer.machine_batch.batch_currents import strategy_currents
 from dqforge.optimizer.machine_batch.batch_fits import segment_points
 from dqforge.optimizer.machine_batch.local_series import lobatto_nodes
 
+# Torques per segment and coefficient at which errors are looked at: between them they rise by 1 %,
+# seldom 2 %.
 _SAMPLES = 8
-
-"""Torques per segment and coefficient at which errors are looked at: between them they rise by 1 %,
-seldom 2 %."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,12 +60,9 @@ class FormColumns:
 def rounded_in_turn(coefficients: FloatArray, widths: FloatArray) -> SingleArray:
     """Floats of ascending coefficients, shape (S, n + 1, N), as `SinglePolynomial.from_double`.
 
-    Parameters
-    ----------
-    coefficients:
-        In double.
-    widths:
-        Widths of the segments, shape (S, N).
+    Args:
+        coefficients: In double.
+        widths: Widths of the segments, shape (S, N).
     """
     rows = coefficients.copy()
     for power in range(rows.shape[1] - 1, 0, -1):
@@ -96,16 +92,11 @@ def form_errors(
 ) -> BatchErrors:
     """Errors of references over their domains.
 
-    Parameters
-    ----------
-    batch:
-        N machines.
-    strategy:
-        What is exact.
-    columns:
-        References.
-    end:
-        Ends of the domains in N m, shape (N,).
+    Args:
+        batch: N machines.
+        strategy: What is exact.
+        columns: References.
+        end: Ends of the domains in N m, shape (N,).
     """
     limit = end.astype(np.float32)
     edges = np.concatenate([np.zeros((1, end.size)), *columns.edges.values(), end[np.newaxis]])

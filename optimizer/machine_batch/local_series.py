@@ -22,22 +22,10 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.fitting import SideConditions
 from dqforge.optimizer.curves.piecewise import power_of_series
 
-_REWEIGHTINGS = 5
-
-"""More gain nothing: the error is within 1 or 2 % of the least one."""
-
-
-_NODES = 5
-
-"""Nodes of a segment per coefficient: between them the error rises by 2 %, seldom 5 %."""
-
-
+_REWEIGHTINGS = 5  # More gain nothing: the error is within 1 or 2 % of the least one.
+_NODES = 5  # Nodes of a segment per coefficient: between them the error rises by 2 %, seldom 5 %.
 _LEAST_WEIGHT = 1e-10
-
-
-_LEAST_PIVOT = 1e-14
-
-"""Share of a diagonal below which a pivot is rounding."""
+_LEAST_PIVOT = 1e-14  # Share of a diagonal below which a pivot is rounding.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,14 +69,10 @@ def chebyshev_values(degree: int, nodes: FloatArray) -> FloatArray:
 def series_space(degree: int, segments: int, side: SideConditions) -> SeriesSpace:
     """Space of series of a degree on segments under side conditions.
 
-    Parameters
-    ----------
-    degree:
-        Degree n of each segment, at least 1.
-    segments:
-        Number of segments S.
-    side:
-        Equalities to keep.
+    Args:
+        degree: Degree n of each segment, at least 1.
+        segments: Number of segments S.
+        side: Equalities to keep.
     """
     nodes = lobatto_nodes(_NODES * (degree + 1) + 1)
     left = [(-1.0) ** order for order in range(degree + 1)]
@@ -187,14 +171,10 @@ def series_values(space: SeriesSpace, series: FloatArray) -> FloatArray:
 def weighted_fit(space: SeriesSpace, weights: FloatArray, values: FloatArray) -> FloatArray:
     """Series with the least weighted sum of squared errors at the nodes, shape (S, n + 1, N).
 
-    Parameters
-    ----------
-    space:
-        Admissible series.
-    weights:
-        Weights of the squares, shape (S, P, N).
-    values:
-        What is to be fitted at the nodes, shape (S, P, N).
+    Args:
+        space: Admissible series.
+        weights: Weights of the squares, shape (S, P, N).
+        values: What is to be fitted at the nodes, shape (S, P, N).
     """
     count, size = space.count, weights.shape[2]
     normal, right = np.zeros((count, count, size)), np.zeros((count, size))
@@ -244,12 +224,9 @@ def minimax_fit(space: SeriesSpace, values: FloatArray) -> tuple[FloatArray, Flo
     Each reweighting multiplies the weights by the error that is left: they gather where the error
     of the best fit has its extrema.
 
-    Parameters
-    ----------
-    space:
-        Admissible series.
-    values:
-        What is to be fitted at the nodes, shape (S, P, N).
+    Args:
+        space: Admissible series.
+        values: What is to be fitted at the nodes, shape (S, P, N).
     """
     ones = np.ones_like(values)
     first = weighted_fit(space, ones, values)

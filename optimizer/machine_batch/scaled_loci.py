@@ -16,25 +16,13 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.mtpa_locus import free_locus
 
 _LEVELS = 32
-
-
 _STEPS = 6
+_LARGEST_STEP = 0.15  # Largest change of the angle in one step, in rad.
 
-
-_LARGEST_STEP = 0.15
-
-"""Largest change of the angle in one step, in rad."""
-
-
+# Last change of the angle in rad above which a point counts as not found: the torque is flat there
+# to its square.
 _CONVERGED = 1e-9
-
-"""Last change of the angle in rad above which a point counts as not found: the torque is flat there
-to its square."""
-
-
 _TORQUE_STEPS = 5
-
-
 _TORQUE_ROUNDING = 1e-10
 
 
@@ -64,15 +52,11 @@ class ScaledLoci:
 def scaled_loci(machines: ScaledMachines) -> ScaledLoci:
     """MTPA loci up to each machine's ``i_max``.
 
-    Parameters
-    ----------
-    machines:
-        N machines over one flux map.
+    Args:
+        machines: N machines over one flux map.
 
-    Raises
-    ------
-    InputError
-        The nominal machine makes no torque with positive q current.
+    Raises:
+        InputError: The nominal machine makes no torque with positive q current.
     """
     shares = np.linspace(1.0 / _LEVELS, 1.0, _LEVELS)[:, np.newaxis]
     current = shares * np.sqrt(shares) * machines.i_max
@@ -135,14 +119,10 @@ def currents_on_loci(
 
     NaN where a machine is not solved, or beyond its limit torque.
 
-    Parameters
-    ----------
-    machines:
-        N machines over one flux map.
-    loci:
-        Their loci.
-    torque:
-        Torques of any sign in N m, shape (P, N).
+    Args:
+        machines: N machines over one flux map.
+        loci: Their loci.
+        torque: Torques of any sign in N m, shape (P, N).
     """
     target = np.broadcast_to(np.abs(torque), (np.shape(torque)[0], machines.count))
     i_d, i_q = _between_points(loci, target)

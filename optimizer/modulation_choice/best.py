@@ -31,31 +31,17 @@ from dqforge.optimizer.modulation_choice.limits import (
 )
 
 _NODES = 13
-
-
 _FINE = 193
 
-
+# Frequencies per modulator that a rule may take, evenly in the logarithm, the ends of the range
+# included.
 _LISTED = 4
 
-"""Frequencies per modulator that a rule may take, evenly in the logarithm,
-the ends of the range included."""
-
-
+# Relative difference from which the losses of two modulators differ: less is rounding of the
+# splines.
 _EQUAL = 1e-6
-
-"""Relative difference from which the losses of two modulators differ:
-less is rounding of the splines."""
-
-
-_BINDS = 1e-4
-
-"""Relative saving from which a limit binds: less is the step of the frequency grid."""
-
-
-_AT_ONCE = 512
-
-"""Points whose curves are held in memory at once."""
+_BINDS = 1e-4  # Relative saving from which a limit binds: less is the step of the frequency grid.
+_AT_ONCE = 512  # Points whose curves are held in memory at once.
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,14 +187,10 @@ def best_choice(
 ) -> BestChoice:
     """Modulator and switching frequency with the least total loss at P points.
 
-    Parameters
-    ----------
-    machine, inverter, modulations, options:
-        As in `drive_budget`.
-    points:
-        Where.
-    limits:
-        What is permitted.
+    Args:
+        machine, inverter, modulations, options: As in `drive_budget`.
+        points: Where.
+        limits: What is permitted.
     """
     names = tuple(modulations)
     nodes = np.geomspace(limits.f_min, limits.f_max, _NODES if limits.f_max > limits.f_min else 1)

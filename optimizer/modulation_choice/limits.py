@@ -12,6 +12,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import DriveBudget
 
+# What may bind a choice; ``voltage`` is the linear range of a modulator that would lose less.
 LIMITS = (
     "ripple",
     "junction",
@@ -22,12 +23,7 @@ LIMITS = (
     "largest frequency",
 )
 
-"""What may bind a choice; ``voltage`` is the linear range of a modulator that would lose less."""
-
-
-ROUNDING = 1e-12
-
-"""Relative excess that is rounding."""
+ROUNDING = 1e-12  # Relative excess that is rounding.
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,19 +18,10 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 
+# What an alternative that is not permitted counts, in units of the largest permitted loss.
 _FORBIDDEN = 1e6
-
-"""What an alternative that is not permitted counts, in units of the largest permitted loss."""
-
-
-_THRESHOLDS = 48
-
-"""Thresholds per quantity that are tried: quantiles of its values at the points."""
-
-
-_WORTH = 1e-9
-
-"""Share of the mean loss that a further question must save."""
+_THRESHOLDS = 48  # Thresholds per quantity that are tried: quantiles of its values at the points.
+_WORTH = 1e-9  # Share of the mean loss that a further question must save.
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,24 +160,17 @@ def simplify(
 ) -> SimplifiedChoice:
     """Rule with the least mean loss.
 
-    Parameters
-    ----------
-    loss:
-        Total loss in W, shape (N, C) for N operating points and C alternatives.
-    permitted:
-        Where an alternative keeps all limits, shape (N, C).
-    quantities:
-        What the firmware knows at a point, each of shape (N,), by names that are
-        C identifiers with units.
-    weights:
-        Share of time at each point, shape (N,); None for all alike.
-    questions:
-        Depth of the tree: 0 (one alternative everywhere), 1 or 2 (up to four alternatives).
+    Args:
+        loss: Total loss in W, shape (N, C) for N operating points and C alternatives.
+        permitted: Where an alternative keeps all limits, shape (N, C).
+        quantities: What the firmware knows at a point, each of shape (N,), by names that are C
+            identifiers with units.
+        weights: Share of time at each point, shape (N,); None for all alike.
+        questions: Depth of the tree: 0 (one alternative everywhere), 1 or 2 (up to four
+            alternatives).
 
-    Raises
-    ------
-    NoSolutionError
-        At some point no alternative keeps the limits.
+    Raises:
+        NoSolutionError: At some point no alternative keeps the limits.
     """
     if not bool(np.all(np.any(permitted, axis=1))):
         point = int(np.argmin(np.any(permitted, axis=1)))

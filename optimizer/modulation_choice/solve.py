@@ -39,15 +39,10 @@ from dqforge.optimizer.modulation_choice.rule import (
 )
 from dqforge.optimizer.operating_points.characteristics import characteristics
 
-_TRIED = 60
+_TRIED = 60  # Frequencies among which an answer finds its own.
 
-"""Frequencies among which an answer finds its own."""
-
-
+# Switching frequencies of a rule are multiples of this in Hz, but for the ends of range and bands.
 _STEP = 100.0
-
-"""Switching frequencies of a rule are multiples of this in Hz, but for
-the ends of range and bands."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,25 +71,19 @@ class PricedRule:
 class ModulationChoice:
     """Best modulator and switching frequency over torque and speed, and rules that come close.
 
-    Parameters
-    ----------
-    settings:
-        What was asked for.
-    torque, omega_m:
-        Axes of the map in N m and rad/s, shapes (N,) and (M,); the points run row by row, P = N M.
-    reached:
-        Where some modulator makes the torque within current limit and linear range, shape (P,).
-    best:
-        Best choice at each point; without one where nothing keeps the limits.
-    asked:
-        Where the rules were asked: something that they may take keeps the limits, shape (P,).
-    best_mean:
-        Mean loss of the best choice over these points, in W.
-    rules:
-        With no, one and two questions.
-    today:
-        Modulator and switching frequency that the design has now, everywhere;
-        its losses where they are known.
+    Args:
+        settings: What was asked for.
+        torque, omega_m: Axes of the map in N m and rad/s, shapes (N,) and (M,); the points run row
+            by row, P = N M.
+        reached: Where some modulator makes the torque within current limit and linear range, shape
+            (P,).
+        best: Best choice at each point; without one where nothing keeps the limits.
+        asked: Where the rules were asked: something that they may take keeps the limits, shape
+            (P,).
+        best_mean: Mean loss of the best choice over these points, in W.
+        rules: With no, one and two questions.
+        today: Modulator and switching frequency that the design has now, everywhere; its losses
+            where they are known.
     """
 
     settings: ChoiceSettings
@@ -188,10 +177,8 @@ def choice_limits(settings: ChoiceSettings) -> ChoiceLimits:
 def solve_choice(design: Design) -> ModulationChoice | None:
     """Choice of modulator and switching frequency of a design, None where it asks for none.
 
-    Raises
-    ------
-    NoSolutionError
-        At no point anything keeps the limits.
+    Raises:
+        NoSolutionError: At no point anything keeps the limits.
     """
     settings = design.modulation_choice
     if settings is None:

@@ -58,14 +58,10 @@ def observed_drive(
 ) -> ObservedDrive:
     """A design's control with an estimator, on the machine as the design has it (linear).
 
-    Parameters
-    ----------
-    design:
-        With a speed loop.
-    current_loops:
-        Gains of i_d and i_q.
-    estimator:
-        What tells speed and angle.
+    Args:
+        design: With a speed loop.
+        current_loops: Gains of i_d and i_q.
+        estimator: What tells speed and angle.
     """
     control, settings = design.control, design.control.speed_loop
     machine = linearised(design.machine)

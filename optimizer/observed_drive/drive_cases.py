@@ -16,27 +16,20 @@ if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray
     from dqforge.machines.dq_machines.synchronous import LinearMachine
 
+# Relative errors that a drive may have.
 RELATIVE = ("r_s", "l_d", "l_q", "psi_pm", "inertia", "v_dc")
-
-"""Relative errors that a drive may have."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveCases:
     """M drives, arrays of shape (M,).
 
-    Parameters
-    ----------
-    omega:
-        Electrical speed in rad/s that the speed controller holds, as its observer tells it.
-    load:
-        Torque in N m beside the friction.
-    r_s, l_d, l_q, psi_pm, inertia:
-        Of the true machine and shaft, in Ohm, H, H, Wb and kg m^2.
-    link:
-        Voltage that acts, over the one that duty cycles are made for.
-    lost:
-        Voltage in V along the current that a dead time costs.
+    Args:
+        omega: Electrical speed in rad/s that the speed controller holds, as its observer tells it.
+        load: Torque in N m beside the friction.
+        r_s, l_d, l_q, psi_pm, inertia: Of the true machine and shaft, in Ohm, H, H, Wb and kg m^2.
+        link: Voltage that acts, over the one that duty cycles are made for.
+        lost: Voltage in V along the current that a dead time costs.
     """
 
     omega: FloatArray
@@ -76,23 +69,15 @@ def drive_cases(
 ) -> DriveCases:
     """Cases of a machine with its inertia; everything is broadcast to one shape (M,).
 
-    Parameters
-    ----------
-    machine:
-        As the design has it.
-    omega:
-        Electrical speeds in rad/s.
-    load:
-        Torques in N m beside the friction.
-    errors:
-        Relative errors by the names of `RELATIVE`: 0.3 is 30 % more than the data say.
-    lost:
-        Voltages in V along the current that the dead time costs.
+    Args:
+        machine: As the design has it.
+        omega: Electrical speeds in rad/s.
+        load: Torques in N m beside the friction.
+        errors: Relative errors by the names of `RELATIVE`: 0.3 is 30 % more than the data say.
+        lost: Voltages in V along the current that the dead time costs.
 
-    Raises
-    ------
-    InputError
-        An error of something else is named, or the inertia is not known.
+    Raises:
+        InputError: An error of something else is named, or the inertia is not known.
     """
     given = dict(errors or {})
     unknown = sorted(set(given) - set(RELATIVE))

@@ -32,15 +32,10 @@ if TYPE_CHECKING:
     from dqforge.optimizer.observed_drive.drive_cases import DriveCases
     from dqforge.optimizer.observed_drive.estimator_columns import Estimator
 
+# Columns of a drive without its observer: i_d, i_q, electrical speed, voltage that acted (d, q),
+# voltage that acts next (d, q), integrals (d, q), filtered mechanical speed.
 OWN = 10
-
-"""Columns of a drive without its observer: i_d, i_q, electrical speed, voltage that acted (d, q),
-voltage that acts next (d, q), integrals (d, q), filtered mechanical speed."""
-
-
 _SUBSTEPS = 4
-
-
 _SOFTENING = 0.02  # of the current limit
 
 

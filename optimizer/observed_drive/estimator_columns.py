@@ -22,12 +22,11 @@ if TYPE_CHECKING:
     from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
 
 _SETTLING = 2000
-
 _NEWTON_STEPS = 6
 
+# Share of a speed by which the observer starts beside the place of its rest: more than the rounding
+# of Newton's method, less than many steps.
 _BESIDE = 1e-12
-"""Share of a speed by which the observer starts beside the place of its rest: more than the
-rounding of Newton's method, less than many steps."""
 
 
 def _pair(value: ComplexArray) -> Pair:

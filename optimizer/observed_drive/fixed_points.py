@@ -184,12 +184,9 @@ def _directions(slope: FloatArray, gap: FloatArray) -> FloatArray:
 def steady_drives(drive: ObservedDrive, cases: DriveCases) -> SteadyDrives:
     """Steady states of M drives on their observer.
 
-    Parameters
-    ----------
-    drive:
-        Control and observer, and what they believe.
-    cases:
-        The true machines, at speeds and loads.
+    Args:
+        drive: Control and observer, and what they believe.
+        cases: The true machines, at speeds and loads.
     """
     with np.errstate(all="ignore"):  # beyond the range of an observer numbers may grow
         exact, point = _begun(drive, cases)

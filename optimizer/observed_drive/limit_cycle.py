@@ -14,9 +14,7 @@ import numpy as np
 
 from dqforge.optimizer.loops.observed_margins import LimitCycle
 
-SLOWING = 0.9
-
-"""Frequency of the limit cycle over that of the unstable pole."""
+SLOWING = 0.9  # Frequency of the limit cycle over that of the unstable pole.
 
 
 def limit_cycle(
@@ -24,16 +22,11 @@ def limit_cycle(
 ) -> LimitCycle | None:
     """Frequency and size of the swing; None of a stable pole, or one that does not swing.
 
-    Parameters
-    ----------
-    pole:
-        The largest of the closed loop, in the z plane.
-    period:
-        Period of the speed controller in s.
-    torque_max:
-        Limit of its torque in N m.
-    inertia:
-        In kg m^2.
+    Args:
+        pole: The largest of the closed loop, in the z plane.
+        period: Period of the speed controller in s.
+        torque_max: Limit of its torque in N m.
+        inertia: In kg m^2.
     """
     turning = abs(float(np.angle(pole)))
     if not abs(pole) >= 1.0 or turning < 1e-9:

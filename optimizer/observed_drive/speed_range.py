@@ -23,20 +23,12 @@ if TYPE_CHECKING:
     from dqforge.machines.dq_machines.synchronous import LinearMachine
     from dqforge.optimizer.observed_drive.drive_model import ObservedDrive
 
-LEAST_SHARE = 0.02
+LEAST_SHARE = 0.02  # Lowest speed that is tried, over the largest.
 
-"""Lowest speed that is tried, over the largest."""
-
-
+# Least rates at which modes die away at every corner: those that swing over the bandwidth kp/J of
+# the speed loop, all of them over the rate ki/kp of its integral. What takes longer does not hold.
 SWINGING, CREEPING = 0.1, 0.3
-
-"""Least rates at which modes die away at every corner: those that swing over the bandwidth kp/J of
-the speed loop, all of them over the rate ki/kp of its integral. What takes longer does not hold."""
-
-
 _SPEEDS = 9
-
-
 _BISECTIONS = 5
 
 
@@ -52,14 +44,10 @@ class SpeedPi:
 def settling(steady: SteadyDrives, speed: SpeedPi, inertia: float) -> FloatArray:
     """How fast the slowest mode dies away, over the least rate that counts as holding, shape (M,).
 
-    Parameters
-    ----------
-    steady:
-        Drives.
-    speed:
-        The speed controller.
-    inertia:
-        As the design has it, in kg m^2.
+    Args:
+        steady: Drives.
+        speed: The speed controller.
+        inertia: As the design has it, in kg m^2.
     """
     swings, every = steady.decay(speed.ratio, speed.kp, speed.ki)
     return np.minimum(
@@ -78,19 +66,13 @@ def worst_corner(
     """The corner that fails at an electrical speed in rad/s; that with the largest pole where none
     does.
 
-    Parameters
-    ----------
-    drive:
-        Control and observer.
-    machine:
-        As the design has it.
-    speed:
-        The speed controller.
-    corners:
-        What is tried.
-    limits:
-        Phase amplitude in V that the link has, and largest relative error of the speed. Corners
-        without the voltage count only where no other one is unstable.
+    Args:
+        drive: Control and observer.
+        machine: As the design has it.
+        speed: The speed controller.
+        corners: What is tried.
+        limits: Phase amplitude in V that the link has, and largest relative error of the speed.
+            Corners without the voltage count only where no other one is unstable.
     """
     steady = steady_drives(drive, cases_of(machine, corners, omega))
     radius = steady.radius(speed.ratio, speed.kp, speed.ki)
@@ -128,19 +110,13 @@ def speed_range(
 
     The first that fails below ends the range; both ends are narrowed down to two percent.
 
-    Parameters
-    ----------
-    drive, machine, speed:
-        As of `worst_corner`.
-    box:
-        Whose corners are tried, with its limits of voltage and speed error.
-    dead_time:
-        Whether what the dead time costs counts as well.
-    braking:
-        Whether the loads drive the shaft.
-    least:
-        Electrical speed in rad/s below which nothing is tried, where that lies above
-        `LEAST_SHARE` of ``top``.
+    Args:
+        drive, machine, speed: As of `worst_corner`.
+        box: Whose corners are tried, with its limits of voltage and speed error.
+        dead_time: Whether what the dead time costs counts as well.
+        braking: Whether the loads drive the shaft.
+        least: Electrical speed in rad/s below which nothing is tried, where that lies above
+            `LEAST_SHARE` of ``top``.
     """
     corners = box.corners(dead_time=dead_time, braking=braking)
     limits = (box.v_max, box.most_error)
@@ -192,10 +168,8 @@ def judge_corners(
     """The range of speeds at which all corners hold, motoring and braking, without and with what
     the dead time costs.
 
-    Parameters
-    ----------
-    drive, machine, speed, box, top, least:
-        As of `speed_range`.
+    Args:
+        drive, machine, speed, box, top, least: As of `speed_range`.
     """
     exact = speed_range(drive, machine, speed, box, top, least=least)
     braking = speed_range(drive, machine, speed, box, top, braking=True, least=least)

@@ -29,14 +29,10 @@ def largest_stable_factor(
 ) -> float | None:
     """Largest factor below one at which a loop is stable in all steady states; None without one.
 
-    Parameters
-    ----------
-    steady:
-        Of the drives.
-    ratio:
-        Current samples per speed sample.
-    slower:
-        (kp, ki) of the loop slowed down by a factor.
+    Args:
+        steady: Of the drives.
+        ratio: Current samples per speed sample.
+        slower: (kp, ki) of the loop slowed down by a factor.
     """
 
     def holds(factor: float) -> bool:
@@ -52,16 +48,11 @@ def least_pll_bandwidth(
     """Least bandwidth in rad/s above the present one of the observer's phase-locked loop with
     which a speed loop as it is becomes stable; None without one.
 
-    Parameters
-    ----------
-    drive:
-        With the observer as it is.
-    position:
-        The observer.
-    cases:
-        Speeds at which the loop has to be stable.
-    speed:
-        The speed controller.
+    Args:
+        drive: With the observer as it is.
+        position: The observer.
+        cases: Speeds at which the loop has to be stable.
+        speed: The speed controller.
     """
     if not has_loop(position) or "pll_bandwidth" not in OBSERVER_KEYS[position.method.name]:
         return None

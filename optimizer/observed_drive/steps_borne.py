@@ -65,12 +65,10 @@ def steps_borne(
 ) -> StepsBorne:
     """Steps that the drive bears within a range.
 
-    Parameters
-    ----------
-    drive, machine, speed, box:
-        As of `dqforge.optimizer.observed_drive.speed_range.speed_range`.
-    held:
-        Where every corner holds.
+    Args:
+        drive, machine, speed, box: As of
+            `dqforge.optimizer.observed_drive.speed_range.speed_range`.
+        held: Where every corner holds.
     """
     corners = (*box.corners(dead_time=False), *box.corners(dead_time=False, braking=True))
     cases = [

@@ -23,9 +23,7 @@ if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray
     from dqforge.machines.design.design import Design
 
-LOAD_SHARE = 0.3
-
-"""Load of the corners beside none, over the largest torque."""
+LOAD_SHARE = 0.3  # Load of the corners beside none, over the largest torque.
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +86,9 @@ def corner_box(design: Design) -> CornerBox:
     )
 
 
+# Errors within which a drive on a tracker is judged: the others change what it measures as well,
+# which its loop does not know.
 TRACKED = ("r_s", "psi_pm", "inertia")
-
-"""Errors within which a drive on a tracker is judged: the others change what it measures as well,
-which its loop does not know."""
 
 
 def tracked_box(design: Design) -> CornerBox:

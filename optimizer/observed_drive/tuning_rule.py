@@ -40,14 +40,10 @@ def has_loop(position: PositionObserver) -> bool:
 def speed_lag(position: PositionObserver, delays: float, spread: float) -> float:
     """By how much a position observer tells a changing speed too late, in s.
 
-    Parameters
-    ----------
-    position:
-        The observer.
-    delays:
-        The other small delays of the speed loop in s.
-    spread:
-        That of the symmetrical optimum.
+    Args:
+        position: The observer.
+        delays: The other small delays of the speed loop in s.
+        spread: That of the symmetrical optimum.
     """
     if has_loop(position):
         return 2.0 * position.tuning.damping / position.tuning.pll_bandwidth

@@ -29,12 +29,9 @@ def loads_of(design: Design) -> tuple[Load, ...]:
 def loads_at(design: Design, shares: Sequence[float]) -> tuple[Load, ...]:
     """Loads by the currents of the design.
 
-    Parameters
-    ----------
-    design:
-        The drive.
-    shares:
-        Torques over the largest one, at most 1; negative ones brake.
+    Args:
+        design: The drive.
+        shares: Torques over the largest one, at most 1; negative ones brake.
     """
     machine = design.machine
     choice = CurrentChoice(machine, design.operation.strategy, design.i_max)

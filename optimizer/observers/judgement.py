@@ -20,24 +20,14 @@ from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.steady_states import steady_observer
 from dqforge.optimizer.observers.tuning_numbers import LARGEST_TURN, Disturbances, Load
 
+# Largest r.m.s. error of the angle in rad at which an observer counts as holding: 1.5 % of the
+# torque.
 ANGLE_LIMIT = np.radians(10.0)
 
-"""Largest r.m.s. error of the angle in rad at which an observer counts as holding:
-1.5 % of the torque."""
-
-
+# Largest r.m.s. of the steady speed error, over the speed, at which an observer counts as holding.
 SPEED_LIMIT = 0.05
-
-"""Largest r.m.s. of the steady speed error, over the speed, at which an
-observer counts as holding."""
-
-
 PARAMETERS = ("r_s", "l_d", "l_q", "psi_pm")
-
-
 DEAD_TIME, EXACT_DATA = "dead_time", "exact_data"
-
-
 _SPEEDS = 60
 
 

@@ -28,10 +28,8 @@ from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 def loop_in_words(tuning: ObserverTuning, _gains: Any, _t_s: float) -> str:
     """``in_words`` of a filter before a phase-locked loop.
 
-    Parameters
-    ----------
-    tuning:
-        Its numbers.
+    Args:
+        tuning: Its numbers.
     """
     return (
         f"bandwidth {tuning.bandwidth:.5g} rad/s; loop {tuning.pll_bandwidth:.5g} rad/s, "
@@ -42,10 +40,8 @@ def loop_in_words(tuning: ObserverTuning, _gains: Any, _t_s: float) -> str:
 def flux_in_words(tuning: ObserverTuning, _gains: Any, _t_s: float) -> str:
     """``in_words`` of a flux linkage that is corrected before a phase-locked loop.
 
-    Parameters
-    ----------
-    tuning:
-        Its numbers.
+    Args:
+        tuning: Its numbers.
     """
     return (
         f"bandwidth {tuning.bandwidth:.5g} rad/s, speed_gain {tuning.speed_gain:.4g}; loop "
@@ -56,10 +52,8 @@ def flux_in_words(tuning: ObserverTuning, _gains: Any, _t_s: float) -> str:
 def loop_scale(gains: Any) -> tuple[float, float]:
     """``scale`` of gains that hold those of a phase-locked loop and the magnet flux linkage.
 
-    Parameters
-    ----------
-    gains:
-        With members ``pll`` and ``psi_pm``.
+    Args:
+        gains: With members ``pll`` and ``psi_pm``.
     """
     return float(gains.pll.t_s), float(gains.psi_pm)
 
@@ -68,43 +62,33 @@ def loop_scale(gains: Any) -> tuple[float, float]:
 class ObserverMethod:
     """One method of observing the position.
 
-    Parameters
-    ----------
-    name:
-        As in the design file; ``code`` is the part of C names, ``title`` says it in words.
-    design:
-        (machine, tuning, t_s, largest electrical speed in rad/s) -> gains,
-        a frozen dataclass of floats.
-    start, step:
-        First and next state, see `dqforge.optimizer.observers.parts`.
-    usual:
-        (machine, t_s, largest electrical speed in rad/s) -> the tuning where
-        the design leaves it open.
-    searched:
-        The tuning entries that ``tuning: optimised`` searches; none of a method that tunes itself.
-    gains:
-        The dataclass that ``design`` returns.
-    scale:
-        gains -> (sampling period in s, magnet flux linkage in Wb): the scale of what it sees.
-    in_words:
-        (tuning, gains, sampling period in s) -> by what numbers it is tuned.
-    settle:
-        Steps from the start after which Newton's method finds the steady state that is reached,
-        and no other.
-    sizes:
-        (scalars of M states, shape (M, n), electrical speeds in rad/s, shape (M,)) -> how large a
-        change of each scalar is noticeable, shape (M, n), positive. In a steady state many are nil,
-        so that their own size tells nothing. None without scalars.
-    certify:
-        (gains, least and largest electrical speed in rad/s, largest |i_q| in A) -> factor by which
-        a norm of a small error shrinks at least in every sample, however the speed changes in
-        between; `NoSolutionError` where none is found. None for a method without such a proof.
-    train:
-        (gains of ``design``, machine, settings, box, largest electrical speed in rad/s) -> gains
-        with what was learned in them, and what that gains. None for a method that learns nothing.
-    members:
-        What the firmware calls vectors and scalars of the state: the C of the method is written
-        from ``step``. None of a method that has a template ``observers/<code>.j2``.
+    Args:
+        name: As in the design file; ``code`` is the part of C names, ``title`` says it in words.
+        design: (machine, tuning, t_s, largest electrical speed in rad/s) -> gains, a frozen
+            dataclass of floats.
+        start, step: First and next state, see `dqforge.optimizer.observers.parts`.
+        usual: (machine, t_s, largest electrical speed in rad/s) -> the tuning where the design
+            leaves it open.
+        searched: The tuning entries that ``tuning: optimised`` searches; none of a method that
+            tunes itself.
+        gains: The dataclass that ``design`` returns.
+        scale: gains -> (sampling period in s, magnet flux linkage in Wb): the scale of what it
+            sees.
+        in_words: (tuning, gains, sampling period in s) -> by what numbers it is tuned.
+        settle: Steps from the start after which Newton's method finds the steady state that is
+            reached, and no other.
+        sizes: (scalars of M states, shape (M, n), electrical speeds in rad/s, shape (M,)) -> how
+            large a change of each scalar is noticeable, shape (M, n), positive. In a steady state
+            many are nil, so that their own size tells nothing. None without scalars.
+        certify: (gains, least and largest electrical speed in rad/s, largest |i_q| in A) -> factor
+            by which a norm of a small error shrinks at least in every sample, however the speed
+            changes in between; `NoSolutionError` where none is found. None for a method without
+            such a proof.
+        train: (gains of ``design``, machine, settings, box, largest electrical speed in rad/s) ->
+            gains with what was learned in them, and what that gains. None for a method that learns
+            nothing.
+        members: What the firmware calls vectors and scalars of the state: the C of the method is
+            written from ``step``. None of a method that has a template ``observers/<code>.j2``.
     """
 
     name: str
@@ -153,10 +137,8 @@ def observe(
 ) -> Estimates:
     """Run an observer over what N drives measured.
 
-    Parameters
-    ----------
-    theta_0, omega_0:
-        First estimates, scalars or shape (N,); None for the true values.
+    Args:
+        theta_0, omega_0: First estimates, scalars or shape (N,); None for the true values.
     """
     number, shape = maths.number, motion.theta_e.shape
     first = (

@@ -19,9 +19,7 @@ import numpy as np
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Floats, Reals, park, park_inverse
 
-Pair = tuple[Reals, Reals]
-
-"""The alpha and beta (or d and q) components of a vector."""
+Pair = tuple[Reals, Reals]  # The alpha and beta (or d and q) components of a vector.
 
 
 class AlphaBeta(NamedTuple):
@@ -67,11 +65,7 @@ class StateMembers:
 
 
 _Gains = TypeVar("_Gains")
-
-
 _T = TypeVar("_T")
-
-
 _P = ParamSpec("_P")
 
 
@@ -91,15 +85,11 @@ class Arithmetic(Floats):
 
         Whatever is used twice needs one.
 
-        Parameters
-        ----------
-        name:
-            Of a local variable.
-        value:
-            A number, a vector, a numpy array of numbers, which get a name each, or a
-            tuple of a record, which gets a shorter one.
-        meaning:
-            What it is, with its unit.
+        Args:
+            name: Of a local variable.
+            value: A number, a vector, a numpy array of numbers, which get a name each, or a tuple
+                of a record, which gets a shorter one.
+            meaning: What it is, with its unit.
         """
         return value
 
@@ -164,9 +154,7 @@ def _rotation(theta: Reals) -> Pair:
     return np.cos(theta), np.sin(theta)
 
 
-EXACT = Arithmetic(np.float64, _wrap, _rotation)
-
-"""Double precision."""
+EXACT = Arithmetic(np.float64, _wrap, _rotation)  # Double precision.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

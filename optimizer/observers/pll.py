@@ -26,9 +26,7 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import Arithmetic, Member
 
-FASTEST = 0.5
-
-"""Largest bandwidth times t_s: beyond, single samples decide the angle."""
+FASTEST = 0.5  # Largest bandwidth times t_s: beyond, single samples decide the angle.
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +48,9 @@ def pll_gains(bandwidth: float, damping: float, t_s: float) -> PllGains:
     """Gains whose poles are those of s^2 + 2 damping bandwidth s + bandwidth^2 (rad/s),
     sampled every t_s seconds.
 
-    Raises
-    ------
-    InputError, NoSolutionError
-        A value is not positive, or the loop is too fast for the sampling.
+    Raises:
+        InputError, NoSolutionError: A value is not positive, or the loop is too fast for the
+            sampling.
     """
     if not (bandwidth > 0.0 and damping > 0.0 and t_s > 0.0):
         raise InputError("control.observer: pll_bandwidth and damping must be positive")

@@ -18,19 +18,14 @@ class ObserverProof:
     """Result of the search for a common Lyapunov function
     (`dqforge.optimizer.observers.methods.lpv_certificate`).
 
-    Parameters
-    ----------
-    contraction:
-        Factor by which the norm of a small error shrinks at least in every sample;
-        None where none was found.
-    omega_low, omega_high:
-        Electrical speeds in rad/s between which the speed may change arbitrarily.
-    i_q:
-        Largest |i_q| in A, at i_d = 0.
-    reason:
-        Why there is none, empty otherwise.
-    searched:
-        Whether one was searched for: not where a package for it is missing.
+    Args:
+        contraction: Factor by which the norm of a small error shrinks at least in every sample;
+            None where none was found.
+        omega_low, omega_high: Electrical speeds in rad/s between which the speed may change
+            arbitrarily.
+        i_q: Largest |i_q| in A, at i_d = 0.
+        reason: Why there is none, empty otherwise.
+        searched: Whether one was searched for: not where a package for it is missing.
     """
 
     contraction: float | None

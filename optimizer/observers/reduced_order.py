@@ -33,11 +33,8 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.sampled_systems import discretise
 
+# Relative error of the observer's resistance for which the error of its speed is stated.
 R_ERROR = 0.3
-
-"""Relative error of the observer's resistance for which the error of its speed is stated."""
-
-
 FASTEST = 1.0  # g t_s: beyond, the voltage of a single sample decides the estimate
 
 
@@ -60,22 +57,14 @@ class ReducedOrderObserver:
     with a computation delay of one period that is the voltage computed from the samples of instant
     k-1.
 
-    Parameters
-    ----------
-    g:
-        Observer gain in rad/s (the setting ``pole``).
-    t_s:
-        Sampling period in s.
-    continuous_pole, a:
-        Pole -(g + B/J) in 1/s, and its image in the z plane.
-    rate_u, rate_i:
-        Continuous coefficients in rad/(s^2 V) and rad/(s^2 A).
-    c_continuous, c:
-        Coefficient of i_q in the estimate, in rad/(s A).
-    b_u, b_i:
-        Sampled coefficients in rad/(s V) and rad/(s A).
-    torque_rate:
-        Acceleration per ampere 3/2 p psi/J in rad/(s^2 A).
+    Args:
+        g: Observer gain in rad/s (the setting ``pole``).
+        t_s: Sampling period in s.
+        continuous_pole, a: Pole -(g + B/J) in 1/s, and its image in the z plane.
+        rate_u, rate_i: Continuous coefficients in rad/(s^2 V) and rad/(s^2 A).
+        c_continuous, c: Coefficient of i_q in the estimate, in rad/(s A).
+        b_u, b_i: Sampled coefficients in rad/(s V) and rad/(s A).
+        torque_rate: Acceleration per ampere 3/2 p psi/J in rad/(s^2 A).
     """
 
     g: float
@@ -219,19 +208,14 @@ def reduced_order_observer(machine: Machine, g: float, t_s: float) -> ReducedOrd
     i_q[k] in the continuous equation would leave an error proportional to the change of current per
     sample.
 
-    Parameters
-    ----------
-    machine:
-        The machine; its inertia must be known and psi_pm positive.
-    g:
-        Observer gain in rad/s.
-    t_s:
-        Sampling period in s.
+    Args:
+        machine: The machine; its inertia must be known and psi_pm positive.
+        g: Observer gain in rad/s.
+        t_s: Sampling period in s.
 
-    References
-    ----------
-    Paper 001, (8.15) to (8.25), corrected; Astroem and Wittenmark, "Computer-Controlled Systems",
-    chapter 4 (observers of reduced order).
+    References:
+        Paper 001, (8.15) to (8.25), corrected; Astroem and Wittenmark, "Computer-Controlled
+        Systems", chapter 4 (observers of reduced order).
     """
     _check(machine, g, t_s)
     inertia, back_emf = _inertia(machine), machine.pole_pairs * machine.psi_pm
@@ -266,18 +250,13 @@ def estimate_speed(
 ) -> FloatArray:
     """Run the sampled observer over measured data.
 
-    Parameters
-    ----------
-    u_q:
-        Voltage in V held from sample k to k+1, shape (N,).
-    i_q:
-        Current in A at sample k, shape (N,).
-    omega_0:
-        First estimate in rad/s.
+    Args:
+        u_q: Voltage in V held from sample k to k+1, shape (N,).
+        i_q: Current in A at sample k, shape (N,).
+        omega_0: First estimate in rad/s.
 
-    Returns
-    -------
-    Estimated mechanical speed in rad/s at each sample, shape (N,).
+    Returns:
+        Estimated mechanical speed in rad/s at each sample, shape (N,).
     """
     omega_hat = np.empty(len(i_q))
     zeta = omega_0 + observer.c * i_q[0]
@@ -298,17 +277,12 @@ def simulate_observer(
     """Drive the machine (i_d = 0, exact between samples) with held voltages and loads,
     and observe its speed.
 
-    Parameters
-    ----------
-    observer:
-        The observer, possibly designed for other parameters than the machine has.
-    machine:
-        The true machine.
-    u_q, torque_load:
-        Voltage in V and load torque in N m held over each sample, shape (N,).
-    omega_0, error_0:
-        True speed at the start and error of the first estimate, in rad/s;
-        the current starts at 0 A.
+    Args:
+        observer: The observer, possibly designed for other parameters than the machine has.
+        machine: The true machine.
+        u_q, torque_load: Voltage in V and load torque in N m held over each sample, shape (N,).
+        omega_0, error_0: True speed at the start and error of the first estimate, in rad/s; the
+            current starts at 0 A.
     """
     held = discretise(*_plant(machine), observer.t_s)
     inputs = np.stack([u_q, torque_load], axis=1) @ held.gamma0.T
@@ -338,18 +312,13 @@ def steady_state_error(
     """Speed error of the observer at a steady operating point with i_d = 0, in closed form
     (constants at zero current).
 
-    Parameters
-    ----------
-    machine:
-        The true machine; of a saturated one the constants at zero current.
-    g, t_s:
-        Observer gain in rad/s and sampling period in s.
-    omega_m:
-        True mechanical speed in rad/s.
-    torque_load:
-        Load torque in N m, of which the observer knows nothing.
-    r_error, psi_error, inertia_error:
-        Relative errors of R, psi_pm and J in the observer, e.g. 0.3 for 30 % too much.
+    Args:
+        machine: The true machine; of a saturated one the constants at zero current.
+        g, t_s: Observer gain in rad/s and sampling period in s.
+        omega_m: True mechanical speed in rad/s.
+        torque_load: Load torque in N m, of which the observer knows nothing.
+        r_error, psi_error, inertia_error: Relative errors of R, psi_pm and J in the observer, e.g.
+            0.3 for 30 % too much.
     """
     inertia, damping = _inertia(machine), machine.friction / _inertia(machine)
     machine = linearised(machine)
@@ -378,16 +347,11 @@ def speed_error_slopes(
 ) -> SpeedErrorSlopes:
     """Steady error per unit of its causes, in closed form; errors as `steady_state_error`.
 
-    Parameters
-    ----------
-    machine:
-        The true machine.
-    observer:
-        The observer, made for it.
-    omega_m:
-        True mechanical speed in rad/s.
-    r_error:
-        Relative error of the resistance.
+    Args:
+        machine: The true machine.
+        observer: The observer, made for it.
+        omega_m: True mechanical speed in rad/s.
+        r_error: Relative error of the resistance.
     """
     error = steady_state_error(machine, observer.g, observer.t_s, omega_m, 1.0, r_error=r_error)
     return SpeedErrorSlopes(error.load, error.resistance / error.i_q, r_error)

@@ -18,10 +18,8 @@ from dqforge.optimizer.observers.sampled_machine import SampledMachine
 
 EVEN = 5
 
-
+# Rows of `SampledMachine.table` in the order of the C: the even ones first.
 _ORDER = (0, 3, 4, 7, 8, 1, 2, 5, 6, 9)
-
-"""Rows of `SampledMachine.table` in the order of the C: the even ones first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,10 +94,8 @@ def model_scale(gains: Any) -> tuple[float, float]:
     """``scale`` of gains that hold a sampled machine: its period in s and magnet flux linkage in
     Wb.
 
-    Parameters
-    ----------
-    gains:
-        With the member ``model``.
+    Args:
+        gains: With the member ``model``.
     """
     t_s = float(gains.model.t_s)
     # h_q over gamma_qq, to first order in the speed: the back-EMF over the speed.

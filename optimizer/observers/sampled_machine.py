@@ -17,10 +17,9 @@ Gamma and h are entire functions of omega; mirrored in the d axis the machine ru
 that each entry is even or odd. Polynomials of four coefficients in (omega t_s)^2 hold them to some
 1e-9 over the speed range, without any function of libm.
 
-References
-----------
-K. J. Astroem, B. Wittenmark, "Computer-Controlled Systems", 3rd edition, 1997, chapter 2; the
-equations are (7.23) and (7.24) of paper 001 with L_d and L_q kept apart.
+References:
+    K. J. Astroem, B. Wittenmark, "Computer-Controlled Systems", 3rd edition, 1997, chapter 2; the
+    equations are (7.23) and (7.24) of paper 001 with L_d and L_q kept apart.
 """
 
 from __future__ import annotations
@@ -34,22 +33,14 @@ from dqforge.machines.records import dataclass
 
 TERMS = 4
 
-
+# Parity of the rows phi_dd, phi_dq, phi_qd, phi_qq, gamma_dd, gamma_dq, gamma_qd, gamma_qq, h_d,
+# h_q in omega.
 ODD = np.array([False, True, True, False, False, True, True, False, False, True])
 
-"""Parity of the rows phi_dd, phi_dq, phi_qd, phi_qq, gamma_dd, gamma_dq, gamma_qd, gamma_qq, h_d,
-h_q in omega."""
-
-
+# omega t_s in rad: six samples per electrical turn; beyond, the speed is not constant over a sample
+# in any sense.
 _NODES = 16
-
-
 _LARGEST_TURN = 1.0
-
-"""omega t_s in rad: six samples per electrical turn; beyond, the speed is not constant
-over a sample in any sense."""
-
-
 _RESERVE = 1.2
 
 
@@ -57,21 +48,15 @@ _RESERVE = 1.2
 class SampledMachine:
     """Phi, Gamma and h as polynomials of the speed.
 
-    Parameters
-    ----------
-    machine:
-        The linear machine.
-    t_s:
-        Sampling period in s.
-    omega_max:
-        Largest electrical speed in rad/s for which the polynomials hold;
-        beyond it the speed is limited.
-    table:
-        Coefficients of rising powers of (omega t_s)^2 of the ten entries in the order of `ODD`,
-        shape (10, 4); an odd entry has the factor omega t_s besides. Phi has no unit, Gamma is in
-        A/V, h in A.
-    error:
-        Largest deviation from the matrix exponential, over the largest of the entry.
+    Args:
+        machine: The linear machine.
+        t_s: Sampling period in s.
+        omega_max: Largest electrical speed in rad/s for which the polynomials hold; beyond it the
+            speed is limited.
+        table: Coefficients of rising powers of (omega t_s)^2 of the ten entries in the order of
+            `ODD`, shape (10, 4); an odd entry has the factor omega t_s besides. Phi has no unit,
+            Gamma is in A/V, h in A.
+        error: Largest deviation from the matrix exponential, over the largest of the entry.
     """
 
     machine: LinearMachine
@@ -168,12 +153,9 @@ def sampled_machine(machine: Machine, t_s: float, omega_max: float | None = None
 
     A saturated machine counts with its constants at zero current.
 
-    Raises
-    ------
-    InputError
-        The sampling period is not positive.
-    NoSolutionError
-        The speed is too high for the sampling.
+    Raises:
+        InputError: The sampling period is not positive.
+        NoSolutionError: The speed is too high for the sampling.
     """
     if not t_s > 0.0:
         raise InputError(f"the sampling period must be positive, got {t_s:g} s")

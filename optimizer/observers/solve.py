@@ -21,10 +21,8 @@ def observed_machine(design: Design) -> LinearMachine:
     Without current the inductances are up to half as large again: an observer of them locks falsely
     once the drive runs on it alone.
 
-    Parameters
-    ----------
-    design:
-        The design.
+    Args:
+        design: The design.
     """
     plain = linearised(design.machine)
     if design.control.start_up is None or plain is design.machine:

@@ -181,17 +181,13 @@ def steady_observer(
 ) -> SteadyObserver:
     """Steady states of an observer on M drives.
 
-    Parameters
-    ----------
-    plant:
-        The true machines, M of them; the observer knows the one of its gains.
-    i_dq:
-        True currents i_d + j i_q in A, shape (M,).
-    omega, acceleration:
-        Electrical speed in rad/s at the sampling instant and acceleration in rad/s^2, shape (M,).
-    lost:
-        Voltage in V along the current that the inverter loses and the observer knows nothing of
-        (dead time), scalar or shape (M,).
+    Args:
+        plant: The true machines, M of them; the observer knows the one of its gains.
+        i_dq: True currents i_d + j i_q in A, shape (M,).
+        omega, acceleration: Electrical speed in rad/s at the sampling instant and acceleration in
+            rad/s^2, shape (M,).
+        lost: Voltage in V along the current that the inverter loses and the observer knows nothing
+            of (dead time), scalar or shape (M,).
     """
     drift = np.broadcast_to(np.asarray(acceleration, dtype=np.float64) * t_s, omega.shape)
     mean = omega - 0.5 * drift

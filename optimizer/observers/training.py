@@ -5,33 +5,17 @@ from __future__ import annotations
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 
-Limits = tuple[float, float]
+Limits = tuple[float, float]  # Least and largest value.
 
-"""Least and largest value."""
-
-
+# Relative errors of R that are trained where a design names no tolerances: a cold winding, and one
+# at 130 degrees C of a machine whose data were taken at 20.
 USUAL_R_S: Limits = (-0.3, 0.4)
-
-"""Relative errors of R that are trained where a design names no tolerances: a cold winding, and one
-at 130 degrees C of a machine whose data were taken at 20."""
-
-
-USUAL_PSI_PM: Limits = (-0.1, 0.05)
-
-"""The same of the magnet: warm, and cold."""
-
-
+USUAL_PSI_PM: Limits = (-0.1, 0.05)  # The same of the magnet: warm, and cold.
 USUAL_INDUCTANCE: Limits = (-0.1, 0.1)
+LOWEST_SHARE = 0.03  # Share of the largest speed from which on steady states are trained.
 
-
-LOWEST_SHARE = 0.03
-
-"""Share of the largest speed from which on steady states are trained."""
-
-
+# The same up to which they are: a drive at its largest speed still lies within.
 HIGHEST_SHARE = 1.1
-
-"""The same up to which they are: a drive at its largest speed still lies within."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,17 +44,12 @@ def usual_training_box(
 ) -> TrainingBox:
     """The box where nothing is known of the tolerances.
 
-    Parameters
-    ----------
-    lost:
-        Voltage in V that the whole dead time takes: from none of it to all.
-    i_max:
-        Largest current in A (peak).
-    omega_max:
-        Largest electrical speed in rad/s.
-    i_d:
-        Least i_d in A that the drive needs; half the largest current towards weaker fields is
-        trained in any case.
+    Args:
+        lost: Voltage in V that the whole dead time takes: from none of it to all.
+        i_max: Largest current in A (peak).
+        omega_max: Largest electrical speed in rad/s.
+        i_d: Least i_d in A that the drive needs; half the largest current towards weaker fields is
+            trained in any case.
     """
     return TrainingBox(
         USUAL_R_S,

@@ -17,9 +17,7 @@ from dqforge.machines.plants.drive_motion import next_flux, plants
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.sampled_machine import turned
 
-_GAIN = 0.3
-
-"""Share of a current error that the controller of the trials removes in one period."""
+_GAIN = 0.3  # Share of a current error that the controller of the trials removes in one period.
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,20 +69,14 @@ def usual_sensor(machine: Machine) -> CurrentSensor:
 class Trial:
     """What S drives did over K periods.
 
-    Parameters
-    ----------
-    t_s:
-        Sampling period in s.
-    v:
-        Voltage in stator coordinates that acted over each period, as the firmware believes, in V,
-        shape (K, S, 2).
-    i:
-        Measured current in stator coordinates at the samples in A, shape (K + 1, S, 2).
-    theta, omega:
-        True electrical angle in rad (not wrapped) and speed in rad/s at the samples, shape (K + 1,
-        S).
-    i_dq:
-        True currents in rotor coordinates in A, shape (K + 1, S, 2).
+    Args:
+        t_s: Sampling period in s.
+        v: Voltage in stator coordinates that acted over each period, as the firmware believes, in
+            V, shape (K, S, 2).
+        i: Measured current in stator coordinates at the samples in A, shape (K + 1, S, 2).
+        theta, omega: True electrical angle in rad (not wrapped) and speed in rad/s at the samples,
+            shape (K + 1, S).
+        i_dq: True currents in rotor coordinates in A, shape (K + 1, S, 2).
     """
 
     t_s: float
@@ -108,25 +100,16 @@ def simulate(
 ) -> Trial:
     """Drive machines along given speeds under current control with the true angle.
 
-    Parameters
-    ----------
-    machine:
-        The true machine; a saturated one counts with its constants at zero current.
-    t_s:
-        Sampling period in s.
-    omega:
-        Electrical speed at the samples in rad/s, shape (K + 1, S), straight in between.
-    i_ref:
-        Current references (i_d, i_q) in A, shape (2,) or (K, S, 2).
-    sensor:
-        Current measurement, None for an exact one.
-    voltage_rms:
-        Standard deviation in V, per axis and period, of the voltage that acts without
-        the firmware's knowledge.
-    theta_0:
-        Electrical angle at the start in rad.
-    seed:
-        Of the random numbers.
+    Args:
+        machine: The true machine; a saturated one counts with its constants at zero current.
+        t_s: Sampling period in s.
+        omega: Electrical speed at the samples in rad/s, shape (K + 1, S), straight in between.
+        i_ref: Current references (i_d, i_q) in A, shape (2,) or (K, S, 2).
+        sensor: Current measurement, None for an exact one.
+        voltage_rms: Standard deviation in V, per axis and period, of the voltage that acts without
+            the firmware's knowledge.
+        theta_0: Electrical angle at the start in rad.
+        seed: Of the random numbers.
     """
     machine = linearised(machine)
     generator = np.random.default_rng(seed)

@@ -29,26 +29,12 @@ if TYPE_CHECKING:
     from dqforge.machines.dq_machines.synchronous import LinearMachine
     from dqforge.optimizer.observers.method import ObserverMethod
 
-SHOWN = (0.05, 0.1, 0.25, 0.5, 1.0)
-
-"""Shares of the largest speed that tables show."""
-
-
+SHOWN = (0.05, 0.1, 0.25, 0.5, 1.0)  # Shares of the largest speed that tables show.
 _SPEEDS = 8
-
-
 _EVALUATIONS = 100
-
-
 _UNSTABLE = 10.0
-
-
 _WIDEST = 100.0
-
-
-USUAL_LOSS = 0.01
-
-"""Share of the dc link that a dead time takes where nothing is known of it."""
+USUAL_LOSS = 0.01  # Share of the dc link that a dead time takes where nothing is known of it.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,9 +101,8 @@ def optimise(
     ``first`` by the subplex method of nlopt on their logarithms; the result is rounded to three
     digits.
 
-    References
-    ----------
-    T. Rowan, "Functional stability analysis of numerical algorithms", 1990 (subplex).
+    References:
+        T. Rowan, "Functional stability analysis of numerical algorithms", 1990 (subplex).
     """
     import nlopt
 
@@ -162,29 +147,19 @@ def tune_position_observer(
 ) -> PositionObserver:
     """Position observer of a design.
 
-    Parameters
-    ----------
-    machine:
-        The machine, linear.
-    settings:
-        Method and tuning; what they leave open is the method's usual value,
-        or searched for (``optimised``).
-    t_s:
-        Sampling period in s.
-    v_dc:
-        Voltage of the dc link in V (sets the usual noise of the voltage).
-    omega_max:
-        Largest electrical speed in rad/s.
-    disturbances:
-        Noise, parameter errors and acceleration; None for the usual ones.
-    box:
-        What an observer that learns is trained on; None for the usual one.
+    Args:
+        machine: The machine, linear.
+        settings: Method and tuning; what they leave open is the method's usual value, or searched
+            for (``optimised``).
+        t_s: Sampling period in s.
+        v_dc: Voltage of the dc link in V (sets the usual noise of the voltage).
+        omega_max: Largest electrical speed in rad/s.
+        disturbances: Noise, parameter errors and acceleration; None for the usual ones.
+        box: What an observer that learns is trained on; None for the usual one.
 
-    Raises
-    ------
-    InputError, NoSolutionError
-        The machine has no magnet, its speed is too high for the sampling,
-        or the tuning is too fast.
+    Raises:
+        InputError, NoSolutionError: The machine has no magnet, its speed is too high for the
+            sampling, or the tuning is too fast.
     """
     from dqforge.optimizer.observers.methods.registry import method_named
 
@@ -221,17 +196,12 @@ def tune_position_observer(
 def retuned(position: PositionObserver, tuning: ObserverTuning) -> PositionObserver:
     """The observer with other numbers, its judgement left as it was.
 
-    Parameters
-    ----------
-    position:
-        The observer.
-    tuning:
-        Its numbers.
+    Args:
+        position: The observer.
+        tuning: Its numbers.
 
-    Raises
-    ------
-    NoSolutionError
-        They are too fast.
+    Raises:
+        NoSolutionError: They are too fast.
     """
     top = _top(position.omega_max, position.t_s)
     gains = position.method.design(position.machine, tuning, position.t_s, top)

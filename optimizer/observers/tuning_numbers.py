@@ -7,26 +7,22 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 
+# Largest angle in rad per period for which the observers are made: the omitted terms of their
+# series stay small.
 LARGEST_TURN = 0.8
-
-"""Largest angle in rad per period for which the observers are made: the omitted terms
-of their series stay small."""
 
 
 @dataclass(frozen=True, slots=True)
 class ObserverTuning:
     """Tuning of a position observer.
 
-    Parameters
-    ----------
-    bandwidth:
-        In rad/s: of the EMF filter, or of the correction of the flux at standstill.
-    pll_bandwidth, damping:
-        Natural frequency in rad/s and damping ratio of the phase-locked loop.
-    speed_gain:
-        Share of the electrical speed that is added to the correction of the flux.
-    omega_floor:
-        Electrical speed in rad/s below which no observer by the back-EMF follows at full strength.
+    Args:
+        bandwidth: In rad/s: of the EMF filter, or of the correction of the flux at standstill.
+        pll_bandwidth, damping: Natural frequency in rad/s and damping ratio of the phase-locked
+            loop.
+        speed_gain: Share of the electrical speed that is added to the correction of the flux.
+        omega_floor: Electrical speed in rad/s below which no observer by the back-EMF follows at
+            full strength.
     """
 
     bandwidth: float
@@ -110,6 +106,4 @@ def require_magnet(machine: LinearMachine) -> None:
 
 
 USUAL_WIDTH = 200.0
-
-
 USUAL_SHARE_OF_SPEED = 0.3

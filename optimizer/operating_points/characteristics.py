@@ -17,17 +17,11 @@ from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
 from dqforge.optimizer.operating_points.region_edges import intervals_of, region_that_holds
 
-_FASTEST = 1e6
+_FASTEST = 1e6  # Electrical speed in rad/s beyond which a machine is said to have no largest speed.
 
-"""Electrical speed in rad/s beyond which a machine is said to have no largest speed."""
-
-
+# Multiple of the base speed up to which the largest power of a machine without largest speed is
+# looked for.
 _FAR = 10.0
-
-"""Multiple of the base speed up to which the largest power of a machine without
-largest speed is looked for."""
-
-
 _MTPV_POINTS = 80
 
 
@@ -100,14 +94,10 @@ def limit_speed(machine: Machine, i_d: FloatArray, i_q: FloatArray, v_max: float
     With the resistance drop |v|^2 = R^2 |i|^2 + 2 R omega (psi_d i_q - psi_q i_d) + omega^2 |psi|^2
     is quadratic in the speed; zero where the drop alone takes more, inf without flux.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    i_d, i_q:
-        Currents in A (peak), shape (N,).
-    v_max:
-        Phase-voltage amplitude in V (peak).
+    Args:
+        machine: Any machine.
+        i_d, i_q: Currents in A (peak), shape (N,).
+        v_max: Phase-voltage amplitude in V (peak).
     """
     psi_d, psi_q = machine.flux(i_d, i_q)
     square, half = psi_d**2 + psi_q**2, machine.r_s * (psi_d * i_q - psi_q * i_d)
@@ -158,12 +148,9 @@ def free_largest_speed(machine: Machine, v_max: float, i_max: float) -> float | 
     """Largest electrical speed in rad/s at which any current keeps the voltage limit, None where
     every speed does; wherever the data of a flux map end.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    v_max, i_max:
-        Phase amplitudes in V and A.
+    Args:
+        machine: Any machine.
+        v_max, i_max: Phase amplitudes in V and A.
     """
 
     def kept(omega_e: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
@@ -207,16 +194,11 @@ def envelope(
 
     `envelope_speeds` makes speeds that show every kink.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    v_max:
-        Largest phase-voltage amplitude in V (peak).
-    omega_m:
-        Mechanical speeds in rad/s, shape (N,).
-    i_max:
-        Current limit in A (peak); that of the machine when None.
+    Args:
+        machine: Any machine.
+        v_max: Largest phase-voltage amplitude in V (peak).
+        omega_m: Mechanical speeds in rad/s, shape (N,).
+        i_max: Current limit in A (peak); that of the machine when None.
     """
     limit = machine.i_max if i_max is None else i_max
     locus = mtpa_locus(machine, limit)
@@ -237,18 +219,12 @@ def limit_changes(
     ``omega_m`` is a grid of ascending speeds in rad/s fine enough to part the changes; each is then
     narrowed to rounding. ``sign`` is 1 for motoring and -1 for braking torque at positive speeds.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    v_max:
-        Largest phase-voltage amplitude in V (peak).
-    omega_m:
-        Mechanical speeds in rad/s, ascending, shape (N,).
-    i_max:
-        Current limit in A (peak).
-    sign:
-        1 for motoring, -1 for braking.
+    Args:
+        machine: Any machine.
+        v_max: Largest phase-voltage amplitude in V (peak).
+        omega_m: Mechanical speeds in rad/s, ascending, shape (N,).
+        i_max: Current limit in A (peak).
+        sign: 1 for motoring, -1 for braking.
     """
     beyond = sign * 2.0 * float(mtpa_locus(machine, i_max).torque[-1])
 
@@ -273,18 +249,12 @@ def envelope_speeds(
     """Evenly spaced speeds from 0 to ``fastest`` rad/s, and the kinks of both envelopes among them,
     ascending.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    v_max:
-        Largest phase-voltage amplitude in V (peak).
-    fastest:
-        Largest mechanical speed in rad/s.
-    i_max:
-        Current limit in A (peak).
-    count:
-        Number of evenly spaced speeds.
+    Args:
+        machine: Any machine.
+        v_max: Largest phase-voltage amplitude in V (peak).
+        fastest: Largest mechanical speed in rad/s.
+        i_max: Current limit in A (peak).
+        count: Number of evenly spaced speeds.
     """
     even = np.linspace(0.0, fastest, count)
     kinks = [limit_changes(machine, v_max, even, i_max, sign=sign) for sign in (1.0, -1.0)]
@@ -298,14 +268,10 @@ def loci(machine: Machine, v_max: float, i_max: float | None = None) -> Loci:
     MTPV points run from the speed at which they first come within the current limit to the largest
     speed, or to a hundred times the first where there is none.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    v_max:
-        Largest phase-voltage amplitude in V (peak).
-    i_max:
-        Current limit in A (peak); that of the machine when None.
+    Args:
+        machine: Any machine.
+        v_max: Largest phase-voltage amplitude in V (peak).
+        i_max: Current limit in A (peak); that of the machine when None.
     """
     limit = machine.i_max if i_max is None else i_max
     locus = mtpa_locus(machine, limit)
@@ -340,14 +306,10 @@ def characteristics(machine: Machine, v_max: float, i_max: float | None = None) 
     """Figures of a machine for a phase-voltage limit in V and a current limit in A (peak;
     its own when None).
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    v_max:
-        Largest phase-voltage amplitude in V (peak).
-    i_max:
-        Current limit in A (peak); that of the machine when None.
+    Args:
+        machine: Any machine.
+        v_max: Largest phase-voltage amplitude in V (peak).
+        i_max: Current limit in A (peak); that of the machine when None.
     """
     limit = machine.i_max if i_max is None else i_max
     locus = mtpa_locus(machine, limit)

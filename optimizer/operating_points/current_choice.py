@@ -25,20 +25,12 @@ from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
 from dqforge.optimizer.operating_points.region_edges import region_that_holds
 
-_NO_LIMIT = 1e9
+_NO_LIMIT = 1e9  # Phase voltage in V that no machine takes at standstill.
 
-"""Phase voltage in V that no machine takes at standstill."""
-
-
+# Multiple of the current limit up to which currents are found: a reference in single precision errs
+# upwards, too.
 _ROOM = 1.1
-
-"""Multiple of the current limit up to which currents are found: a reference in single
-precision errs upwards, too."""
-
-
 _TABLE_POINTS = 3001
-
-
 _POLISHING_STEPS = 4
 
 
@@ -80,21 +72,15 @@ class OperatingPoints:
 class CurrentChoice:
     """A strategy for a machine.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    strategy:
-        ``mtpa`` or ``id0``.
-    i_max:
-        Current limit in A (peak).
-    speed:
-        The one speed for which ``mtpa`` weakens the field; None where the voltage limits nothing.
+    Args:
+        machine: Any machine.
+        strategy: ``mtpa`` or ``id0``.
+        i_max: Current limit in A (peak).
+        speed: The one speed for which ``mtpa`` weakens the field; None where the voltage limits
+            nothing.
 
-    Raises
-    ------
-    InputError
-        ``id0`` at a speed: it leaves no freedom to weaken the field.
+    Raises:
+        InputError: ``id0`` at a speed: it leaves no freedom to weaken the field.
     """
 
     machine: Machine
@@ -191,10 +177,8 @@ class CurrentChoice:
     def largest_torque(self) -> float:
         """Largest torque in N m within the limits.
 
-        Raises
-        ------
-        NoSolutionError
-            No current keeps the voltage limit at the speed.
+        Raises:
+            NoSolutionError: No current keeps the voltage limit at the speed.
         """
         limit = np.array([self.i_max])
         if self.strategy == "id0":
@@ -219,10 +203,8 @@ class CurrentChoice:
     def require(self, torque: float, where: str) -> None:
         """Refuse a torque that the limits do not allow.
 
-        Raises
-        ------
-        NoSolutionError
-            Names ``where``, the torque asked for and the largest that can be had.
+        Raises:
+            NoSolutionError: Names ``where``, the torque asked for and the largest that can be had.
         """
         most = self.largest_torque()
         if torque > most * (1.0 + 1e-12):
@@ -252,10 +234,8 @@ class CurrentChoice:
         A negative torque is the mirror image of the positive one;
         at a speed that leaves it voltage to spare.
 
-        Raises
-        ------
-        InputError
-            A torque is not finite, or the strategy cannot drive this machine.
+        Raises:
+            InputError: A torque is not finite, or the strategy cannot drive this machine.
         """
         request = np.atleast_1d(np.asarray(torque, dtype=np.float64))
         if not np.all(np.isfinite(request)):
@@ -316,17 +296,12 @@ def _stationarity(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> FloatAr
 def domain_end(choice: CurrentChoice, settings: FitSettings) -> float:
     """End of the torque domain in N m: as given, or the largest torque that the limits allow.
 
-    Parameters
-    ----------
-    choice:
-        Machine, strategy and limits.
-    settings:
-        Its ``torque_max`` in N m is the given end, if there is one.
+    Args:
+        choice: Machine, strategy and limits.
+        settings: Its ``torque_max`` in N m is the given end, if there is one.
 
-    Raises
-    ------
-    NoSolutionError
-        The given end needs more current or voltage than the limits.
+    Raises:
+        NoSolutionError: The given end needs more current or voltage than the limits.
     """
     if settings.torque_max is None:
         return choice.largest_torque()

@@ -43,9 +43,8 @@ from dqforge.optimizer.operating_points.operating_map import (
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
 
+# What is minimised: the copper loss, or that of machine and inverter together.
 Objective = Literal["copper", "total"]
-
-"""What is minimised: the copper loss, or that of machine and inverter together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,19 +83,14 @@ def limited_drive(
     """The drive of a design, within the linear range of a modulator less a share of it
     that is kept for control.
 
-    Parameters
-    ----------
-    design:
-        Machine, current limit and inverter.
-    modulation:
-        The modulator.
-    margin:
-        Share of the voltage of 0 to 1 that is kept for control.
+    Args:
+        design: Machine, current limit and inverter.
+        modulation: The modulator.
+        margin: Share of the voltage of 0 to 1 that is kept for control.
 
-    Raises
-    ------
-    InputError
-        The design's strategy is not MTPA, or its topology has another modulator of its own.
+    Raises:
+        InputError: The design's strategy is not MTPA, or its topology has another modulator of its
+            own.
     """
     if design.strategy != "mtpa":
         raise InputError(
@@ -130,19 +124,13 @@ def points_within(
 ) -> DrivePoints:
     """Least-loss points of a drive within its limits, and what it loses at them.
 
-    Parameters
-    ----------
-    drive:
-        The machine within its limits.
-    torque, omega_m:
-        In N m and rad/s (mechanical), any sign, broadcast together to N points.
-    objective:
-        What is minimised.
+    Args:
+        drive: The machine within its limits.
+        torque, omega_m: In N m and rad/s (mechanical), any sign, broadcast together to N points.
+        objective: What is minimised.
 
-    Raises
-    ------
-    InputError
-        A number is not finite, or a limit is not positive.
+    Raises:
+        InputError: A number is not finite, or a limit is not positive.
     """
     return drive_points(
         drive.machine,
@@ -159,19 +147,13 @@ def points_within(
 def most_torque(drive: LimitedDrive, omega_m: float, sign: float = 1.0) -> OptimalPoints:
     """The point of most torque of a sign (1 or -1) at a mechanical speed in rad/s.
 
-    Parameters
-    ----------
-    drive:
-        The drive within its limits.
-    omega_m:
-        Mechanical speed in rad/s.
-    sign:
-        1 for driving, -1 for braking torque.
+    Args:
+        drive: The drive within its limits.
+        omega_m: Mechanical speed in rad/s.
+        sign: 1 for driving, -1 for braking torque.
 
-    Raises
-    ------
-    NoSolutionError
-        No current within its limit keeps the voltage limit at this speed.
+    Raises:
+        NoSolutionError: No current within its limit keeps the voltage limit at this speed.
     """
     machine, limit, i_max = drive.machine, drive.limit, drive.i_max
     beyond = sign * 2.0 * float(mtpa_locus(machine, i_max).torque[-1])
@@ -192,19 +174,13 @@ def map_within(
     """Operating points from standstill to the largest speed and from no torque to the most,
     with their limits.
 
-    Parameters
-    ----------
-    drive:
-        The machine within its limits.
-    torques, speeds:
-        Numbers of grid points, from 2 on.
-    objective:
-        What is minimised.
+    Args:
+        drive: The machine within its limits.
+        torques, speeds: Numbers of grid points, from 2 on.
+        objective: What is minimised.
 
-    Raises
-    ------
-    NoSolutionError
-        The resistance drop takes the whole voltage even at standstill.
+    Raises:
+        NoSolutionError: The resistance drop takes the whole voltage even at standstill.
     """
     machine, v_max, i_max = drive.machine, drive.limit.v_max, drive.i_max
     figures = characteristics(machine, v_max, i_max)

@@ -229,18 +229,12 @@ def scan_region(
     Torque is counted positive; ``locus`` is the machine's MTPA locus up to ``i_max`` A (peak),
     ``v_max`` the largest phase-voltage amplitude in V, shape (U,).
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    locus:
-        Its MTPA locus up to the current limit.
-    omega_e:
-        Electrical speeds in rad/s of any sign, shape (U,).
-    v_max:
-        Largest phase-voltage amplitudes in V (peak), shape (U,).
-    i_max:
-        Current limit in A (peak).
+    Args:
+        machine: Any machine.
+        locus: Its MTPA locus up to the current limit.
+        omega_e: Electrical speeds in rad/s of any sign, shape (U,).
+        v_max: Largest phase-voltage amplitudes in V (peak), shape (U,).
+        i_max: Current limit in A (peak).
     """
     limits = make_limits(machine, omega_e, v_max, i_max)
     count = omega_e.size

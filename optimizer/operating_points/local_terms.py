@@ -48,14 +48,10 @@ class LossCoefficients:
 def torque_terms(machine: Machine, jet: FluxJet, i_d: FloatArray, i_q: FloatArray) -> Terms:
     """Torque in N m, T = 3/2 p (psi_d i_q - psi_q i_d).
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    jet:
-        Flux linkages in Wb and their derivatives at the currents, shape (N,).
-    i_d, i_q:
-        Currents in A (peak), shape (N,).
+    Args:
+        machine: Any machine.
+        jet: Flux linkages in Wb and their derivatives at the currents, shape (N,).
+        i_d, i_q: Currents in A (peak), shape (N,).
     """
     k = 1.5 * machine.pole_pairs
     return Terms(
@@ -73,16 +69,11 @@ def voltage_terms(
 ) -> Terms:
     """Squared steady-state phase voltage in V^2, the resistance drop included.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    jet:
-        Flux linkages in Wb and their derivatives at the currents, shape (N,).
-    i_d, i_q:
-        Currents in A (peak), shape (N,).
-    omega_e:
-        Electrical speeds in rad/s, shape (N,).
+    Args:
+        machine: Any machine.
+        jet: Flux linkages in Wb and their derivatives at the currents, shape (N,).
+        i_d, i_q: Currents in A (peak), shape (N,).
+        omega_e: Electrical speeds in rad/s, shape (N,).
     """
     r_s = machine.r_s
     v_d, v_q = r_s * i_d - omega_e * jet.psi_q, r_s * i_q + omega_e * jet.psi_d
@@ -105,16 +96,11 @@ def loss_terms(
 
     ``soft`` in A rounds the tip of |i| at zero current, where it has no derivative.
 
-    Parameters
-    ----------
-    coefficients:
-        Of currents and flux linkages, at the speeds of the points, shape (N,).
-    jet:
-        Flux linkages in Wb and their derivatives at the currents, shape (N,).
-    i_d, i_q:
-        Currents in A (peak), shape (N,).
-    soft:
-        Rounding of the tip in A.
+    Args:
+        coefficients: Of currents and flux linkages, at the speeds of the points, shape (N,).
+        jet: Flux linkages in Wb and their derivatives at the currents, shape (N,).
+        i_d, i_q: Currents in A (peak), shape (N,).
+        soft: Rounding of the tip in A.
     """
     square, linear, iron = coefficients.square, coefficients.linear, coefficients.iron
     magnitude = np.sqrt(i_d * i_d + i_q * i_q + soft * soft)
@@ -145,10 +131,8 @@ def loss_terms(
 def current_terms(i_d: FloatArray, i_q: FloatArray) -> Terms:
     """Squared current magnitude in A^2.
 
-    Parameters
-    ----------
-    i_d, i_q:
-        Currents in A (peak), shape (N,).
+    Args:
+        i_d, i_q: Currents in A (peak), shape (N,).
     """
     two, zero = np.full_like(i_d, 2.0), np.zeros_like(i_d)
     return Terms(i_d * i_d + i_q * i_q, 2.0 * i_d, 2.0 * i_q, two, zero, two)
@@ -175,10 +159,8 @@ def cross_of_gradients(first: Terms, second: Terms) -> Terms:
 
     The second derivatives are not needed and are the gradient again in place of a third-order term.
 
-    Parameters
-    ----------
-    first, second:
-        Values with first and second derivatives by the currents in A, shape (N,).
+    Args:
+        first, second: Values with first and second derivatives by the currents in A, shape (N,).
     """
     d = first.dd * second.q + first.d * second.dq - first.dq * second.d - first.q * second.dd
     q = first.dq * second.q + first.d * second.qq - first.qq * second.d - first.q * second.dq

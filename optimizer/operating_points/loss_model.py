@@ -69,36 +69,26 @@ def loss_coefficients(
         linear  6/pi f_sw (E_on + E_off + E_rr) v_dc / (I_ref V_ref)  +  3/pi (V_CE0 + V_F0) (IGBT)
         iron    k_h |omega_e| + k_c omega_e^2
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    omega_m:
-        Mechanical speed in rad/s of each point, shape (N,) or broadcastable to
-        the points that are solved.
-    inverter:
-        None, or an inverter without device, leaves the inverter out.
-    extra:
-        AC copper and iron loss.
-    modulation:
-        The modulator; only its share of switched current matters.
-    junction_temperature:
-        In degC, at which the on resistance of the transistors is taken.
+    Args:
+        machine: Any machine.
+        omega_m: Mechanical speed in rad/s of each point, shape (N,) or broadcastable to the points
+            that are solved.
+        inverter: None, or an inverter without device, leaves the inverter out.
+        extra: AC copper and iron loss.
+        modulation: The modulator; only its share of switched current matters.
+        junction_temperature: In degC, at which the on resistance of the transistors is taken.
 
-    Returns
-    -------
-    LossCoefficients
+    Returns:
         Arrays of the shape of ``omega_m``.
 
-    Notes
-    -----
-    Exact for MOSFETs with continuous modulators, and for IGBTs whose diode has the transistor's
-    parameters. Transistor and diode of an IGBT bridge share the current evenly here; what the duty
-    cycle shifts between them is in truth 3/2 |v| |i| cos(phi) (V_CE0 - V_F0) / v_dc, and likewise
-    for the resistances. GDPWM and DDT-GDPWM switch half of the rectified current where the load
-    angle is within 30 degrees of 0 or 180, and more beyond. The other discontinuous modulators
-    count with two thirds, the mean over all load angles; in truth their share depends on the load
-    angle (`dqforge.machines.modulation.clamping.switching_loss_factor`).
+    Notes:
+        Exact for MOSFETs with continuous modulators, and for IGBTs whose diode has the transistor's
+        parameters. Transistor and diode of an IGBT bridge share the current evenly here; what the
+        duty cycle shifts between them is in truth 3/2 |v| |i| cos(phi) (V_CE0 - V_F0) / v_dc, and
+        likewise for the resistances. GDPWM and DDT-GDPWM switch half of the rectified current where
+        the load angle is within 30 degrees of 0 or 180, and more beyond. The other discontinuous
+        modulators count with two thirds, the mean over all load angles; in truth their share
+        depends on the load angle (`dqforge.machines.modulation.clamping.switching_loss_factor`).
     """
     omega_e = machine.pole_pairs * np.asarray(omega_m, dtype=np.float64)
     square = 1.5 * machine.r_s * extra.copper_factor(omega_e)
@@ -153,21 +143,15 @@ def drive_losses(
 ) -> DriveLosses:
     """Losses at operating points of any machine, the junction temperature in balance.
 
-    Parameters
-    ----------
-    machine, inverter:
-        The drive.
-    i_d, i_q, omega_m:
-        Currents in A (peak) and mechanical speed in rad/s, arrays of one shape.
-    modulation:
-        The modulator.
-    extra:
-        AC copper and iron loss of the machine.
+    Args:
+        machine, inverter: The drive.
+        i_d, i_q, omega_m: Currents in A (peak) and mechanical speed in rad/s, arrays of one shape.
+        modulation: The modulator.
+        extra: AC copper and iron loss of the machine.
 
-    Notes
-    -----
-    Beyond the modulator's linear range the conduction loss of an IGBT bridge is NaN:
-    it has no meaning there.
+    Notes:
+        Beyond the modulator's linear range the conduction loss of an IGBT bridge is NaN: it has no
+        meaning there.
     """
     omega_e = machine.pole_pairs * omega_m
     psi_d, psi_q = machine.flux(i_d, i_q)

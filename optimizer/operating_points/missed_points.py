@@ -28,29 +28,18 @@ from dqforge.optimizer.operating_points.point_problem import (
     State,
 )
 
-WORST = 1e-8
-
-"""Residual of a reached point from which on it is looked at again."""
-
-
+WORST = 1e-8  # Residual of a reached point from which on it is looked at again.
 _ANGLES, _RADII = 361, 181
-
-
 _TOGETHER = 16
-
-
 _STEPS = 20
 
 
 def missed_points(state: State, residuals: FloatArray) -> IndexArray:
     """Points that were reached but are no optimum.
 
-    Parameters
-    ----------
-    state:
-        Currents of the points and whether they were reached.
-    residuals:
-        Largest relative violation of the conditions, shape (N,).
+    Args:
+        state: Currents of the points and whether they were reached.
+        residuals: Largest relative violation of the conditions, shape (N,).
     """
     return np.flatnonzero(state.reached & ~(residuals <= WORST))
 
@@ -62,16 +51,11 @@ def replace_missed_points(
 
     ``state`` is changed in place.
 
-    Parameters
-    ----------
-    problem:
-        Machine, torques and limits of N points.
-    state:
-        Their currents and multipliers.
-    index:
-        The points to replace.
-    residuals:
-        Largest relative violation of the conditions, shape (N,).
+    Args:
+        problem: Machine, torques and limits of N points.
+        state: Their currents and multipliers.
+        index: The points to replace.
+        residuals: Largest relative violation of the conditions, shape (N,).
     """
     for first in range(0, index.size, _TOGETHER):
         part = index[first : first + _TOGETHER]

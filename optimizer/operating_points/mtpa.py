@@ -27,10 +27,9 @@ class PerUnitBase:
 def per_unit_base(machine: LinearMachine) -> PerUnitBase:
     """Bases of the normalised MTPA curve.
 
-    Raises
-    ------
-    InputError
-        The machine has no saliency or no magnet, so that the curve has no scale of its own.
+    Raises:
+        InputError: The machine has no saliency or no magnet, so that the curve has no scale of its
+            own.
     """
     if machine.saliency == 0.0 or machine.psi_pm == 0.0:
         raise InputError(
@@ -83,10 +82,8 @@ def mtpa_currents(machine: LinearMachine, torque: FloatArray) -> tuple[FloatArra
     Holds for l_q > l_d (i_d < 0), l_d > l_q (i_d > 0), surface machines (i_d = 0) and
     machines without a magnet.
 
-    Raises
-    ------
-    InputError
-        The machine has neither magnet nor saliency.
+    Raises:
+        InputError: The machine has neither magnet nor saliency.
     """
     torque = np.asarray(torque, dtype=np.float64)
     if machine.psi_pm == 0.0:
@@ -104,10 +101,8 @@ def id0_currents(machine: LinearMachine, torque: FloatArray) -> tuple[FloatArray
     """Currents with i_d = 0 for torque in N m, shape (N,): i_q = 2 T / (3 p psi_pm) (paper 000 (4),
     corrected).
 
-    Raises
-    ------
-    InputError
-        The machine has no magnet.
+    Raises:
+        InputError: The machine has no magnet.
     """
     if machine.psi_pm == 0.0:
         raise InputError(
@@ -125,12 +120,9 @@ def mtpa_at_current(machine: LinearMachine, current: FloatArray) -> tuple[FloatA
     i_d = psi/(4 dl) - sqrt((psi/(4 dl))^2 + I^2/2) with dl = l_q - l_d,
     written without cancellation.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    current:
-        Magnitudes in A (peak), shape (N,).
+    Args:
+        machine: Any machine.
+        current: Magnitudes in A (peak), shape (N,).
     """
     current = np.asarray(current, dtype=np.float64)
     if machine.saliency == 0.0:

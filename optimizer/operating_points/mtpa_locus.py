@@ -22,18 +22,12 @@ from dqforge.optimizer.operating_points.mtpa import mtpa_at_current
 from dqforge.optimizer.operating_points.region_edges import intervals_of, region_that_holds
 
 _LEVELS = 160
-
-
 _ANGLES = 121
-
-
 _POLISHING_STEPS = 6
 
-
+# Share of an edge by which a crossing may lie beyond its corner: rounding must not let it slip
+# through.
 _CORNER = 1e-9
-
-"""Share of an edge by which a crossing may lie beyond its corner: rounding
-must not let it slip through."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +78,8 @@ def free_locus(machine: Machine, i_max: float) -> MtpaLocus:
     Closed form for constant inductances; otherwise a scan of all angles per level, then Newton's
     method on |i|^2 = I^2 and parallel gradients of torque and |i|^2.
 
-    Raises
-    ------
-    InputError
-        The machine makes no torque with positive q current.
+    Raises:
+        InputError: The machine makes no torque with positive q current.
     """
     current = i_max * np.linspace(1.0 / _LEVELS, 1.0, _LEVELS) ** 1.5
     if isinstance(machine, LinearMachine):
@@ -115,17 +107,12 @@ def mtpa_locus(machine: Machine, i_max: float) -> MtpaLocus:
     """Table of the MTPA locus up to ``i_max`` A (peak), or up to the most torque that
     the data of a flux map hold.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    i_max:
-        Current limit in A (peak).
+    Args:
+        machine: Any machine.
+        i_max: Current limit in A (peak).
 
-    Raises
-    ------
-    InputError
-        As `free_locus`.
+    Raises:
+        InputError: As `free_locus`.
     """
     free, region = free_locus(machine, i_max), region_that_holds(machine, i_max)
     if region is None or bool(np.all(region.contains(free.i_d, free.i_q))):

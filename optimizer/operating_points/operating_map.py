@@ -98,14 +98,10 @@ def voltage_limit(
     """Largest phase amplitude of the linear range of topology and modulator, or of overmodulation,
     less a margin (0 to 1) that is kept for control.
 
-    Parameters
-    ----------
-    inverter:
-        Topology, DC-link voltage, dead time and overmodulation.
-    modulation:
-        The modulator.
-    margin:
-        Share of 0 to 1 that is kept for control.
+    Args:
+        inverter: Topology, DC-link voltage, dead time and overmodulation.
+        modulation: The modulator.
+        margin: Share of 0 to 1 that is kept for control.
     """
     most = amplitude_limit(inverter, modulation, margin)
     method = overmodulation_of(inverter, modulation)
@@ -139,19 +135,14 @@ def drive_points(
 ) -> DrivePoints:
     """Least-loss points with the losses of the drive at them.
 
-    Parameters
-    ----------
-    machine, inverter, limit:
-        The drive, and the voltage limit of its modulator.
-    torque, omega_m:
-        Torques in N m and mechanical speeds in rad/s of any sign; shapes that broadcast to (N,).
-    i_max:
-        Current limit in A (peak).
-    loss:
-        What is minimised, from `loss_coefficients` at the speeds; copper loss when None.
-    extra:
-        AC copper and iron loss, counted in the losses; ``loss`` says whether they are minimised,
-        too.
+    Args:
+        machine, inverter, limit: The drive, and the voltage limit of its modulator.
+        torque, omega_m: Torques in N m and mechanical speeds in rad/s of any sign; shapes that
+            broadcast to (N,).
+        i_max: Current limit in A (peak).
+        loss: What is minimised, from `loss_coefficients` at the speeds; copper loss when None.
+        extra: AC copper and iron loss, counted in the losses; ``loss`` says whether they are
+            minimised, too.
     """
     points = optimal_points(machine, torque, omega_m, v_max=limit.v_max, i_max=i_max, loss=loss)
     losses = drive_losses(
@@ -186,20 +177,15 @@ def operating_map(
 ) -> OperatingMap:
     """Least-loss points over a grid, with the losses of the drive at them.
 
-    Parameters
-    ----------
-    machine, inverter, limit:
-        The drive, and the voltage limit of its modulator.
-    torque, omega_m:
-        Torques in N m, shape (N,), and mechanical speeds in rad/s, shape (M,), of any sign.
-    i_max:
-        Current limit in A (peak).
-    loss:
-        What is minimised, from `loss_coefficients` at the speeds, shape (M,);
-        copper loss when None.
-    extra:
-        AC copper and iron loss, counted in the losses; ``loss`` says whether they are minimised,
-        too.
+    Args:
+        machine, inverter, limit: The drive, and the voltage limit of its modulator.
+        torque, omega_m: Torques in N m, shape (N,), and mechanical speeds in rad/s, shape (M,), of
+            any sign.
+        i_max: Current limit in A (peak).
+        loss: What is minimised, from `loss_coefficients` at the speeds, shape (M,); copper loss
+            when None.
+        extra: AC copper and iron loss, counted in the losses; ``loss`` says whether they are
+            minimised, too.
     """
     wanted, speed = np.meshgrid(torque, omega_m, indexing="ij")
     found = drive_points(machine, inverter, limit, wanted, speed, i_max, loss=loss, extra=extra)
@@ -212,21 +198,14 @@ def fastest_speed(
 ) -> float:
     """Speed in rad/s at which a map ends: that of the mechanics, or three times the base speed.
 
-    Parameters
-    ----------
-    machine:
-        Any machine; it may state a largest speed.
-    figures:
-        Its characteristics, with the base speed.
-    limit:
-        The voltage limit.
-    i_max:
-        Current limit in A (peak).
+    Args:
+        machine: Any machine; it may state a largest speed.
+        figures: Its characteristics, with the base speed.
+        limit: The voltage limit.
+        i_max: Current limit in A (peak).
 
-    Raises
-    ------
-    NoSolutionError
-        The resistance drop takes the whole voltage even at standstill.
+    Raises:
+        NoSolutionError: The resistance drop takes the whole voltage even at standstill.
     """
     if machine.omega_m_max is not None:
         return machine.omega_m_max

@@ -23,10 +23,8 @@ from dqforge.optimizer.operating_points.point_problem import (
     State,
 )
 
+# Share of a limit within which a point on the edge of the data counts as held by that limit, too.
 _ON_A_LIMIT = 1e-6
-
-"""Share of a limit within which a point on the edge of the data counts as held by that limit,
-too."""
 
 
 def _norm(terms: Terms) -> FloatArray:
@@ -49,12 +47,9 @@ def residual(
     """Largest relative violation of the conditions, torque in N m, voltage in V and loss in W,
     shape (N,).
 
-    Parameters
-    ----------
-    problem:
-        Machine, torques and limits of the points.
-    state:
-        Currents and multipliers of the points.
+    Args:
+        problem: Machine, torques and limits of the points.
+        state: Currents and multipliers of the points.
     """
     machine, d, q = problem.machine, state.i_d, state.i_q
     jet = machine.jet(d, q)

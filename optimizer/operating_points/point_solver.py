@@ -31,20 +31,12 @@ from dqforge.optimizer.operating_points.point_problem import (
 )
 
 _NEWTON_STEPS = 16
-
-
 _CROSSING_STEPS = 40
 
-
+# Newton step over current after which the next iterate is exact to rounding (the convergence is
+# quadratic).
 _SMALL_STEP = 1e-6
-
-"""Newton step over current after which the next iterate is exact to rounding (the
-convergence is quadratic)."""
-
-
-_ROUNDING = 1e-9
-
-"""Relative slack within which a limit counts as kept."""
+_ROUNDING = 1e-9  # Relative slack within which a limit counts as kept.
 
 
 def _valley(problem: Problem) -> tuple[FloatArray, FloatArray]:
@@ -168,10 +160,8 @@ def solve_chunk(problem: Problem) -> State:
     """Unlimited optimum first; where it breaks a limit, the region's most torque or
     the crossing with the limit.
 
-    Parameters
-    ----------
-    problem:
-        Machine, torques and limits of the points.
+    Args:
+        problem: Machine, torques and limits of the points.
     """
     i_d, i_q = _valley(problem)
     limits = Limits(

@@ -29,13 +29,10 @@ from dqforge.optimizer.operating_points.point_problem import Active, BoolArray, 
 from dqforge.optimizer.operating_points.point_solver import solve_chunk
 from dqforge.optimizer.operating_points.region_edges import region_that_holds
 
+# Points solved together: bounds the memory whatever the number of points, and keeps the arrays in
+# the cache.
 __all__ = ["Active", "OptimalPoints", "copper_only", "optimal_points"]
-
-
 CHUNK = 32_768
-
-"""Points solved together: bounds the memory whatever the number of points,
-and keeps the arrays in the cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,30 +85,22 @@ def optimal_points(
 ) -> OptimalPoints:
     """Currents of least loss for arrays of torque and speed.
 
-    Parameters
-    ----------
-    machine:
-        Any machine: linear or flux map.
-    torque, omega_m:
-        Requested torque in N m and mechanical speed in rad/s, any sign,
-        broadcast together to N points.
-    v_max:
-        Largest phase-voltage amplitude in V, positive, broadcast to the points.
-    i_max:
-        Current limit in A (peak); the machine's own when None.
-    loss:
-        What is minimised, as coefficients at each point; copper loss when None.
+    Args:
+        machine: Any machine: linear or flux map.
+        torque, omega_m: Requested torque in N m and mechanical speed in rad/s, any sign, broadcast
+            together to N points.
+        v_max: Largest phase-voltage amplitude in V, positive, broadcast to the points.
+        i_max: Current limit in A (peak); the machine's own when None.
+        loss: What is minimised, as coefficients at each point; copper loss when None.
 
-    Raises
-    ------
-    InputError
-        A number is not finite or a limit not positive.
+    Raises:
+        InputError: A number is not finite or a limit not positive.
 
-    Notes
-    -----
-    A negative torque is the mirror image (i_q, omega reversed) of a positive one. Where the torque
-    cannot be had, the largest that can is returned with ``reached`` false, and ``active`` names
-    what stands in the way. No point leaves the data of a flux map unless that permits it.
+    Notes:
+        A negative torque is the mirror image (i_q, omega reversed) of a positive one. Where the
+        torque cannot be had, the largest that can is returned with ``reached`` false, and
+        ``active`` names what stands in the way. No point leaves the data of a flux map unless that
+        permits it.
     """
     shape = np.broadcast_shapes(np.shape(torque), np.shape(omega_m), np.shape(v_max))
     limit = machine.i_max if i_max is None else i_max

@@ -19,39 +19,26 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.local_terms import torque_terms
 
 IndexArray = NDArray[np.intp]
-
-
 _INTERVALS = 240
-
-
 _FEWEST = 6
-
-
 _ROOT_STEPS = 60
 
-
+# Last step in shares of an interval: the convergence is quadratic, so that the root is exact to
+# rounding.
 _CLOSE = 1e-11
 
-"""Last step in shares of an interval: the convergence is quadratic, so that the
-root is exact to rounding."""
-
-
+# A function along intervals: places among the roots that are looked for and shares; its value and
+# slope there.
 Follow = Callable[[IndexArray, FloatArray], tuple[FloatArray, FloatArray]]
-
-"""A function along intervals: places among the roots that are looked for and shares;
-its value and slope there."""
 
 
 def region_that_holds(machine: Machine, i_max: float) -> CurrentRegion | None:
     """Where the data of a machine are, None where they cover its current
     limit in A or may be left.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    i_max:
-        Current limit in A (peak).
+    Args:
+        machine: Any machine.
+        i_max: Current limit in A (peak).
     """
     region = machine.region
     return None if region is None or region.covers(min(i_max, machine.i_max)) else region
@@ -98,14 +85,10 @@ class Intervals:
 def intervals_of(machine: Machine, region: CurrentRegion, i_max: float) -> Intervals:
     """Intervals of a region's edges within a current limit in A, split where the torque turns.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    region:
-        Where the data of its flux map are.
-    i_max:
-        Current limit in A (peak).
+    Args:
+        machine: Any machine.
+        region: Where the data of its flux map are.
+        i_max: Current limit in A (peak).
     """
     parts = []
     ends_d, ends_q = np.roll(region.corner_d, -1), np.roll(region.corner_q, -1)
@@ -184,14 +167,10 @@ def bracketed_roots(
 
     ``rising`` says that a function is negative at its lower share.
 
-    Parameters
-    ----------
-    follow:
-        Function values and slopes at shares, shape (N,).
-    low, high:
-        Shares on both sides of each root, shape (N,).
-    rising:
-        Whether the function is negative at ``low``, shape (N,).
+    Args:
+        follow: Function values and slopes at shares, shape (N,).
+        low, high: Shares on both sides of each root, shape (N,).
+        rising: Whether the function is negative at ``low``, shape (N,).
     """
     low, high = low.copy(), high.copy()
     share = 0.5 * (low + high)

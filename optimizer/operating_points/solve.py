@@ -66,12 +66,9 @@ def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
     """Operating points on an even grid of torques up to ``torque_max`` N m,
     or to the end of the fit's domain.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    torque_max:
-        Largest torque in N m, None for the end of the fit's domain.
+    Args:
+        design: The design.
+        torque_max: Largest torque in N m, None for the end of the fit's domain.
     """
     choice, machine = current_choice(design), design.machine
     end = torque_max if torque_max is not None else domain_end(choice, design.fit)

@@ -25,25 +25,19 @@ from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points.operating_map import fastest_speed
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
 
-_STEPS = 8
-
-"""Indices and speeds that are told."""
+_STEPS = 8  # Indices and speeds that are told.
 
 
 @dataclass(frozen=True, slots=True)
 class LargestTorque:
     """The largest torque over speed beyond the linear range, arrays of shape (N,).
 
-    Parameters
-    ----------
-    points:
-        Points of most torque, speeds ascending.
-    linear_torque:
-        Largest torque in N m at the same speeds without overmodulation; NaN where there is none.
-    harmonics:
-        What overmodulation adds at the points.
-    figures, linear_figures:
-        Characteristics with and without overmodulation.
+    Args:
+        points: Points of most torque, speeds ascending.
+        linear_torque: Largest torque in N m at the same speeds without overmodulation; NaN where
+            there is none.
+        harmonics: What overmodulation adds at the points.
+        figures, linear_figures: Characteristics with and without overmodulation.
     """
 
     points: OptimalPoints
@@ -57,21 +51,14 @@ class LargestTorque:
 class Overmodulation:
     """What overmodulation gives and costs.
 
-    Parameters
-    ----------
-    method:
-        How vectors beyond the circle in the hexagon are made.
-    limit:
-        Largest fundamental over that of six-step operation, before the margin.
-    v_max, linear_v_max:
-        Largest phase amplitude in V with and without it, less the margin.
-    index:
-        Fundamentals over that of six-step operation from the linear range to the limit, shape
-        (K,).
-    voltage:
-        Amplitudes of the orders 5, 7, 11, 13, 17, 19 over the fundamental, shape (K, 6).
-    largest:
-        The largest torque over speed; None where the currents are not chosen by MTPA.
+    Args:
+        method: How vectors beyond the circle in the hexagon are made.
+        limit: Largest fundamental over that of six-step operation, before the margin.
+        v_max, linear_v_max: Largest phase amplitude in V with and without it, less the margin.
+        index: Fundamentals over that of six-step operation from the linear range to the limit,
+            shape (K,).
+        voltage: Amplitudes of the orders 5, 7, 11, 13, 17, 19 over the fundamental, shape (K, 6).
+        largest: The largest torque over speed; None where the currents are not chosen by MTPA.
     """
 
     method: OvermodulationName

@@ -25,21 +25,15 @@ def zero_loop(
     the q axis, scaled with the inductance, so that both loops are equally fast. ``one``: the gains
     of the q axis.
 
-    Parameters
-    ----------
-    control:
-        Sampling and settings.
-    q_axis:
-        The loop of the q axis.
-    r_s:
-        Phase resistance in Ohm.
-    l_q, l_0:
-        Inductances of the q axis and of the zero sequence in H, a choke of the neutral included.
+    Args:
+        control: Sampling and settings.
+        q_axis: The loop of the q axis.
+        r_s: Phase resistance in Ohm.
+        l_q, l_0: Inductances of the q axis and of the zero sequence in H, a choke of the neutral
+            included.
 
-    Raises
-    ------
-    NoSolutionError
-        The loop does not hold.
+    Raises:
+        NoSolutionError: The loop does not hold.
     """
     settings = control.current_loop
     if settings.axis_gains == "one":

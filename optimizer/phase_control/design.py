@@ -61,18 +61,14 @@ _ANGLES = 2880
 class PhaseLoops:
     """Current control of a phase machine with the evidence for it.
 
-    Parameters
-    ----------
-    control:
-        What the firmware runs.
-    shape:
-        Its table of the back-EMF and what that errs by.
-    zero:
-        The loop of the zero-sequence current, None where nothing drives one.
-    limited:
-        The currents beyond the torque limit, None where none are asked for or the link ends none.
-    judged:
-        How fast all of it forgets a disturbance over speeds and tolerances; None until judged.
+    Args:
+        control: What the firmware runs.
+        shape: Its table of the back-EMF and what that errs by.
+        zero: The loop of the zero-sequence current, None where nothing drives one.
+        limited: The currents beyond the torque limit, None where none are asked for or the link
+            ends none.
+        judged: How fast all of it forgets a disturbance over speeds and tolerances; None until
+            judged.
     """
 
     control: PhaseControl
@@ -87,22 +83,16 @@ def phase_control(
 ) -> PhaseLoops:
     """Current control of a design's phase machine.
 
-    Parameters
-    ----------
-    design:
-        The design, with a phase machine.
-    i_d, i_q:
-        Its current loops.
-    within_link:
-        Whether it knows where the link ends the torque, which takes a second to find; without it
-        stands for points that are known to lie within.
+    Args:
+        design: The design, with a phase machine.
+        i_d, i_q: Its current loops.
+        within_link: Whether it knows where the link ends the torque, which takes a second to find;
+            without it stands for points that are known to lie within.
 
-    Raises
-    ------
-    InputError
-        The frame is one that machine and topology cannot have.
-    NoSolutionError
-        The loop of the zero sequence does not hold, or no table follows the back-EMF.
+    Raises:
+        InputError: The frame is one that machine and topology cannot have.
+        NoSolutionError: The loop of the zero sequence does not hold, or no table follows the
+            back-EMF.
     """
     machine, inverter, control = design.phase_machine, design.inverter, design.control
     if machine is None:
@@ -230,19 +220,14 @@ def _limited(design: Design, machine: PhaseMachine, control: PhaseControl) -> Li
 def judged(design: Design, box: DriveBox, loops: PhaseLoops) -> PhaseLoops:
     """The control with the judgement of its currents over speeds and tolerances.
 
-    Parameters
-    ----------
-    design:
-        The design, with a phase machine.
-    box:
-        Its tolerances.
-    loops:
-        Its control.
+    Args:
+        design: The design, with a phase machine.
+        box: Its tolerances.
+        loops: Its control.
 
-    Raises
-    ------
-    NoSolutionError
-        The currents are unstable at a speed and a point of the box, which are named.
+    Raises:
+        NoSolutionError: The currents are unstable at a speed and a point of the box, which are
+            named.
     """
     found = judge_loops(
         loops.control,

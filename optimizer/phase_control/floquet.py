@@ -24,23 +24,16 @@ from dqforge.optimizer.phase_control.periodic_step import (
 )
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 
-FEW_SAMPLES = 40
-"""Samples of a period below which it matters where within a step they fall."""
+FEW_SAMPLES = 40  # Samples of a period below which it matters where within a step they fall.
+STARTS = 3  # Angles of the first sample within a step at which a period of few samples is begun.
 
-STARTS = 3
-"""Angles of the first sample within a step at which a period of few samples is begun."""
-
+# Share of the distance of two starts by which the first lies off angle 0, a node, where the slope
+# of the back-EMF jumps.
 OFF_NODES = 0.382
-"""Share of the distance of two starts by which the first lies off angle 0, a node, where the slope
-of the back-EMF jumps.
-"""
+MOST_PERIODS = 4  # Periods of few samples that may pass until samples fall on the same angles.
 
-MOST_PERIODS = 4
-"""Periods of few samples that may pass until samples fall on the same angles."""
-
+# Samples of a period beyond which the loop is judged at rest, at so many angles.
 MOST_SAMPLES = 400
-"""Samples of a period beyond which the loop is judged at rest, at so many angles."""
-
 _RESCALED = 32  # samples after which a product is scaled, far before it could under- or overflow
 
 
@@ -62,12 +55,9 @@ def whole_samples(control: PhaseControl, omega_e: float) -> WholePeriods:
     """The speed nearest to a given one at which one period is a whole number of samples, or, where
     those are few, some periods are.
 
-    Parameters
-    ----------
-    control:
-        The current control.
-    omega_e:
-        Electrical speed in rad/s, not zero.
+    Args:
+        control: The current control.
+        omega_e: Electrical speed in rad/s, not zero.
     """
     turn = 2.0 * np.pi * control.shape.turns
     samples = turn / (abs(omega_e) * control.t_s)
@@ -80,16 +70,12 @@ def whole_samples(control: PhaseControl, omega_e: float) -> WholePeriods:
 def radius(control: PhaseControl, plants: PhasePlants, omega_e: float) -> FloatArray:
     """Largest modulus of a multiplier per sample, shape (M,), of M plants; stable below 1.
 
-    Parameters
-    ----------
-    control:
-        The current control.
-    plants:
-        The windings.
-    omega_e:
-        Electrical speed in rad/s. Where the frame does not turn with the rotor, the nearest that
-        makes periods whole; with more than `MOST_SAMPLES` samples per period, and at standstill,
-        the largest radius of the steps at fixed angles.
+    Args:
+        control: The current control.
+        plants: The windings.
+        omega_e: Electrical speed in rad/s. Where the frame does not turn with the rotor, the
+            nearest that makes periods whole; with more than `MOST_SAMPLES` samples per period, and
+            at standstill, the largest radius of the steps at fixed angles.
     """
     if turns_at_rest(control):
         return _over_period(control, plants, omega_e, np.zeros((1, 1)))

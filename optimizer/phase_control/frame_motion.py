@@ -23,17 +23,13 @@ TO_AXES = clarke_matrix(power_invariant=True)
 class FrameMotion:
     """A frame at K angles.
 
-    Parameters
-    ----------
-    axes:
-        Unit vectors of the frame's axes in rows, in d, q and 0 of the rotor; shape (K, 3, 3).
-    factor:
-        What quantities on each axis are divided by, shape (K, 3), known up to a constant; the zero
-        sequence of dqx is left as it is.
-    growth:
-        Its relative derivative by the angle in 1/rad, shape (K, 3).
-    turning:
-        Omega, by which the axes turn in the stator per radian, in d, q and 0; shape (K, 3).
+    Args:
+        axes: Unit vectors of the frame's axes in rows, in d, q and 0 of the rotor; shape (K, 3, 3).
+        factor: What quantities on each axis are divided by, shape (K, 3), known up to a constant;
+            the zero sequence of dqx is left as it is.
+        growth: Its relative derivative by the angle in 1/rad, shape (K, 3).
+        turning: Omega, by which the axes turn in the stator per radian, in d, q and 0; shape (K,
+            3).
     """
 
     axes: FloatArray
@@ -45,16 +41,12 @@ class FrameMotion:
 def shape_at(shape: PhaseShape, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Back-EMF over speed between its nodes and its slope there, of the phases.
 
-    Parameters
-    ----------
-    shape:
-        The nodes, joined by straight lines.
-    theta:
-        Electrical angles in rad, shape (K,), any; at a node the line behind it counts.
+    Args:
+        shape: The nodes, joined by straight lines.
+        theta: Electrical angles in rad, shape (K,), any; at a node the line behind it counts.
 
-    Returns
-    -------
-    Values in Wb and slopes in Wb/rad, each of shape (3, K)
+    Returns:
+        Values in Wb and slopes in Wb/rad, each of shape (3, K)
     """
     rows, count = shape.flux.shape
     step = 2.0 * np.pi * shape.turns / count
@@ -70,14 +62,10 @@ def shape_at(shape: PhaseShape, theta: FloatArray) -> tuple[FloatArray, FloatArr
 def frame_motion(frame: CurrentFrame, shape: PhaseShape, theta: FloatArray) -> FrameMotion:
     """The frame of a controller at angles; ``dq`` and ``table`` turn with the rotor.
 
-    Parameters
-    ----------
-    frame:
-        Where the integrators live.
-    shape:
-        Back-EMF over the angle.
-    theta:
-        Electrical angles in rad, shape (K,).
+    Args:
+        frame: Where the integrators live.
+        shape: Back-EMF over the angle.
+        theta: Electrical angles in rad, shape (K,).
     """
     count = theta.size
     upright = np.zeros((count, 3))

@@ -8,39 +8,17 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.phase_control.phase_controller import HarmonicGains
 
-RATE = 60.0
+RATE = 60.0  # Rate of learning in 1/s: a time constant of 17 ms.
+CALM = 30.0  # Least ratio of the current loop's bandwidth to the rate.
 
-"""Rate of learning in 1/s: a time constant of 17 ms."""
-
-
-CALM = 30.0
-
-"""Least ratio of the current loop's bandwidth to the rate."""
-
-
+# Error over the current limit above which the integrators rest: a torque step, no disturbance.
 ERROR_SHARE = 1.0 / 6.0
+HIGHEST = 13  # Highest order that is looked at.
+WORTH = 0.05  # Share of the largest disturbance from which on an order is worth an integrator.
 
-"""Error over the current limit above which the integrators rest: a torque step, no disturbance."""
-
-
-HIGHEST = 13
-
-"""Highest order that is looked at."""
-
-
-WORTH = 0.05
-
-"""Share of the largest disturbance from which on an order is worth an integrator."""
-
-
+# Most orders in the plane and of the zero sequence; each costs a sine and two states.
 MOST = (8, 4)
-
-"""Most orders in the plane and of the zero sequence; each costs a sine and two states."""
-
-
-SLOW = 0.1
-
-"""Share of the top speed at which an order must still lie below the frequency limit."""
+SLOW = 0.1  # Share of the top speed at which an order must still lie below the frequency limit.
 
 
 def harmonic_orders(
@@ -53,14 +31,10 @@ def harmonic_orders(
     -5, 7, -11, 13 and 3, 9. The order 1 is what the plain integrators hold, and in the plane 0 is
     an offset of the sensors, which no integrator sees.
 
-    Parameters
-    ----------
-    phase_currents:
-        Currents of the phases per torque over the period, shape (3, N).
-    flux:
-        Back-EMF of the phases over electrical speed in Wb, shape (3, N), on the same angles.
-    turns:
-        Electrical periods that the columns span.
+    Args:
+        phase_currents: Currents of the phases per torque over the period, shape (3, N).
+        flux: Back-EMF of the phases over electrical speed in Wb, shape (3, N), on the same angles.
+        turns: Electrical periods that the columns span.
     """
     plane: dict[int, float] = {}
     zero: dict[int, float] = {}
@@ -97,20 +71,13 @@ def harmonic_gains(
 ) -> HarmonicGains | None:
     """Integrators for orders of the plane and of the zero sequence, None where none are left.
 
-    Parameters
-    ----------
-    orders:
-        As `harmonic_orders` finds them.
-    t_s:
-        Sampling period in s.
-    bandwidth:
-        Of the current loops in rad/s, kp over the inductance: the least of all axes.
-    i_max:
-        Current limit in A, peak.
-    omega_e_max:
-        Top speed in rad/s, electrical.
-    neutral:
-        Whether the legs drive a zero sequence.
+    Args:
+        orders: As `harmonic_orders` finds them.
+        t_s: Sampling period in s.
+        bandwidth: Of the current loops in rad/s, kp over the inductance: the least of all axes.
+        i_max: Current limit in A, peak.
+        omega_e_max: Top speed in rad/s, electrical.
+        neutral: Whether the legs drive a zero sequence.
     """
     frequency_max = 1.0 / (6.0 * t_s)
     highest = 2.0 * np.pi * frequency_max / (SLOW * omega_e_max)

@@ -32,35 +32,27 @@ from dqforge.optimizer.phase_control.floquet import (
 from dqforge.optimizer.phase_control.periodic_step import PhasePlants, loop_state
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 
-SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Of the largest speed, at which the loop is judged."""
+SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # Of the largest speed, at which the loop is judged.
 
+# Radius above 1 that is taken for rounding: of an integrator that has all but faded.
 ROUNDING = 1e-9
-"""Radius above 1 that is taken for rounding: of an integrator that has all but faded."""
 
 
 @dataclass(frozen=True, slots=True)
 class JudgedSpeed:
     """What the loop keeps of a disturbance at one speed.
 
-    Parameters
-    ----------
-    omega_m:
-        Mechanical speed in rad/s.
-    samples:
-        Samples per electrical period; infinite at standstill.
-    nominal:
-        Largest modulus of a multiplier of the currents per sample, with the data themselves.
-    decay_time:
-        Time in s in which the slowest of them falls to 1/e.
-    worst:
-        The largest over the box and where, None without tolerances.
-    orders:
-        Orders of the harmonic integrators that run, of the plane and of the zero sequence; at
-        standstill, where all of them do the work of the plain integrators, none are counted.
-    learning_time:
-        Time in s in which the slowest of those that run at more than half of their weight learns
-        to 1/e; None where none does.
+    Args:
+        omega_m: Mechanical speed in rad/s.
+        samples: Samples per electrical period; infinite at standstill.
+        nominal: Largest modulus of a multiplier of the currents per sample, with the data
+            themselves.
+        decay_time: Time in s in which the slowest of them falls to 1/e.
+        worst: The largest over the box and where, None without tolerances.
+        orders: Orders of the harmonic integrators that run, of the plane and of the zero sequence;
+            at standstill, where all of them do the work of the plain integrators, none are counted.
+        learning_time: Time in s in which the slowest of those that run at more than half of their
+            weight learns to 1/e; None where none does.
     """
 
     omega_m: float
@@ -130,23 +122,15 @@ def judge_loops(
 ) -> JudgedLoops:
     """Radii of the current control over speeds and tolerances.
 
-    Parameters
-    ----------
-    control:
-        The current control.
-    box:
-        The drive with its tolerances.
-    omega_m_max:
-        Largest mechanical speed in rad/s.
-    capacitance:
-        Of both halves of a split link together in F.
-    named:
-        Whether the design names tolerances.
+    Args:
+        control: The current control.
+        box: The drive with its tolerances.
+        omega_m_max: Largest mechanical speed in rad/s.
+        capacitance: Of both halves of a split link together in F.
+        named: Whether the design names tolerances.
 
-    Raises
-    ------
-    NoSolutionError
-        The loop does not forget at some speed and point; names both.
+    Raises:
+        NoSolutionError: The loop does not forget at some speed and point; names both.
     """
     drives = _drives(control, box, capacitance, named=named)
     speeds = tuple(_judged(control, drives, share * omega_m_max, named=named) for share in SHARES)

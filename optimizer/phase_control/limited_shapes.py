@@ -35,35 +35,18 @@ from dqforge.optimizer.phase_control.torque_limit import (
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
 from dqforge.optimizer.waveforms.solver import solve_waveforms
 
+# Share of the region that the nodes leave free beyond the margin, for what lies between them and
+# for links below the nominal one.
 RESERVE = 0.03
 
-"""Share of the region that the nodes leave free beyond the margin, for what lies between them and
-for links below the nominal one."""
-
-
+# Speeds from the knee to no load, and beyond, that are tried until what lies between them keeps the
+# region.
 SPEEDS = ((4, 6), (6, 9), (9, 14))
-
-"""Speeds from the knee to no load, and beyond, that are tried until what lies between them keeps
-the region."""
-
-
-SHARES = 4
-
-"""Torques at each speed."""
-
-
+SHARES = 4  # Torques at each speed.
 _LADDERS, _RUNGS = 2, 33
-
-
 _LEAST = 0.02
-
-
 _LOW = 0.8
-
-
 _END = 1.02
-
-
 _CHECKED = 480
 
 
@@ -92,14 +75,10 @@ def limited_torques(
 ) -> tuple[FloatArray, FloatArray]:
     """Largest torques in N m of the plain currents and of these, shapes broadcast together.
 
-    Parameters
-    ----------
-    limited:
-        The table.
-    omega_e:
-        Electrical speeds in rad/s, either sense.
-    v_dc:
-        Link voltages in V.
+    Args:
+        limited: The table.
+        omega_e: Electrical speeds in rad/s, either sense.
+        v_dc: Link voltages in V.
     """
     load = np.abs(omega_e) * limited.v_nominal / np.maximum(v_dc, 1e-9 * limited.v_nominal)
     plain, most = (
@@ -118,20 +97,13 @@ def limited_deviation(
 ) -> FloatArray:
     """D on alpha, beta and 0 in A at torques in N m, shape (3, ...); all broadcast together.
 
-    Parameters
-    ----------
-    limited:
-        The table.
-    turns:
-        Electrical periods that its angles span.
-    torque:
-        Motoring torques in N m, of the sign of the speed.
-    omega_e:
-        Electrical speeds in rad/s.
-    v_dc:
-        Link voltages in V.
-    angle:
-        Electrical angles in rad.
+    Args:
+        limited: The table.
+        turns: Electrical periods that its angles span.
+        torque: Motoring torques in N m, of the sign of the speed.
+        omega_e: Electrical speeds in rad/s.
+        v_dc: Link voltages in V.
+        angle: Electrical angles in rad.
     """
     torque, omega_e, v_dc, angle = np.broadcast_arrays(torque, omega_e, v_dc, angle)
     back = (omega_e < 0.0) & limited.mirrored
@@ -167,26 +139,18 @@ def fit_limited(
 ) -> LimitedFit | None:
     """Currents beyond the plain ones, None where the link does not end those.
 
-    Parameters
-    ----------
-    control:
-        The control without them, frame ``table``.
-    machine:
-        The machine.
-    v_dc:
-        Nominal link voltage in V.
-    i_max:
-        Current limit in A, peak.
-    omega_e_max:
-        Top speed in rad/s, electrical: the table goes on to one and a half times that, so that it
-        serves down to two thirds of the link voltage; None for a third beyond no load.
-    margin:
-        Share of the region that is left free, of 0 to 1.
+    Args:
+        control: The control without them, frame ``table``.
+        machine: The machine.
+        v_dc: Nominal link voltage in V.
+        i_max: Current limit in A, peak.
+        omega_e_max: Top speed in rad/s, electrical: the table goes on to one and a half times that,
+            so that it serves down to two thirds of the link voltage; None for a third beyond no
+            load.
+        margin: Share of the region that is left free, of 0 to 1.
 
-    Raises
-    ------
-    NoSolutionError
-        No grid that is tried keeps the region between its nodes.
+    Raises:
+        NoSolutionError: No grid that is tried keeps the region between its nodes.
     """
     free = no_load_speed(control, v_dc, margin)
     last = 4.0 / 3.0 * free if omega_e_max is None else 1.5 * omega_e_max

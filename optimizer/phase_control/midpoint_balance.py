@@ -8,14 +8,9 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.phase_control.phase_controller import MidpointGains
 
+# Of the balance in rad/s: far below the current loops and the electrical speeds in use.
 BANDWIDTH = 20.0
-
-"""Of the balance in rad/s: far below the current loops and the electrical speeds in use."""
-
-
-SWING = 0.05
-
-"""Permitted swing of the midpoint, peak to peak over the link voltage."""
+SWING = 0.05  # Permitted swing of the midpoint, peak to peak over the link voltage.
 
 
 def midpoint_gains(
@@ -27,23 +22,15 @@ def midpoint_gains(
     charge of the neutral current moves the midpoint by its span over omega_e C; with order 3 alone
     that is 2 I_n3/(3 omega_e C).
 
-    Parameters
-    ----------
-    unit_zero:
-        Zero-sequence current per torque over the period in A/(N m), shape (N,).
-    turns:
-        Electrical periods that it spans.
-    torque_max:
-        Largest torque in N m.
-    capacitance:
-        Both halves together in F.
-    v_dc:
-        Link voltage in V.
+    Args:
+        unit_zero: Zero-sequence current per torque over the period in A/(N m), shape (N,).
+        turns: Electrical periods that it spans.
+        torque_max: Largest torque in N m.
+        capacitance: Both halves together in F.
+        v_dc: Link voltage in V.
 
-    Raises
-    ------
-    NoSolutionError
-        The neutral current has a mean that no capacitor carries.
+    Raises:
+        NoSolutionError: The neutral current has a mean that no capacitor carries.
     """
     balance, allowed = BANDWIDTH * capacitance / 3.0, SWING * v_dc
     mean = float(np.mean(unit_zero)) * torque_max

@@ -33,17 +33,12 @@ from dqforge.machines.transforms import POWER_INVARIANT, clarke_matrix
 from dqforge.optimizer.phase_control.frame_motion import FrameMotion, frame_motion, shape_at
 from dqforge.optimizer.phase_control.phase_controller import HarmonicGains, PhaseControl
 
-FADES_FROM = 0.8
-"""Share of ``frequency_max`` from which on a harmonic integrator fades."""
+FADES_FROM = 0.8  # Share of ``frequency_max`` from which on a harmonic integrator fades.
 
+# Power-invariant over amplitude-invariant quantity on d, q and 0.
 SCALE = np.array([POWER_INVARIANT, POWER_INVARIANT, np.sqrt(3.0)])
-"""Power-invariant over amplitude-invariant quantity on d, q and 0."""
-
-PLAIN = clarke_matrix()
-"""From phases to alpha, beta and 0, amplitude-invariant."""
-
-ADVANCE = 1.5
-"""Sampling periods from the sample to the middle of what its voltage does."""
+PLAIN = clarke_matrix()  # From phases to alpha, beta and 0, amplitude-invariant.
+ADVANCE = 1.5  # Sampling periods from the sample to the middle of what its voltage does.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,12 +110,9 @@ def weight_of(harmonics: HarmonicGains, frequency: float) -> float:
 def loop_state(control: PhaseControl, omega_e: float) -> LoopState:
     """State of the loop at an electrical speed in rad/s; orders that have faded are no part of it.
 
-    Parameters
-    ----------
-    control:
-        The current control.
-    omega_e:
-        Electrical speed in rad/s.
+    Args:
+        control: The current control.
+        omega_e: Electrical speed in rad/s.
     """
     rule, harmonics = TOPOLOGIES[control.topology], control.harmonics
 
@@ -156,16 +148,11 @@ def _complex(number: complex) -> FloatArray:
 def plant_rows(plants: PhasePlants, state: LoopState, omega_e: float, t_s: float) -> FloatArray:
     """Maps of the state to the next currents (and midpoint), shape (M, ``state.plant``, n).
 
-    Parameters
-    ----------
-    plants:
-        The windings.
-    state:
-        Which rows are what.
-    omega_e:
-        Electrical speed in rad/s.
-    t_s:
-        Sampling period in s.
+    Args:
+        plants: The windings.
+        state: Which rows are what.
+        omega_e: Electrical speed in rad/s.
+        t_s: Sampling period in s.
     """
     from scipy.linalg import expm
 
@@ -190,16 +177,11 @@ def controller_rows(
 ) -> FloatArray:
     """Maps of the state at K angles to what the controller holds next, shape (K, n - plant, n).
 
-    Parameters
-    ----------
-    control:
-        The current control.
-    state:
-        Which rows are what.
-    omega_e:
-        Electrical speed in rad/s.
-    theta:
-        Electrical angles of the samples in rad, shape (K,).
+    Args:
+        control: The current control.
+        state: Which rows are what.
+        omega_e: Electrical speed in rad/s.
+        theta: Electrical angles of the samples in rad, shape (K,).
     """
     axes, own, t_s = state.axes, state.plant, control.t_s
     step = omega_e * t_s

@@ -16,13 +16,11 @@ from dqforge.machines.records import dataclass
 class PhaseShape:
     """Back-EMF over electrical speed as the firmware has it: nodes joined by straight lines.
 
-    Parameters
-    ----------
-    flux:
-        In V s/rad (Wb), shape (1, N) for three equal phases, of which b and c lag by a third and
-        two thirds of a period, or (3, N). Node j lies at theta_e = 2 pi turns j / N.
-    turns:
-        Electrical periods after which the shape repeats: 1, or the pole pairs where they differ.
+    Args:
+        flux: In V s/rad (Wb), shape (1, N) for three equal phases, of which b and c lag by a third
+            and two thirds of a period, or (3, N). Node j lies at theta_e = 2 pi turns j / N.
+        turns: Electrical periods after which the shape repeats: 1, or the pole pairs where they
+            differ.
     """
 
     flux: FloatArray
@@ -41,18 +39,15 @@ class AxisGains:
 class HarmonicGains:
     """Integrators that turn with harmonics of the electrical angle.
 
-    Parameters
-    ----------
-    plane:
-        Orders in alpha and beta, negative where they turn backwards, such as (-5, 7, -11, 13).
-    zero:
-        Orders of the zero sequence, such as (3, 9).
-    rate:
-        Rate of learning in 1/s.
-    frequency_max:
-        Harmonic frequency in Hz from which on an order is left out; it fades from four fifths on.
-    error_max:
-        Sum of the magnitudes of the errors of all axes in A above which all of them rest.
+    Args:
+        plane: Orders in alpha and beta, negative where they turn backwards, such as (-5, 7, -11,
+            13).
+        zero: Orders of the zero sequence, such as (3, 9).
+        rate: Rate of learning in 1/s.
+        frequency_max: Harmonic frequency in Hz from which on an order is left out; it fades from
+            four fifths on.
+        error_max: Sum of the magnitudes of the errors of all axes in A above which all of them
+            rest.
     """
 
     plane: tuple[int, ...]
@@ -83,16 +78,12 @@ class TorqueLimit:
     link ends a torque goes with its voltage but for the resistance: with ``v_nominal`` the table is
     read at |omega_e| v_nominal/v_dc, the speed that would load the nominal link as much.
 
-    Parameters
-    ----------
-    omega_e:
-        Electrical speeds in rad/s, ascending, shape (N,).
-    v_dc:
-        Link voltages in V, ascending, shape (M,).
-    torque:
-        In N m, of either sign, shape (N, M).
-    v_nominal:
-        Link voltage in V at which the speeds are those of the drive; None where they are at any.
+    Args:
+        omega_e: Electrical speeds in rad/s, ascending, shape (N,).
+        v_dc: Link voltages in V, ascending, shape (M,).
+        torque: In N m, of either sign, shape (N, M).
+        v_nominal: Link voltage in V at which the speeds are those of the drive; None where they are
+            at any.
     """
 
     omega_e: FloatArray
@@ -111,20 +102,15 @@ class LimitedShapes:
     first speed D vanishes. D makes no torque. In reverse D is that at -theta, b and c exchanged,
     where ``mirrored``; else there is none.
 
-    Parameters
-    ----------
-    omega_e:
-        Electrical speeds in rad/s at the nominal link voltage, ascending, shape (W,). At the last
-        one there is no torque left, nor beyond.
-    plain, most:
-        Torques in N m that proportional currents reach, and that these reach, shape (W,).
-    deviation:
-        D of the phases in A, shape (1, W, S, N) for equal phases, or (3, W, S, N), on the nodes
-        of the table of the back-EMF; s = 0 to 1 in even steps.
-    v_nominal:
-        Link voltage in V.
-    mirrored:
-        Whether reverse motoring is the mirror of forward motoring.
+    Args:
+        omega_e: Electrical speeds in rad/s at the nominal link voltage, ascending, shape (W,). At
+            the last one there is no torque left, nor beyond.
+        plain, most: Torques in N m that proportional currents reach, and that these reach, shape
+            (W,).
+        deviation: D of the phases in A, shape (1, W, S, N) for equal phases, or (3, W, S, N), on
+            the nodes of the table of the back-EMF; s = 0 to 1 in even steps.
+        v_nominal: Link voltage in V.
+        mirrored: Whether reverse motoring is the mirror of forward motoring.
     """
 
     omega_e: FloatArray
@@ -139,33 +125,21 @@ class LimitedShapes:
 class PhaseControl:
     """Current control of a phase machine.
 
-    Parameters
-    ----------
-    frame, feedforward, topology:
-        As their words say.
-    shape:
-        Back-EMF over the angle.
-    pole_pairs, r_s, psi_pm:
-        Of the machine; the flux is that of the fundamental's positive sequence in Wb, peak.
-    inductances:
-        (L_d, L_q, L_0) in H; L_d = L_q = L_s - M_s without saliency.
-    gains:
-        PI controllers of d, q and 0; the last one 0 where nothing drives a zero sequence.
-    harmonics:
-        Integrators of harmonics, None for none.
-    t_s:
-        Sampling period in s. Voltages act from the next sample on, for one period.
-    torque_max:
-        Largest torque in N m that the current limit permits.
-    fade:
-        Samples per electrical period (from, to): below the first the shape of the references fades
-        to its fundamental, which alone is left below the second.
-    torque_limit:
-        Where the voltage ends, None where nothing limits the torque but the current.
-    midpoint:
-        For a split link, else None.
-    limited:
-        Currents beyond the torque limit, None where the torque is reduced instead.
+    Args:
+        frame, feedforward, topology: As their words say.
+        shape: Back-EMF over the angle.
+        pole_pairs, r_s, psi_pm: Of the machine; the flux is that of the fundamental's positive
+            sequence in Wb, peak.
+        inductances: (L_d, L_q, L_0) in H; L_d = L_q = L_s - M_s without saliency.
+        gains: PI controllers of d, q and 0; the last one 0 where nothing drives a zero sequence.
+        harmonics: Integrators of harmonics, None for none.
+        t_s: Sampling period in s. Voltages act from the next sample on, for one period.
+        torque_max: Largest torque in N m that the current limit permits.
+        fade: Samples per electrical period (from, to): below the first the shape of the references
+            fades to its fundamental, which alone is left below the second.
+        torque_limit: Where the voltage ends, None where nothing limits the torque but the current.
+        midpoint: For a split link, else None.
+        limited: Currents beyond the torque limit, None where the torque is reduced instead.
     """
 
     frame: CurrentFrame

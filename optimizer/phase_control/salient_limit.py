@@ -19,9 +19,7 @@ from dqforge.optimizer.waveforms.pointwise_currents import pointwise_currents
 from dqforge.optimizer.waveforms.salient_reference import largest_torque
 
 _TORQUES = 65
-
-_ROUNDING = 1e-12
-"""Share of a bound by which rounding alone may exceed it."""
+_ROUNDING = 1e-12  # Share of a bound by which rounding alone may exceed it.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,12 +35,9 @@ class Ladder:
 def dq_currents(machine: SalientPhaseMachine, choice: CurrentChoice) -> Ladder:
     """Constant dq currents of torques of both signs up to the current limit.
 
-    Parameters
-    ----------
-    machine:
-        The machine in phase quantities.
-    choice:
-        The dq currents of a torque.
+    Args:
+        machine: The machine in phase quantities.
+        choice: The dq currents of a torque.
     """
     torques = np.linspace(0.0, choice.largest_torque(), _TORQUES)
     i_d, i_q = choice.currents(torques)
@@ -58,17 +53,12 @@ def dq_currents(machine: SalientPhaseMachine, choice: CurrentChoice) -> Ladder:
 def table_currents(machine: SalientPhaseMachine, limits: WaveformLimits) -> Ladder:
     """Currents of constant torque at least copper loss, of both signs up to the current limit.
 
-    Parameters
-    ----------
-    machine:
-        The machine in phase quantities.
-    limits:
-        With the topology and the current limit.
+    Args:
+        machine: The machine in phase quantities.
+        limits: With the topology and the current limit.
 
-    Raises
-    ------
-    NoSolutionError
-        Constant torque cannot be made at some angle.
+    Raises:
+        NoSolutionError: Constant torque cannot be made at some angle.
     """
     torques = np.linspace(0.0, largest_torque(machine, limits), _TORQUES)
     both = np.concatenate([torques, -torques])
@@ -83,16 +73,11 @@ def salient_torques(
     The reluctance torque makes the currents no multiple of the torque: a ladder of torques is
     judged, and the last one counts that is permitted with all below it.
 
-    Parameters
-    ----------
-    machine:
-        The machine in phase quantities.
-    ladder:
-        Torques and their currents.
-    topology:
-        How the phases are fed.
-    margin:
-        Share of the region that is left free, of 0 to 1.
+    Args:
+        machine: The machine in phase quantities.
+        ladder: Torques and their currents.
+        topology: How the phases are fed.
+        margin: Share of the region that is left free, of 0 to 1.
     """
     torques, currents = ladder.torques, ladder.currents
     low, high, rows = _region(topology, margin)

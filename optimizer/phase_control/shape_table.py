@@ -12,35 +12,22 @@ from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.phase_control.phase_controller import PhaseShape
 from dqforge.optimizer.phase_control.shape_vectors import flux_at, torque_of, unit_currents
 
+# Nodes per electrical period that are tried: multiples of 24, so that corners at multiples of 15
+# degrees can lie on nodes.
 SIZES = (*range(24, 481, 24), *range(576, 1537, 96))
 
-"""Nodes per electrical period that are tried: multiples of 24, so that corners at multiples of 15
-degrees can lie on nodes."""
-
-
+# Torque ripple, peak to peak over the torque, that the emitted control keeps in steady state at 400
+# samples per electrical period, as far as its table can.
 RIPPLE = 5e-4
 
-"""Torque ripple, peak to peak over the torque, that the emitted control keeps in steady state at
-400 samples per electrical period, as far as its table can."""
-
-
+# Torque error of the table that is aimed at: half of the square of the ripple, since sampling
+# leaves about as much.
 SHAPE_ERROR = RIPPLE / 2.0**0.5
 
-"""Torque error of the table that is aimed at: half of the square of the ripple, since sampling
-leaves about as much."""
-
-
+# Permitted error where no table reaches that, and of the flux where currents do not follow it.
 LARGEST_ERROR = 1e-3
-
-"""Permitted error where no table reaches that, and of the flux where currents do not follow it."""
-
-
 _SAME = 1e-9
-
-
 _BAND = 1e-7
-
-
 _DENSE = 7680
 
 
@@ -72,14 +59,10 @@ def shape_error(machine: PhaseMachine, shape: PhaseShape, *, zero: bool) -> tupl
     It is measured between the machine's own angles too where its waveform is band-limited, so
     that it is known there; else, as with corners, at its own angles.
 
-    Parameters
-    ----------
-    machine:
-        The machine.
-    shape:
-        The table.
-    zero:
-        Whether the zero sequence shares the torque.
+    Args:
+        machine: The machine.
+        shape: The table.
+        zero: Whether the zero sequence shares the torque.
     """
     flux = machine.flux
     if _is_band_limited(flux):
@@ -95,12 +78,9 @@ def flux_error(machine: PhaseMachine, shape: PhaseShape) -> tuple[float, int]:
     """Largest distance of a table from the back-EMF over the fundamental's peak, at the machine's
     own angles, and their number.
 
-    Parameters
-    ----------
-    machine:
-        The machine.
-    shape:
-        The table.
+    Args:
+        machine: The machine.
+        shape: The table.
     """
     angle = 2.0 * np.pi * shape.turns * np.arange(machine.angles) / machine.angles
     away = flux_at(shape, angle) - clarke_matrix() @ machine.flux
@@ -120,22 +100,15 @@ def fit_shape(
 
     The machine's own angles are among the sizes: the data say no more.
 
-    Parameters
-    ----------
-    machine:
-        The machine.
-    zero:
-        Whether the zero sequence shares the torque.
-    turns:
-        Electrical periods of the machine's waveform.
-    currents:
-        Whether the currents follow the table; else it serves the voltage alone, and the error is
-        that of the back-EMF, `LARGEST_ERROR` at most.
+    Args:
+        machine: The machine.
+        zero: Whether the zero sequence shares the torque.
+        turns: Electrical periods of the machine's waveform.
+        currents: Whether the currents follow the table; else it serves the voltage alone, and the
+            error is that of the back-EMF, `LARGEST_ERROR` at most.
 
-    Raises
-    ------
-    NoSolutionError
-        No table up to 1536 nodes per electrical period keeps the bound.
+    Raises:
+        NoSolutionError: No table up to 1536 nodes per electrical period keeps the bound.
     """
     equal = turns == 1 and has_equal_phases(machine)
     rows = machine.flux[:1] if equal else machine.flux

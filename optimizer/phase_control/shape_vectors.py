@@ -16,11 +16,7 @@ from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl, PhaseShape
 
 _TURN = 2.0 * np.pi / 3.0
-
-
-PHASES = np.linalg.inv(clarke_matrix())
-
-"""Matrix (3, 3) from alpha, beta and 0 to the phases."""
+PHASES = np.linalg.inv(clarke_matrix())  # Matrix (3, 3) from alpha, beta and 0 to the phases.
 
 
 def phase_rows(
@@ -31,17 +27,12 @@ def phase_rows(
 ) -> FloatArray:
     """Values of the three phases at angles in rad, by straight lines between nodes, shape (3, ...).
 
-    Parameters
-    ----------
-    table:
-        Nodes of phase a, shape (1, ..., N), of which b and c lag by a third and two thirds of an
-        electrical period, or of all phases, shape (3, ..., N).
-    turns:
-        Electrical periods that the nodes span.
-    angle:
-        Electrical angles in rad, any shape.
-    which:
-        Indices of the axes between the first and the last one, each of the angles' shape.
+    Args:
+        table: Nodes of phase a, shape (1, ..., N), of which b and c lag by a third and two thirds
+            of an electrical period, or of all phases, shape (3, ..., N).
+        turns: Electrical periods that the nodes span.
+        angle: Electrical angles in rad, any shape.
+        which: Indices of the axes between the first and the last one, each of the angles' shape.
     """
     equal = table.shape[0] == 1
     period, count = 2.0 * np.pi * turns, table.shape[-1]
@@ -72,12 +63,9 @@ def _remainder(value: FloatArray, divisor: int) -> FloatArray:
 def flux_at(shape: PhaseShape, angle: FloatArray) -> FloatArray:
     """Back-EMF over electrical speed in Wb on alpha, beta and 0, shape (3, ...).
 
-    Parameters
-    ----------
-    shape:
-        The table.
-    angle:
-        Electrical angles in rad, any shape.
+    Args:
+        shape: The table.
+        angle: Electrical angles in rad, any shape.
     """
     phases = phase_rows(shape.flux, shape.turns, angle)
     return np.asarray(np.einsum("jk,k...->j...", clarke_matrix(), phases))
@@ -86,14 +74,10 @@ def flux_at(shape: PhaseShape, angle: FloatArray) -> FloatArray:
 def unit_currents(flux: FloatArray, pole_pairs: int, *, zero: bool) -> FloatArray:
     """Currents per torque in A/(N m) on alpha, beta and 0, shape (3, ...).
 
-    Parameters
-    ----------
-    flux:
-        Back-EMF over electrical speed in Wb on alpha, beta and 0, shape (3, ...).
-    pole_pairs:
-        Number of pole pairs.
-    zero:
-        Whether the zero sequence shares the torque.
+    Args:
+        flux: Back-EMF over electrical speed in Wb on alpha, beta and 0, shape (3, ...).
+        pole_pairs: Number of pole pairs.
+        zero: Whether the zero sequence shares the torque.
     """
     used = flux if zero else flux * np.array([1.0, 1.0, 0.0]).reshape(3, *[1] * (flux.ndim - 1))
     weight = pole_pairs * (1.5 * (used[0] ** 2 + used[1] ** 2) + 3.0 * used[2] ** 2)
@@ -104,12 +88,9 @@ def fade_share(control: PhaseControl, omega_e: FloatArray) -> FloatArray:
     """How much of the harmonics the references keep at electrical speeds in rad/s, 0 to 1: straight
     in the speed between the ends of the fading.
 
-    Parameters
-    ----------
-    control:
-        The control.
-    omega_e:
-        Electrical speeds in rad/s, any shape.
+    Args:
+        control: The control.
+        omega_e: Electrical speeds in rad/s, any shape.
     """
     begin, end = (1.0 / samples for samples in control.fade)
     fraction = np.abs(omega_e) * control.t_s / (2.0 * np.pi)
@@ -122,14 +103,10 @@ def reference_flux(control: PhaseControl, angle: FloatArray, omega_e: FloatArray
     The fundamental in dq; else the table, faded to its fundamental where there are few samples per
     period, without its zero sequence where that makes no torque.
 
-    Parameters
-    ----------
-    control:
-        The control.
-    angle:
-        Electrical angles in rad, any shape.
-    omega_e:
-        Electrical speeds in rad/s, broadcastable.
+    Args:
+        control: The control.
+        angle: Electrical angles in rad, any shape.
+        omega_e: Electrical speeds in rad/s, broadcastable.
     """
     sine = control.psi_pm * np.stack([-np.sin(angle), np.cos(angle), np.zeros_like(angle)])
     if control.frame == "dq":
@@ -143,14 +120,10 @@ def reference_flux(control: PhaseControl, angle: FloatArray, omega_e: FloatArray
 def reference_currents(control: PhaseControl, angle: FloatArray, omega_e: FloatArray) -> FloatArray:
     """Currents per torque of the references in A/(N m) on alpha, beta and 0, shape (3, ...).
 
-    Parameters
-    ----------
-    control:
-        The control.
-    angle:
-        Electrical angles in rad, any shape.
-    omega_e:
-        Electrical speeds in rad/s, broadcastable.
+    Args:
+        control: The control.
+        angle: Electrical angles in rad, any shape.
+        omega_e: Electrical speeds in rad/s, broadcastable.
     """
     return unit_currents(reference_flux(control, angle, omega_e), control.pole_pairs, zero=True)
 
@@ -158,14 +131,10 @@ def reference_currents(control: PhaseControl, angle: FloatArray, omega_e: FloatA
 def torque_of(flux: FloatArray, currents: FloatArray, pole_pairs: int) -> FloatArray:
     """Torque in N m of currents in A, both on alpha, beta and 0, shapes (3, ...).
 
-    Parameters
-    ----------
-    flux:
-        Back-EMF over electrical speed in Wb.
-    currents:
-        Currents in A.
-    pole_pairs:
-        Number of pole pairs.
+    Args:
+        flux: Back-EMF over electrical speed in Wb.
+        currents: Currents in A.
+        pole_pairs: Number of pole pairs.
     """
     plane = flux[0] * currents[0] + flux[1] * currents[1]
     return np.asarray(pole_pairs * (1.5 * plane + 3.0 * flux[2] * currents[2]))

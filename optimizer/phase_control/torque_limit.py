@@ -28,35 +28,17 @@ from dqforge.optimizer.phase_control.shape_vectors import (
     reference_currents,
 )
 
-MARGIN = 0.02
+MARGIN = 0.02  # Share of the region that is left to the PI controllers.
 
-"""Share of the region that is left to the PI controllers."""
-
-
+# Nodes of the table over the nominal link voltage. At 0 there is no torque, so that the table holds
+# down to any voltage; above the nominal one it holds too, but for the resistance there would be no
+# difference.
 LINKS = (0.0, 0.3, 0.6, 0.8, 1.0)
-
-"""Nodes of the table over the nominal link voltage. At 0 there is no torque, so that the table
-holds down to any voltage; above the nominal one it holds too, but for the resistance there would
-be no difference."""
-
-
-SPEEDS = 17
-
-"""Nodes of the table over the speed."""
-
-
+SPEEDS = 17  # Nodes of the table over the speed.
 _FINE = (4, 9)
-
-
 _ANGLES = 192
-
-
 _SAFE = 1e-3
-
-
 _SCAN = 241
-
-
 _TIE = 1e-9
 
 
@@ -66,12 +48,9 @@ def steady_voltages(control: PhaseControl, omega_e: FloatArray) -> tuple[FloatAr
 
     Without a neutral the mean of the phases is left out, which the legs do not make.
 
-    Parameters
-    ----------
-    control:
-        The control; its references are in proportion to the torque.
-    omega_e:
-        Electrical speeds in rad/s, shape (W,).
+    Args:
+        control: The control; its references are in proportion to the torque.
+        omega_e: Electrical speeds in rad/s, shape (W,).
     """
     angle = voltage_angles(control, omega_e)
     omega = omega_e[:, np.newaxis]
@@ -93,16 +72,11 @@ def largest_torques(
     """Largest torque in N m of either sign that the link permits at either sense of rotation,
     shape (W,), at most that of the current limit.
 
-    Parameters
-    ----------
-    control:
-        The control.
-    omega_e:
-        Electrical speeds in rad/s, shape (W,), zero or positive.
-    v_dc:
-        Link voltage in V.
-    margin:
-        Share of the region that is left free, of 0 to 1.
+    Args:
+        control: The control.
+        omega_e: Electrical speeds in rad/s, shape (W,), zero or positive.
+        v_dc: Link voltage in V.
+        margin: Share of the region that is left free, of 0 to 1.
     """
     if v_dc <= 0.0:
         return np.zeros_like(omega_e)
@@ -145,12 +119,9 @@ def voltage_angles(control: PhaseControl, omega_e: FloatArray) -> FloatArray:
     The corners of the voltages are among them: where one of the three angles that they depend on
     is a node of the table. A third of a period tells all of equal phases.
 
-    Parameters
-    ----------
-    control:
-        The control.
-    omega_e:
-        Electrical speeds in rad/s, shape (W,).
+    Args:
+        control: The control.
+        omega_e: Electrical speeds in rad/s, shape (W,).
     """
     rows, nodes = control.shape.flux.shape
     count = nodes * max(1, _ANGLES * control.shape.turns // nodes)
@@ -169,22 +140,18 @@ def _end(slope: FloatArray, start: FloatArray, bound: FloatArray) -> FloatArray:
     return np.asarray(np.min(np.where(np.isnan(torque), np.inf, torque), axis=1))
 
 
+# Largest torques in N m, shape (W,), at electrical speeds in rad/s and a link voltage in V.
 Largest = Callable[[FloatArray, float], FloatArray]
-
-"""Largest torques in N m, shape (W,), at electrical speeds in rad/s and a link voltage in V."""
 
 
 def torque_limit(v_dc: float, last: float, largest: Largest) -> TorqueLimit:
     """Table of the largest torque whose straight lines promise no more than there is.
 
-    Parameters
-    ----------
-    v_dc:
-        Nominal link voltage in V.
-    last:
-        Electrical speed in rad/s at which no torque is left there, as `no_load_speed` finds it.
-    largest:
-        The torques, such as `largest_torques` with its control and margin.
+    Args:
+        v_dc: Nominal link voltage in V.
+        last: Electrical speed in rad/s at which no torque is left there, as `no_load_speed` finds
+            it.
+        largest: The torques, such as `largest_torques` with its control and margin.
     """
     links = v_dc * np.array(LINKS)
     speeds = _speeds(links, last, largest)
@@ -207,14 +174,10 @@ def _by_link(omega_e: FloatArray, v_dc: FloatArray, largest: Largest) -> FloatAr
 def no_load_speed(control: PhaseControl, v_dc: float, margin: float) -> float:
     """Electrical speed in rad/s at which the back-EMF alone fills the region.
 
-    Parameters
-    ----------
-    control:
-        The control.
-    v_dc:
-        Link voltage in V.
-    margin:
-        Share of the region that is left free, of 0 to 1.
+    Args:
+        control: The control.
+        v_dc: Link voltage in V.
+        margin: Share of the region that is left free, of 0 to 1.
     """
     _, per_speed = steady_voltages(control, np.ones(1))
     low, high, rows = link_region(control, v_dc, margin)
@@ -227,14 +190,10 @@ def limit_at(limit: TorqueLimit, omega_e: FloatArray, v_dc: FloatArray) -> Float
 
     Beyond its ends the table keeps its last values.
 
-    Parameters
-    ----------
-    limit:
-        The table.
-    omega_e:
-        Electrical speeds in rad/s, either sense.
-    v_dc:
-        Link voltages in V.
+    Args:
+        limit: The table.
+        omega_e: Electrical speeds in rad/s, either sense.
+        v_dc: Link voltages in V.
     """
     load = np.abs(omega_e)
     if limit.v_nominal is not None:

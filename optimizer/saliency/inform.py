@@ -38,24 +38,12 @@ from dqforge.optimizer.saliency.saliency_map import (
 )
 from dqforge.optimizer.saliency.wave_steps import POINTS
 
-USUAL_PERIOD = 16
+USUAL_PERIOD = 16  # Samples from one sequence to the next.
+_LOOP = 0.08  # Natural frequency of the loop times the period between sequences.
 
-"""Samples from one sequence to the next."""
-
-
-_LOOP = 0.08
-
-"""Natural frequency of the loop times the period between sequences."""
-
-
+# Largest angle of the axis beside d that INFORM without a table may leave.
 _STRAIGHT = math.radians(5.0)
-
-"""Largest angle of the axis beside d that INFORM without a table may leave."""
-
-
-_TURN = 0.3
-
-"""Angle in rad (electrical) by which the rotor may turn while a sequence lasts."""
+_TURN = 0.3  # Angle in rad (electrical) by which the rotor may turn while a sequence lasts.
 
 
 def usual_pulse(design: Design) -> float:
@@ -67,12 +55,9 @@ def usual_pulse(design: Design) -> float:
 def sequence_noise(sigma: float, step: float) -> float:
     """Standard deviation of the angle of one sequence in rad.
 
-    Parameters
-    ----------
-    sigma:
-        That of a measured current in A, per axis.
-    step:
-        V t_s |Y_delta| in A.
+    Args:
+        sigma: That of a measured current in A, per axis.
+        step: V t_s |Y_delta| in A.
 
     Neighbouring pulses share a sample: 0.51 sigma/step, where pulses with samples of their own
     would give 0.41.
@@ -116,19 +101,14 @@ def _period(design: Design, settings: ObserverSettings) -> int:
 def design_inform(mapped: bool, design: Design, settings: ObserverSettings) -> InformGains:
     """Gains of the firmware.
 
-    Parameters
-    ----------
-    mapped:
-        Whether the flux map says where the axis lies under load.
-    design, settings:
-        The design, and its settings of this estimator.
+    Args:
+        mapped: Whether the flux map says where the axis lies under load.
+        design, settings: The design, and its settings of this estimator.
 
-    Raises
-    ------
-    InputError
-        A setting is out of range.
-    NoSolutionError
-        The saliency or the voltage is too small, or the axis moves without a table.
+    Raises:
+        InputError: A setting is out of range.
+        NoSolutionError: The saliency or the voltage is too small, or the axis moves without a
+            table.
     """
     if design.phase_machine is not None:
         raise NoSolutionError(

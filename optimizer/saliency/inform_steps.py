@@ -16,21 +16,9 @@ from dqforge.machines.transforms import Reals, park
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair, limited
 from dqforge.optimizer.saliency.wave_steps import at_load, known_sample
 
-LAST = 7
-
-"""Place in a sequence at which the answer to its last pulse is seen."""
-
-
-MIDDLE = 3.0
-
-"""Samples from the middle of the pulses to that place."""
-
-
-DIRECTIONS = ((1.0, 0.0), (-0.5, 0.8660254), (-0.5, -0.8660254))
-
-"""Cosine and sine of gamma_k."""
-
-
+LAST = 7  # Place in a sequence at which the answer to its last pulse is seen.
+MIDDLE = 3.0  # Samples from the middle of the pulses to that place.
+DIRECTIONS = ((1.0, 0.0), (-0.5, 0.8660254), (-0.5, -0.8660254))  # Cosine and sine of gamma_k.
 _LARGEST = 0.5
 
 

@@ -6,9 +6,8 @@ import math
 
 from dqforge.optimizer.estimators.solve import TunedTracker
 
+# Time constants of the loop: from beside the unstable rest at 90 degrees to within noise.
 _SETTLED = 12.0
-
-"""Time constants of the loop: from beside the unstable rest at 90 degrees to within noise."""
 
 
 def settling_samples(tuned: TunedTracker) -> int:

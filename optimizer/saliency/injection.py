@@ -24,32 +24,17 @@ from dqforge.optimizer.saliency.sampled_injection import DELAY, LONGEST, admitta
 from dqforge.optimizer.saliency.wave_loop import angle_noise, largest_pole, wave_tracking
 from dqforge.optimizer.saliency.wave_steps import POINTS, WaveGains, wave_start, wave_step
 
+# Natural frequency in rad/s of the phase-locked loop, unless the design says otherwise.
 FASTEST_LOOP = 2.0 * math.pi * 40.0
 
-"""Natural frequency in rad/s of the phase-locked loop, unless the design says otherwise."""
-
-
+# Largest standard deviation of the angle in rad that the noise of the current may cause.
 NOISE_ANGLE = math.radians(5.0)
 
-"""Largest standard deviation of the angle in rad that the noise of the current may cause."""
-
-
+# Standard deviation down to which the usual voltage is raised where it can be.
 QUIET_ANGLE = math.radians(2.0)
-
-"""Standard deviation down to which the usual voltage is raised where it can be."""
-
-
-MOST_OF_LINK = 0.28
-
-"""Share of the dc link that the usual voltage never exceeds."""
-
-
+MOST_OF_LINK = 0.28  # Share of the dc link that the usual voltage never exceeds.
 _SAMPLES = 10
-
-
-_NARROW = 0.95
-
-"""Modulus of the poles of the notch of sine and rotating voltage."""
+_NARROW = 0.95  # Modulus of the poles of the notch of sine and rotating voltage.
 
 
 def usual_voltage(design: Design) -> float:
@@ -141,12 +126,9 @@ def _settings(
 def design_injection(design: Design, settings: ObserverSettings) -> WaveGains:
     """Gains of the firmware.
 
-    Raises
-    ------
-    InputError
-        A setting is out of range.
-    NoSolutionError
-        The saliency or the voltage is too small, or the loop too fast.
+    Raises:
+        InputError: A setting is out of range.
+        NoSolutionError: The saliency or the voltage is too small, or the loop too fast.
     """
     if design.phase_machine is not None:
         raise NoSolutionError(

@@ -29,9 +29,8 @@ def track(
     controller, so that all that moves the currents besides is the injection, one period after it
     was asked for.
 
-    Returns
-    -------
-    The estimates, and what was measured; its voltages include the injection.
+    Returns:
+        The estimates, and what was measured; its voltages include the injection.
     """
     linear = linearised(machine)
     generator = np.random.default_rng(seed)

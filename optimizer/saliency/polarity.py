@@ -19,19 +19,9 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.saliency.injection import current_noise
 from dqforge.optimizer.saliency.polarity_steps import PolarityGains
 
-WRONG = 1e-4
-
-"""Largest probability of a wrong decision."""
-
-
-VISIBLE = 5.0
-
-"""Least s I over the noise of a sample."""
-
-
+WRONG = 1e-4  # Largest probability of a wrong decision.
+VISIBLE = 5.0  # Least s I over the noise of a sample.
 _MOST_PULSES = 16
-
-
 _STEPS = 40
 
 
@@ -55,14 +45,10 @@ class PolarityPlan:
 def wrong_decision(difference: float, sigma: float, pulses: int) -> float:
     """Probability of taking south for north.
 
-    Parameters
-    ----------
-    difference:
-        Of both peaks in A.
-    sigma:
-        Noise of a sample in A.
-    pulses:
-        Pairs of pulses whose sum decides.
+    Args:
+        difference: Of both peaks in A.
+        sigma: Noise of a sample in A.
+        pulses: Pairs of pulses whose sum decides.
     """
     return 0.5 * math.erfc(difference * math.sqrt(0.5 * pulses) / sigma / math.sqrt(2.0))
 
@@ -89,10 +75,8 @@ def peak_difference(machine: Machine, i_peak: float) -> float:
 def plan_polarity(design: Design) -> PolarityPlan:
     """The smallest current and the fewest pulses that decide wrongly once in 10,000 at most.
 
-    Raises
-    ------
-    NoSolutionError
-        The d axis saturates too little to be seen; the message has the numbers.
+    Raises:
+        NoSolutionError: The d axis saturates too little to be seen; the message has the numbers.
     """
     machine, i_max = design.machine, design.i_max
     sigma, t_s = current_noise(design), design.control.t_s

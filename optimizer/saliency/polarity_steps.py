@@ -17,10 +17,9 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import Arithmetic
 
+# Samples from the one at which a voltage is asked for to the one at which the answer to its first
+# period is seen.
 DELAY = 2
-
-"""Samples from the one at which a voltage is asked for to the one at which the answer to its first
-period is seen."""
 
 
 @dataclass(frozen=True, slots=True)

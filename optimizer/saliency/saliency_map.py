@@ -17,11 +17,8 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
+# Larger over smaller inductance below which noise and unequal phases hide the angle.
 LEAST_RATIO = 1.1
-
-"""Larger over smaller inductance below which noise and unequal phases hide the angle."""
-
-
 _FINE = 65
 
 
@@ -80,10 +77,9 @@ def along_locus(design: Design, points: int) -> LoadedSaliency:
 def require_saliency(found: LoadedSaliency, name: str) -> None:
     """Refuse a machine whose saliency does not show the angle.
 
-    Raises
-    ------
-    NoSolutionError
-        Its ratio is below the least one, without load or at one; the message has both.
+    Raises:
+        NoSolutionError: Its ratio is below the least one, without load or at one; the message has
+            both.
     """
     ratio = found.ratio
     if ratio[0] < LEAST_RATIO:

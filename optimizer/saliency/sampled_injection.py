@@ -27,12 +27,11 @@ PLL comes to rest where Y_dd sin 2 eps - Y_qq sin 2 eps + 2 Y_dq cos 2 eps = 0:
 White current noise of variance s^2 gives m the variance s^2/2 (N = 2) or
 s^2/(2 N) per axis' average.
 
-References
-----------
-Paper 001, 7.2.4.2; M. Corley, R. Lorenz, "Rotor position and velocity estimation for a salient-pole
-PMSM at standstill and high speeds", IEEE Trans. Ind. Applications 34, 1998 ([90] there); Y.-D.
-Yoon, S.-K. Sul et al., "High-bandwidth sensorless algorithm for AC machines based on
-square-wave-type voltage injection", IEEE Trans. Ind. Applications 47, 2011 (N = 2).
+References:
+    Paper 001, 7.2.4.2; M. Corley, R. Lorenz, "Rotor position and velocity estimation for a
+    salient-pole PMSM at standstill and high speeds", IEEE Trans. Ind. Applications 34, 1998 ([90]
+    there); Y.-D. Yoon, S.-K. Sul et al., "High-bandwidth sensorless algorithm for AC machines based
+    on square-wave-type voltage injection", IEEE Trans. Ind. Applications 47, 2011 (N = 2).
 """
 
 from __future__ import annotations
@@ -47,33 +46,23 @@ from dqforge.optimizer.observers.sampled_machine import electrical_limit, exact_
 
 LONGEST = 16
 
-
+# Samples from the instant at which a voltage is asked for to the period in which it acts.
 DELAY = 1
-
-"""Samples from the instant at which a voltage is asked for to the period in which it acts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Injection:
     """A tracker of the saliency.
 
-    Parameters
-    ----------
-    t_s:
-        Sampling period in s.
-    samples:
-        N, samples per period of the injected voltage, 2 or an even number up to 16.
-    voltage:
-        Injected amplitude V in V.
-    carrier, reference:
-        w[n] and the demodulating carrier over one period, shape (N,).
-    gain:
-        k, demodulated current per radian of error, in A/rad; its sign is in the reference.
-    k_p, k_i:
-        Share of an error that the angle is corrected by per period,
-        and the speed in 1/s per period.
-    omega_max:
-        Limit of the estimate in rad/s.
+    Args:
+        t_s: Sampling period in s.
+        samples: N, samples per period of the injected voltage, 2 or an even number up to 16.
+        voltage: Injected amplitude V in V.
+        carrier, reference: w[n] and the demodulating carrier over one period, shape (N,).
+        gain: k, demodulated current per radian of error, in A/rad; its sign is in the reference.
+        k_p, k_i: Share of an error that the angle is corrected by per period, and the speed in 1/s
+            per period.
+        omega_max: Limit of the estimate in rad/s.
     """
 
     t_s: float
@@ -160,24 +149,16 @@ def injection(
     k_p and k_i put two poles at exp(s t_s), s^2 + 2 damping bandwidth s + bandwidth^2 = 0,
     of the PLL without average.
 
-    Parameters
-    ----------
-    voltage:
-        Injected amplitude in V.
-    samples:
-        N.
-    current_noise:
-        Standard deviation of a measured current in A, 0 if it does not matter.
-    noise_angle:
-        Largest standard deviation of the angle in rad that this noise may cause.
+    Args:
+        voltage: Injected amplitude in V.
+        samples: N.
+        current_noise: Standard deviation of a measured current in A, 0 if it does not matter.
+        noise_angle: Largest standard deviation of the angle in rad that this noise may cause.
 
-    Raises
-    ------
-    InputError
-        A setting is out of range.
-    NoSolutionError
-        Without saliency, or with too little of it for the noise; or the
-        average makes the PLL unstable.
+    Raises:
+        InputError: A setting is out of range.
+        NoSolutionError: Without saliency, or with too little of it for the noise; or the average
+            makes the PLL unstable.
     """
     if samples not in range(2, LONGEST + 1, 2):
         raise InputError(

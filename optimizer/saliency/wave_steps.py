@@ -19,19 +19,9 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals, park
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair, limited
 
-POINTS = 9
-
-"""Of the tables over the load."""
-
-
+POINTS = 9  # Of the tables over the load.
 _UNKNOWN = 1.0e15
-
-
-_LARGEST = 0.5
-
-"""Largest error in rad that a sample may claim."""
-
-
+_LARGEST = 0.5  # Largest error in rad that a sample may claim.
 _FILLED = 3.0
 
 

@@ -30,18 +30,13 @@ _BLOCKS = 1.5  # by which the speed is late
 class BlockSpeedLoop:
     """A speed controller that commands torque.
 
-    Parameters
-    ----------
-    kp, ki:
-        In N m s/rad and N m/rad.
-    t_s, ratio:
-        Period in s, and periods of the current controller in it.
-    delay:
-        Of the speed at the least speed, in s.
-    crossover, margin:
-        In rad/s, and in rad at the least speed.
-    scale:
-        How far kp rises with the speed, and ki with its square: the delay falls as they rise.
+    Args:
+        kp, ki: In N m s/rad and N m/rad.
+        t_s, ratio: Period in s, and periods of the current controller in it.
+        delay: Of the speed at the least speed, in s.
+        crossover, margin: In rad/s, and in rad at the least speed.
+        scale: How far kp rises with the speed, and ki with its square: the delay falls as they
+            rise.
     """
 
     kp: float
@@ -57,19 +52,13 @@ class BlockSpeedLoop:
 def block_speed_loop(design: Design, current: LoopGains, omega_low: float) -> BlockSpeedLoop | None:
     """The speed loop that a design asks for.
 
-    Parameters
-    ----------
-    design:
-        With the inertia.
-    current:
-        Its current loop.
-    omega_low:
-        Least electrical speed in rad/s.
+    Args:
+        design: With the inertia.
+        current: Its current loop.
+        omega_low: Least electrical speed in rad/s.
 
-    Raises
-    ------
-    NoSolutionError
-        Its margin at the least speed is too small.
+    Raises:
+        NoSolutionError: Its margin at the least speed is too small.
     """
     settings, machine = design.control.speed_loop, design.machine
     if settings is None:

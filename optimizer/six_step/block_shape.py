@@ -42,26 +42,17 @@ _SALIENT = 1e-6  # relative difference of inductances above which a machine coun
 class BlockShape:
     """A waveform in block commutation, turning forwards (backwards it is the same, mirrored).
 
-    Parameters
-    ----------
-    crossings:
-        Electrical angles of the zero crossings in rad, of the sectors 0 to 5.
-    delay:
-        theta_c - theta_z in rad, mean of all sectors.
-    spread:
-        Largest deviation of a commutation by the means above from where it belongs, in rad.
-    threshold:
-        Integral of the voltage over time from crossing to commutation, in V s.
-    slope:
-        Least |dg/dtheta| at a crossing, in V s/rad^2.
-    level:
-        Least |g| at a commutation, in V s/rad.
-    torque:
-        Mean torque over the current in N m/A; ``ripple`` the peak to peak of it under constant
-        current, over the mean.
-    emf:
-        Mean voltage of the two phases in series over the electrical speed, in V s/rad; ``peak``
-        its largest value.
+    Args:
+        crossings: Electrical angles of the zero crossings in rad, of the sectors 0 to 5.
+        delay: theta_c - theta_z in rad, mean of all sectors.
+        spread: Largest deviation of a commutation by the means above from where it belongs, in rad.
+        threshold: Integral of the voltage over time from crossing to commutation, in V s.
+        slope: Least |dg/dtheta| at a crossing, in V s/rad^2.
+        level: Least |g| at a commutation, in V s/rad.
+        torque: Mean torque over the current in N m/A; ``ripple`` the peak to peak of it under
+            constant current, over the mean.
+        emf: Mean voltage of the two phases in series over the electrical speed, in V s/rad;
+            ``peak`` its largest value.
     """
 
     crossings: tuple[float, ...]
@@ -79,17 +70,12 @@ class BlockShape:
 def phases_of(machine: Machine, phases: AnyPhaseMachine | None) -> AnyPhaseMachine:
     """The machine in phase quantities: as it is, or made of constant dq parameters.
 
-    Parameters
-    ----------
-    machine:
-        In dq coordinates.
-    phases:
-        Its phases where its back-EMF is no sine, None for others.
+    Args:
+        machine: In dq coordinates.
+        phases: Its phases where its back-EMF is no sine, None for others.
 
-    Raises
-    ------
-    NoSolutionError
-        Its inductances depend on the current.
+    Raises:
+        NoSolutionError: Its inductances depend on the current.
     """
     if phases is not None:
         return phases
@@ -116,10 +102,8 @@ def phases_of(machine: Machine, phases: AnyPhaseMachine | None) -> AnyPhaseMachi
 def dq_inductances(machine: AnyPhaseMachine) -> tuple[float, float]:
     """Means of the inductances along and across the magnets in H.
 
-    Parameters
-    ----------
-    machine:
-        In phase quantities.
+    Args:
+        machine: In phase quantities.
     """
     if isinstance(machine, SalientPhaseMachine):
         return machine.dq_inductances
@@ -160,15 +144,12 @@ def _difference(
 def block_shape(machine: AnyPhaseMachine) -> BlockShape:
     """What the waveform of a machine makes of block commutation.
 
-    Parameters
-    ----------
-    machine:
-        In phase quantities; pole pairs that differ from each other enter with all their sectors.
+    Args:
+        machine: In phase quantities; pole pairs that differ from each other enter with all their
+            sectors.
 
-    Raises
-    ------
-    NoSolutionError
-        A crossing lies where no block of 120 degrees can be placed by it.
+    Raises:
+        NoSolutionError: A crossing lies where no block of 120 degrees can be placed by it.
     """
     flux, turns = machine.flux, turns_of(machine)
     seen = flux - np.mean(flux, axis=0)
@@ -212,10 +193,8 @@ def block_shape(machine: AnyPhaseMachine) -> BlockShape:
 def turns_of(machine: AnyPhaseMachine) -> int:
     """Electrical periods after which the waveform repeats.
 
-    Parameters
-    ----------
-    machine:
-        In phase quantities.
+    Args:
+        machine: In phase quantities.
     """
     return (machine.phases if isinstance(machine, SalientPhaseMachine) else machine).turns
 

@@ -38,59 +38,38 @@ from dqforge.optimizer.six_step.sectors import FED, RETURN, kept_fed, rising
 
 STOPPED, CATCHING, ALIGNING, RAMP, RUNNING, FAULT = range(6)
 
+# Names of the stages, by their numbers.
 STAGES = ("stopped", "catching", "aligning", "ramp", "running", "fault")
-
-"""Names of the stages, by their numbers."""
-
-
 NO_FAULT, NO_START, LOST = range(3)
-
-FAULTS = ("none", "no start", "lost")
-
-"""Names of the faults, by their numbers."""
+FAULTS = ("none", "no start", "lost")  # Names of the faults, by their numbers.
 
 
 @dataclass(frozen=True, slots=True)
 class SixStepGains:
     """Numbers of the control.
 
-    Parameters
-    ----------
-    observer:
-        Of the estimator.
-    kp, ki_ts:
-        Of the current of two phases in series, V/A; the integral's per period.
-    emf:
-        Mean back-EMF of two phases in series over the electrical speed in V s/rad.
-    torque:
-        Torque over current in N m/A.
-    i_max:
-        Limit of the current reference in A.
-    duty_least:
-        Least duty cycle while the position is estimated, so that the on-time can be sampled.
-    speed_kp, speed_ki_ts:
-        Of the speed at the least speed, N m s/rad; the integral's per period of the speed
-        controller.
-    omega_low, speed_scale:
-        Least electrical speed in rad/s, and how far the gains may rise with the speed.
-    pole_pairs:
-        Number of pole pairs.
-    ratio:
-        Periods per period of the speed controller.
-    omega_least:
-        Mechanical speed reference in rad/s below which the drive stops.
-    omega_caught:
-        Least electrical speed in rad/s from which it runs on its estimator.
-    i_start, v_start:
-        Current of alignment and ramp in A, and the voltage in V that two phases in series at rest
-        take for it, dead time included.
-    align:
-        Periods of each of the two blocks of the alignment.
-    rise, rate:
-        Of the ramp: blocks per period, its rise per period and its end.
-    settle, gap:
-        Periods from the opening of all legs to the first look at the back-EMF, and from there to
-        the second.
+    Args:
+        observer: Of the estimator.
+        kp, ki_ts: Of the current of two phases in series, V/A; the integral's per period.
+        emf: Mean back-EMF of two phases in series over the electrical speed in V s/rad.
+        torque: Torque over current in N m/A.
+        i_max: Limit of the current reference in A.
+        duty_least: Least duty cycle while the position is estimated, so that the on-time can be
+            sampled.
+        speed_kp, speed_ki_ts: Of the speed at the least speed, N m s/rad; the integral's per period
+            of the speed controller.
+        omega_low, speed_scale: Least electrical speed in rad/s, and how far the gains may rise with
+            the speed.
+        pole_pairs: Number of pole pairs.
+        ratio: Periods per period of the speed controller.
+        omega_least: Mechanical speed reference in rad/s below which the drive stops.
+        omega_caught: Least electrical speed in rad/s from which it runs on its estimator.
+        i_start, v_start: Current of alignment and ramp in A, and the voltage in V that two phases
+            in series at rest take for it, dead time included.
+        align: Periods of each of the two blocks of the alignment.
+        rise, rate: Of the ramp: blocks per period, its rise per period and its end.
+        settle, gap: Periods from the opening of all legs to the first look at the back-EMF, and
+            from there to the second.
     """
 
     observer: BlockGains
@@ -158,12 +137,9 @@ class Legs:
 def reset(gains: SixStepGains, real: type) -> SixStepState:
     """A drive at rest, without a fault.
 
-    Parameters
-    ----------
-    gains:
-        Of the control.
-    real:
-        Floating type.
+    Args:
+        gains: Of the control.
+        real: Floating type.
     """
     zero = real(0.0)
     observer = start_estimator(gains.observer, 0, 1, real(gains.omega_caught), zero, real)
@@ -292,16 +268,11 @@ def speed_control(gains: SixStepGains, state: SixStepState, reference: Real, rea
     A stopped drive starts where the reference asks for a speed, and a running one stops where it
     asks for none, or for the other direction.
 
-    Parameters
-    ----------
-    gains:
-        Of the control.
-    state:
-        Before and after.
-    reference:
-        Mechanical speed in rad/s.
-    real:
-        Floating type.
+    Args:
+        gains: Of the control.
+        state: Before and after.
+        reference: Mechanical speed in rad/s.
+        real: Floating type.
     """
     zero = real(0.0)
     way = 1 if reference >= zero else -1
@@ -341,14 +312,10 @@ def speed_control(gains: SixStepGains, state: SixStepState, reference: Real, rea
 def torque_control(state: SixStepState, reference: Real, real: type) -> Real:
     """Torque in N m that is asked for; a stopped drive starts in its direction.
 
-    Parameters
-    ----------
-    state:
-        Before and after.
-    reference:
-        In N m; against the rotation it counts as none.
-    real:
-        Floating type.
+    Args:
+        state: Before and after.
+        reference: In N m; against the rotation it counts as none.
+        real: Floating type.
     """
     zero = real(0.0)
     if state.stage == STOPPED and (reference > zero or reference < zero):
@@ -367,20 +334,13 @@ def step(
 ) -> Legs:
     """One period, in place: what the legs do in the next one.
 
-    Parameters
-    ----------
-    gains:
-        Of the control.
-    state:
-        Before and after.
-    v:
-        Voltages of the terminals in V, sampled in the middle of the period.
-    i:
-        Currents into the phases in A, sampled there.
-    v_dc:
-        Voltage of the link in V.
-    real:
-        Floating type.
+    Args:
+        gains: Of the control.
+        state: Before and after.
+        v: Voltages of the terminals in V, sampled in the middle of the period.
+        i: Currents into the phases in A, sampled there.
+        v_dc: Voltage of the link in V.
+        real: Floating type.
     """
     before = state.sector
     if state.stage == CATCHING:

@@ -57,18 +57,13 @@ _GRID = 600
 class BlockLimits:
     """What bounds the speeds of a six-step drive, electrical in rad/s.
 
-    Parameters
-    ----------
-    low, high:
-        Least and largest speed at which all of them hold.
-    by_error:
-        From which to which speed the error of the commutation stays within the limit.
-    by_duty:
-        Speed above which the duty cycle exceeds the least one without load.
-    by_freewheeling:
-        Speed up to which the phase that was switched off is free of current before the crossing.
-    freewheeling:
-        Angle in rad that this takes at most within the range, at the current limit.
+    Args:
+        low, high: Least and largest speed at which all of them hold.
+        by_error: From which to which speed the error of the commutation stays within the limit.
+        by_duty: Speed above which the duty cycle exceeds the least one without load.
+        by_freewheeling: Speed up to which the phase that was switched off is free of current before
+            the crossing.
+        freewheeling: Angle in rad that this takes at most within the range, at the current limit.
     """
 
     low: float
@@ -83,28 +78,17 @@ class BlockLimits:
 class SixStepDesign:
     """A six-step drive.
 
-    Parameters
-    ----------
-    method:
-        ``zero-crossing`` or ``emf-integration``.
-    phases:
-        The machine in phase quantities.
-    shape:
-        What its waveform makes of blocks.
-    disturbed:
-        Errors of the measured voltage.
-    errors:
-        Of the commutation at speeds of the range.
-    limits:
-        The range.
-    current, speed:
-        Loops; the latter None without one.
-    start:
-        Alignment, ramp and hand-over.
-    gains:
-        What is emitted.
-    curve:
-        Errors over the speed, beyond the range as well.
+    Args:
+        method: ``zero-crossing`` or ``emf-integration``.
+        phases: The machine in phase quantities.
+        shape: What its waveform makes of blocks.
+        disturbed: Errors of the measured voltage.
+        errors: Of the commutation at speeds of the range.
+        limits: The range.
+        current, speed: Loops; the latter None without one.
+        start: Alignment, ramp and hand-over.
+        gains: What is emitted.
+        curve: Errors over the speed, beyond the range as well.
     """
 
     method: str
@@ -133,10 +117,8 @@ class SixStepDesign:
 def backwards(machine: AnyPhaseMachine) -> PhaseMachine:
     """The waveform as a machine that turns the other way sees it; inductances play no part.
 
-    Parameters
-    ----------
-    machine:
-        In phase quantities.
+    Args:
+        machine: In phase quantities.
     """
     made = machine.phases if isinstance(machine, SalientPhaseMachine) else machine
     mirrored = -np.roll(made.flux[:, ::-1], 1, axis=1)
@@ -157,14 +139,10 @@ def freewheeling_angle(design: Design, shape: BlockShape, omega: np.ndarray) -> 
     L di/dt = -(d v_dc/3 + omega g_c): the mean of the star point above the rail at which its diode
     holds it, and its own back-EMF; d v_dc is what current and speed need.
 
-    Parameters
-    ----------
-    design:
-        Machine and current limit.
-    shape:
-        Of its waveform.
-    omega:
-        Electrical speeds in rad/s.
+    Args:
+        design: Machine and current limit.
+        shape: Of its waveform.
+        omega: Electrical speeds in rad/s.
     """
     machine, i = design.machine, design.i_max
     applied = np.minimum(shape.emf * omega + 2.0 * machine.r_s * i, design.inverter.v_dc)
@@ -254,13 +232,10 @@ def _require_machine(design: Design) -> None:
 def solve_six_step(design: Design) -> SixStepDesign | None:
     """The six-step drive that a design asks for, None for others.
 
-    Raises
-    ------
-    InputError
-        The machine has no inertia.
-    NoSolutionError
-        The voltage of the floating phase does not show the position well enough at any speed, or a
-        loop does not hold.
+    Raises:
+        InputError: The machine has no inertia.
+        NoSolutionError: The voltage of the floating phase does not show the position well enough at
+            any speed, or a loop does not hold.
     """
     control = design.control
     settings, observer = control.six_step, control.observer

@@ -38,24 +38,17 @@ _FLAT = 1e-3  # least share of a slope that is left
 class Disturbed:
     """What disturbs the voltage of the floating phase.
 
-    Parameters
-    ----------
-    offset:
-        In V, half a step of the converter included.
-    noise:
-        Standard deviation in V.
-    t_s:
-        Period in s.
-    filter_time:
-        Time constant of the filter of the voltage in s.
-    free:
-        Electrical angle in rad from the end of the unseen time to the crossing, in which the
-        filter reaches the lag that is compensated.
-    step:
-        |L_q - L_d| I in Wb: of the saliency at the largest current.
-    kappa:
-        (L_q - L_d) V_dc/(sqrt(3) L) in V/rad: voltage per angle that rising current induces, with
-        the back-EMF where L_q is the larger one, against it where L_d is.
+    Args:
+        offset: In V, half a step of the converter included.
+        noise: Standard deviation in V.
+        t_s: Period in s.
+        filter_time: Time constant of the filter of the voltage in s.
+        free: Electrical angle in rad from the end of the unseen time to the crossing, in which the
+            filter reaches the lag that is compensated.
+        step:
+            |L_q - L_d| I in Wb: of the saliency at the largest current.
+        kappa: (L_q - L_d) V_dc/(sqrt(3) L) in V/rad: voltage per angle that rising current induces,
+            with the back-EMF where L_q is the larger one, against it where L_d is.
     """
 
     offset: float
@@ -88,16 +81,11 @@ def commutation_errors(
 ) -> CommutationErrors:
     """Errors of a commutation.
 
-    Parameters
-    ----------
-    shape:
-        Of the waveform.
-    known:
-        What disturbs the voltage.
-    omega:
-        Electrical speeds in rad/s, above 0, shape (N,).
-    by_integral:
-        Whether the integral decides, or the delay behind the crossing.
+    Args:
+        shape: Of the waveform.
+        known: What disturbs the voltage.
+        omega: Electrical speeds in rad/s, above 0, shape (N,).
+        by_integral: Whether the integral decides, or the delay behind the crossing.
     """
     steeper = 1.0 + known.kappa / (omega * shape.slope)
     if by_integral:

@@ -21,39 +21,27 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.six_step.sectors import FLOATING, rising
 
 _LARGEST = 1e6  # V
-
-
-Real = Any
-
-"""A scalar of the floating type that the steps run in."""
+Real = Any  # A scalar of the floating type that the steps run in.
 
 
 @dataclass(frozen=True, slots=True)
 class BlockGains:
     """Numbers of the estimator.
 
-    Parameters
-    ----------
-    t_s:
-        Period in s.
-    by_integral:
-        1: commutation by the integral of the voltage, 0: by the delay behind the crossing.
-    delay:
-        From crossing to commutation over 60 degrees, forwards and backwards.
-    threshold:
-        Integral at which it commutates in V s, forwards and backwards.
-    latency:
-        Periods from a sample to the instant at which what follows from it acts, that by which the
-        filter is late included.
-    blank_share, blank_least:
-        How long the voltage is left unseen after a commutation: over the time of 60 degrees, and in
-        periods.
-    smooth:
-        Share of a new sample in the filter of the voltage; 1 without a filter.
-    patience:
-        Times of 60 degrees without a crossing after which the position is lost.
-    crossings:
-        Electrical angles of the crossings in rad, of the sectors 0 to 5 turning forwards.
+    Args:
+        t_s: Period in s.
+        by_integral: 1: commutation by the integral of the voltage, 0: by the delay behind the
+            crossing.
+        delay: From crossing to commutation over 60 degrees, forwards and backwards.
+        threshold: Integral at which it commutates in V s, forwards and backwards.
+        latency: Periods from a sample to the instant at which what follows from it acts, that by
+            which the filter is late included.
+        blank_share, blank_least: How long the voltage is left unseen after a commutation: over the
+            time of 60 degrees, and in periods.
+        smooth: Share of a new sample in the filter of the voltage; 1 without a filter.
+        patience: Times of 60 degrees without a crossing after which the position is lost.
+        crossings: Electrical angles of the crossings in rad, of the sectors 0 to 5 turning
+            forwards.
     """
 
     t_s: float
@@ -97,12 +85,9 @@ class BlockState:
 def wrapped_once(theta: Real, real: type) -> Real:
     """An angle within three turns of zero brought into -pi to pi, as `wrapped_once` of the C.
 
-    Parameters
-    ----------
-    theta:
-        In rad.
-    real:
-        Floating type.
+    Args:
+        theta: In rad.
+        real: Floating type.
     """
     turn, half = real(6.283185307179586), real(3.141592653589793)
     if theta >= half:
@@ -115,16 +100,11 @@ def wrapped_once(theta: Real, real: type) -> Real:
 def crossing_angle(gains: BlockGains, sector: int, direction: int, real: type) -> Real:
     """Electrical angle in rad of the crossing in a sector.
 
-    Parameters
-    ----------
-    gains:
-        Of the estimator.
-    sector:
-        0 to 5.
-    direction:
-        1 forwards, -1 backwards: then it is that of the opposite sector.
-    real:
-        Floating type.
+    Args:
+        gains: Of the estimator.
+        sector: 0 to 5.
+        direction: 1 forwards, -1 backwards: then it is that of the opposite sector.
+        real: Floating type.
     """
     return real(gains.crossings[sector if direction > 0 else (sector + 3) % 6])
 
@@ -134,21 +114,14 @@ def start(
 ) -> BlockState:
     """The state of a drive that turns.
 
-    Parameters
-    ----------
-    gains:
-        Of the estimator.
-    sector:
-        The one that is fed from now on, 0 to 5.
-    direction:
-        1 forwards, -1 backwards.
-    omega_e:
-        Magnitude of the electrical speed in rad/s, above 0.
-    beyond:
-        Electrical angle in rad by which the rotor is beyond the crossing of the sector, in the
-        sense of its rotation; negative before it.
-    real:
-        Floating type.
+    Args:
+        gains: Of the estimator.
+        sector: The one that is fed from now on, 0 to 5.
+        direction: 1 forwards, -1 backwards.
+        omega_e: Magnitude of the electrical speed in rad/s, above 0.
+        beyond: Electrical angle in rad by which the rotor is beyond the crossing of the sector, in
+            the sense of its rotation; negative before it.
+        real: Floating type.
     """
     x = omega_e * real(gains.t_s)
     mean = real(1.0471975511965976) / x
@@ -219,16 +192,11 @@ def _due(gains: BlockGains, state: BlockState, real: type) -> bool:
 def step(gains: BlockGains, state: BlockState, v: Sequence[Real], real: type) -> None:
     """One period, in place.
 
-    Parameters
-    ----------
-    gains:
-        Of the estimator.
-    state:
-        Before and after.
-    v:
-        Voltages of the terminals a, b, c in V against any potential.
-    real:
-        Floating type.
+    Args:
+        gains: Of the estimator.
+        state: Before and after.
+        v: Voltages of the terminals a, b, c in V against any potential.
+        real: Floating type.
     """
     one = real(1.0)
     u = v[FLOATING[state.sector]] - real(0.33333334) * ((v[0] + v[1]) + v[2])
@@ -266,14 +234,10 @@ def seen_angle(v: Sequence[Real], direction: int, real: type) -> tuple[int, Real
     The sector is the one in which the line with the largest back-EMF is fed. Within 30 degrees
     tan x = sqrt(3) y/(largest), and x = tan x to 10 %.
 
-    Parameters
-    ----------
-    v:
-        Voltages of the terminals in V.
-    direction:
-        1 forwards, -1 backwards.
-    real:
-        Floating type.
+    Args:
+        v: Voltages of the terminals in V.
+        direction: 1 forwards, -1 backwards.
+        real: Floating type.
     """
     high = 0 if (v[0] >= v[1] and v[0] >= v[2]) else (1 if v[1] >= v[2] else 2)
     low = 0 if (v[0] < v[1] and v[0] < v[2]) else (1 if v[1] < v[2] else 2)
@@ -288,6 +252,4 @@ def seen_angle(v: Sequence[Real], direction: int, real: type) -> tuple[int, Real
     return sector, real(1.7320508) * (y / largest), largest
 
 
-REALS = (np.float32, np.float64)
-
-"""Floating types of the steps: of the emitted C, and of analysis."""
+REALS = (np.float32, np.float64)  # Floating types of the steps: of the emitted C, and of analysis.

@@ -8,21 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-FED = (0, 0, 1, 1, 2, 2)
-
-"""Phase (0, 1, 2 for a, b, c) whose leg switches, by sector."""
-
-
-RETURN = (1, 2, 2, 0, 0, 1)
-
-"""Phase that returns the current, by sector."""
-
-
-FLOATING = (2, 1, 0, 2, 1, 0)
-
-"""Phase whose leg rests, by sector."""
-
-
+FED = (0, 0, 1, 1, 2, 2)  # Phase (0, 1, 2 for a, b, c) whose leg switches, by sector.
+RETURN = (1, 2, 2, 0, 0, 1)  # Phase that returns the current, by sector.
+FLOATING = (2, 1, 0, 2, 1, 0)  # Phase whose leg rests, by sector.
 SECTOR = np.pi / 3.0
 
 
@@ -30,12 +18,9 @@ def middle(sector: int, direction: int) -> float:
     """Electrical angle in rad of the d axis in the middle of a sector, where the back-EMF of the
     phase that floats is zero for waveforms without even harmonics.
 
-    Parameters
-    ----------
-    sector:
-        0 to 5.
-    direction:
-        1 forwards, -1 backwards.
+    Args:
+        sector: 0 to 5.
+        direction: 1 forwards, -1 backwards.
     """
     return -np.pi / 6.0 + SECTOR * sector - direction * np.pi / 2.0
 
@@ -44,12 +29,9 @@ def kept_fed(sector: int, direction: int) -> bool:
     """Whether the phase that carried the current before the sector began is the one that is fed;
     else it is the one that returns it.
 
-    Parameters
-    ----------
-    sector:
-        0 to 5.
-    direction:
-        1 forwards, -1 backwards.
+    Args:
+        sector: 0 to 5.
+        direction: 1 forwards, -1 backwards.
     """
     return (sector % 2 == 1) == (direction > 0)
 
@@ -58,11 +40,8 @@ def rising(sector: int, direction: int) -> int:
     """Sign by which the voltage of the floating phase against the star of the terminals rises
     through zero over time in a sector: 1 or -1.
 
-    Parameters
-    ----------
-    sector:
-        0 to 5.
-    direction:
-        1 forwards, -1 backwards.
+    Args:
+        sector: 0 to 5.
+        direction: 1 forwards, -1 backwards.
     """
     return direction if sector % 2 == 1 else -direction

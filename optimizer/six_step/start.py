@@ -43,26 +43,16 @@ _MOST_TURNED = math.radians(140.0)  # the same at the largest speed, so that the
 class BlockStart:
     """The start of a six-step drive.
 
-    Parameters
-    ----------
-    current:
-        In A.
-    voltage:
-        Of two phases in series for it at rest in V, what the dead time takes included.
-    align:
-        Periods of each of the two blocks; ``align_time`` in s of both.
-    rise, rate:
-        Blocks per period: rise per period and end of the ramp.
-    ramp_time:
-        In s.
-    omega:
-        Electrical speed at the hand-over in rad/s.
-    load:
-        Largest load torque in N m with which it starts.
-    settle, gap:
-        Periods with all legs at rest before the first look, and between both.
-    swing:
-        Of the rotor about the aligned angle in rad/s.
+    Args:
+        current: In A.
+        voltage: Of two phases in series for it at rest in V, what the dead time takes included.
+        align: Periods of each of the two blocks; ``align_time`` in s of both.
+        rise, rate: Blocks per period: rise per period and end of the ramp.
+        ramp_time: In s.
+        omega: Electrical speed at the hand-over in rad/s.
+        load: Largest load torque in N m with which it starts.
+        settle, gap: Periods with all legs at rest before the first look, and between both.
+        swing: Of the rotor about the aligned angle in rad/s.
     """
 
     current: float
@@ -88,23 +78,15 @@ def plan_start(
 ) -> BlockStart:
     """The start of a design.
 
-    Parameters
-    ----------
-    design:
-        With the inertia.
-    settings:
-        What is given of it.
-    shape:
-        Of the waveform.
-    speeds:
-        Least and largest electrical speed in rad/s of the estimator.
-    inductance:
-        Of a phase in H.
+    Args:
+        design: With the inertia.
+        settings: What is given of it.
+        shape: Of the waveform.
+        speeds: Least and largest electrical speed in rad/s of the estimator.
+        inductance: Of a phase in H.
 
-    Raises
-    ------
-    InputError
-        The current exceeds the limit.
+    Raises:
+        InputError: The current exceeds the limit.
     """
     machine, t_s, v_dc = design.machine, design.control.t_s, design.inverter.v_dc
     current = _CURRENT * design.i_max if settings.start_current is None else settings.start_current

@@ -17,9 +17,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.box_proofs.contraction import Contraction
 
-_SLACK = 1e-5
-
-"""What the left-hand side keeps from 1, so that rounding does not decide."""
+_SLACK = 1e-5  # What the left-hand side keeps from 1, so that rounding does not decide.
 
 
 def step_contracts(
@@ -27,14 +25,10 @@ def step_contracts(
 ) -> Contraction:
     """Whether x^T P x falls over a step.
 
-    Parameters
-    ----------
-    before, after:
-        P and P', shapes (n, n) and (m, m).
-    closed:
-        Corners of the step, shape (V, m, n).
-    left_out:
-        Bounds of the entries that the corners leave out: of the first rows and columns.
+    Args:
+        before, after: P and P', shapes (n, n) and (m, m).
+        closed: Corners of the step, shape (V, m, n).
+        left_out: Bounds of the entries that the corners leave out: of the first rows and columns.
     """
     fall = before - np.swapaxes(closed, 1, 2) @ after @ closed
     try:

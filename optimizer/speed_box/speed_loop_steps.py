@@ -36,14 +36,10 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.box_proofs.cell_queue import Cell
 
+# What the torque moves the speed by in a sample at least, in the scale of the speed: less would
+# make the speed matter as much as the currents, whose errors are larger.
 _COUPLED = 0.1
-
-"""What the torque moves the speed by in a sample at least, in the scale of the speed: less would
-make the speed matter as much as the currents, whose errors are larger."""
-
-_MORE = 1.0 + 1e-12
-
-"""Makes up for the rounding of a bound."""
+_MORE = 1.0 + 1e-12  # Makes up for the rounding of a bound.
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,12 +160,9 @@ def _nested(most: FloatArray, slope: FloatArray, count: int) -> FloatArray:
 def speed_scale(h: float, emf: float) -> float:
     """The scale sigma of the speed, from h and the largest e eta at sigma = 1.
 
-    Parameters
-    ----------
-    h:
-        kp_s t_s/J'.
-    emf:
-        Largest e eta.
+    Args:
+        h: kp_s t_s/J'.
+        emf: Largest e eta.
     """
     return float(h / max(_COUPLED, np.sqrt(h * emf)))
 

@@ -19,12 +19,8 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.box_proofs.cell_queue import Cell
 
 Interval = tuple[float, float]
-
 PARAMETERS = ("b", "c", "j", "e")
-
-_SLACK = 1e-12
-
-"""Share by which intervals are widened, far more than what doubles round."""
+_SLACK = 1e-12  # Share by which intervals are widened, far more than what doubles round.
 
 
 def _divided(above: Interval, below: Interval) -> Interval:

@@ -15,44 +15,28 @@ from dqforge.optimizer.speed_box.speed_loop_steps import SpeedLoopNumbers, cell_
 from dqforge.optimizer.speed_box.speed_parameters import Interval, SpeedBox
 from dqforge.optimizer.speed_box.speed_search import Chain, Effort, SpeedSearch
 
-_ROUNDED = 1e-12
+_ROUNDED = 1e-12  # Share by which the torque factor, a result of several operations, is widened.
 
-"""Share by which the torque factor, a result of several operations, is widened."""
-
+# Inequalities of a search: a cell has one per corner and current sample. Counted, not timed, so
+# that the same design gives the same bytes.
 _SAMPLES = 20_000
-
 _SEED = 20_261_122
-
 _QUICK, _THOROUGH = 640, 30_000
-
-"""Inequalities of a search: a cell has one per corner and current sample. Counted, not timed, so
-that the same design gives the same bytes."""
-
-_LARGEST = 16
-
-"""Cells of a quick search at most."""
+_LARGEST = 16  # Cells of a quick search at most.
 
 
 @dataclass(frozen=True, slots=True)
 class SpeedProof:
     """What is proven of the speed loop.
 
-    Parameters
-    ----------
-    share:
-        Share of the box that is proven, 1 where all of it is.
-    cells:
-        Cells that were looked at.
-    leaves:
-        Cells that the proof consists of.
-    ratio:
-        Current samples between two of the speed, each with a matrix of its own in the proof.
-    box:
-        The drives, as the loop sees them.
-    unstable:
-        Deviations of a drive that is unstable, None where none was found.
-    tree:
-        The search, with a chain of matrices per proven cell.
+    Args:
+        share: Share of the box that is proven, 1 where all of it is.
+        cells: Cells that were looked at.
+        leaves: Cells that the proof consists of.
+        ratio: Current samples between two of the speed, each with a matrix of its own in the proof.
+        box: The drives, as the loop sees them.
+        unstable: Deviations of a drive that is unstable, None where none was found.
+        tree: The search, with a chain of matrices per proven cell.
     """
 
     share: float
@@ -76,10 +60,8 @@ def _reach(deviations: FloatArray) -> Interval:
 def speed_box(box: DriveBox) -> SpeedBox:
     """The drives that the speed loop depends on.
 
-    Parameters
-    ----------
-    box:
-        The drive with its tolerances.
+    Args:
+        box: The drive with its tolerances.
     """
     points, design = box.speed_points(), box.design
     factors = box.torque_factor(points)
@@ -115,14 +97,10 @@ def speed_numbers(
 ) -> SpeedLoopNumbers:
     """The loop without unit.
 
-    Parameters
-    ----------
-    box:
-        The drive with its tolerances.
-    drives:
-        The same as the speed loop sees it.
-    gains, current_gains:
-        The speed loop, and the current loop of the q axis.
+    Args:
+        box: The drive with its tolerances.
+        drives: The same as the speed loop sees it.
+        gains, current_gains: The speed loop, and the current loop of the q axis.
     """
     machine, control = box.design.machine, box.design.control
     settings, inertia, l_q = control.speed_loop, machine.inertia, box.nominal[1]
@@ -152,14 +130,11 @@ def prove_speed_loop(
 ) -> SpeedProof:
     """Prove the speed loop for every drive of the box, or as much of it as the effort allows.
 
-    Parameters
-    ----------
-    box:
-        The drive with its tolerances.
-    gains, current_gains:
-        The speed loop on a measured speed, and the current loop of the q axis.
-    thorough:
-        Whether some fifty times the effort is spent that every run can afford.
+    Args:
+        box: The drive with its tolerances.
+        gains, current_gains: The speed loop on a measured speed, and the current loop of the q
+            axis.
+        thorough: Whether some fifty times the effort is spent that every run can afford.
     """
     drives = speed_box(box)
     loop = speed_numbers(box, drives, gains, current_gains)

@@ -30,14 +30,8 @@ from dqforge.optimizer.speed_box.cycle_contraction import step_contracts
 from dqforge.optimizer.speed_box.speed_loop_steps import SpeedLoopNumbers, cell_corners
 from dqforge.optimizer.speed_box.speed_parameters import SpeedBox
 
-Chain = tuple[FloatArray, ...]
-
-"""P_0 without the torque command, P_1 .. P_m with it."""
-
-
-_SMALLEST = 1e-6
-
-"""Share of the box below which a cell is not cut any more."""
+Chain = tuple[FloatArray, ...]  # P_0 without the torque command, P_1 .. P_m with it.
+_SMALLEST = 1e-6  # Share of the box below which a cell is not cut any more.
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,10 +152,8 @@ class SpeedSearch:
 def _summed(closed: FloatArray, weight: FloatArray) -> FloatArray:
     """Sum of A^T^k W A^k over all k: twice as many terms at every turn, while A^k is not small.
 
-    Raises
-    ------
-    LinAlgError
-        A is not stable enough for that.
+    Raises:
+        LinAlgError: A is not stable enough for that.
     """
     total = weight
     for _ in range(40):

@@ -12,12 +12,11 @@ The mean over a window W that ended a time A ago lags by W/2 + A and is smaller 
 sinc(omega W/2): A is nought for counts and T_e/2 on average for the others, as edges and samples
 are not in step. One count more or less moves the speed by 2 pi/(N T_s), one tick by its share in D.
 
-References
-----------
-Paper 001, (8.1) to (8.6): capture with N = 1024, f_c = 1/33.9 ns and 16 bits. (8.1) is printed in
-rpm; its limits are (8.2) and one over D per unit. T. Ohmae et al., "A microprocessor-controlled
-high-accuracy wide-range speed regulator for motor drives", IEEE Trans. Industrial Electronics 29,
-1982 (mixed, "M/T").
+References:
+    Paper 001, (8.1) to (8.6): capture with N = 1024, f_c = 1/33.9 ns and 16 bits. (8.1) is printed
+    in rpm; its limits are (8.2) and one over D per unit. T. Ohmae et al., "A
+    microprocessor-controlled high-accuracy wide-range speed regulator for motor drives", IEEE
+    Trans. Industrial Electronics 29, 1982 (mixed, "M/T").
 """
 
 from __future__ import annotations
@@ -29,9 +28,7 @@ from dqforge.machines.design.settings import SpeedMeasurementSettings
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.sampled_systems import ComplexArray
 
-REST = 1.0
-
-"""Time in s without an edge after which the shaft counts as at rest."""
+REST = 1.0  # Time in s without an edge after which the shaft counts as at rest.
 
 
 @dataclass(frozen=True, slots=True)

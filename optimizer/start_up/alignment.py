@@ -12,12 +12,9 @@ _LEAST, _SWINGS = 0.3, 3.0  # in s; swings about the current
 def swing_time(machine: LinearMachine, current: float) -> float:
     """Time of a small swing in s.
 
-    Parameters
-    ----------
-    machine:
-        With an inertia.
-    current:
-        That holds the rotor, in A.
+    Args:
+        machine: With an inertia.
+        current: That holds the rotor, in A.
     """
     torque = 1.5 * machine.pole_pairs * machine.psi_pm * current
     return 2.0 * math.pi / math.sqrt(machine.pole_pairs * torque / (machine.inertia or 0.0))
@@ -26,12 +23,9 @@ def swing_time(machine: LinearMachine, current: float) -> float:
 def alignment_time(machine: LinearMachine, current: float) -> float:
     """Time in s that an alignment is given, per step.
 
-    Parameters
-    ----------
-    machine:
-        With an inertia.
-    current:
-        That holds the rotor, in A.
+    Args:
+        machine: With an inertia.
+        current: That holds the rotor, in A.
     """
     return max(_LEAST, _SWINGS * swing_time(machine, current))
 
@@ -39,13 +33,9 @@ def alignment_time(machine: LinearMachine, current: float) -> float:
 def alignment_damping(machine: LinearMachine, current: float, damping: float) -> float:
     """Current across in A per rad/s (electrical) against the turning rotor, for a damping ratio.
 
-    Parameters
-    ----------
-    machine:
-        With an inertia.
-    current:
-        That holds the rotor, in A.
-    damping:
-        Ratio of the swing.
+    Args:
+        machine: With an inertia.
+        current: That holds the rotor, in A.
+        damping: Ratio of the swing.
     """
     return 2.0 * damping * current * swing_time(machine, current) / (2.0 * math.pi)

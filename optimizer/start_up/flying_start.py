@@ -30,53 +30,33 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.sampled_systems import ComplexArray
 
-LEVEL = 0.15
-"""Share of the largest current that a pulse is to reach."""
+LEVEL = 0.15  # Share of the largest current that a pulse is to reach.
 
-
+# Angle in rad that the rotor may turn between two pulses at the largest speed.
 TURN = 0.8 * math.pi
-"""Angle in rad that the rotor may turn between two pulses at the largest speed."""
-
-
-LONG = 5.0
-"""How much longer the third pulse waits than the second."""
-
-
-LONG_BELOW = 0.2
-"""Share of the largest speed below which the third pulse is needed."""
-
-
-STANDSTILL = 0.05
-"""Share of the largest speed below which the rotor counts as at rest."""
-
-
-LEAST_FRACTION = 0.05
-"""Shortest pulse as a share of a sampling period."""
+LONG = 5.0  # How much longer the third pulse waits than the second.
+LONG_BELOW = 0.2  # Share of the largest speed below which the third pulse is needed.
+STANDSTILL = 0.05  # Share of the largest speed below which the rotor counts as at rest.
+LEAST_FRACTION = 0.05  # Shortest pulse as a share of a sampling period.
 
 
 @dataclass(frozen=True, slots=True)
 class FlyingStart:
     """Pulses by which a turning rotor is found.
 
-    Parameters
-    ----------
-    fraction:
-        Length of the shortest pulse in sampling periods, at most 1: with it the largest speed makes
-        no more than the largest current.
-    longest:
-        Length of the longest pulse in sampling periods. A pulse that has not made ``level`` is
-        tried again with twice the length.
-    spacing:
-        From the begin of a pulse to that of the next one, in sampling periods.
-    long_spacing:
-        From the begin of the second pulse to that of the third one, in sampling periods.
-    level:
-        Current in A that a pulse is to reach.
-    peak:
-        Current in A of the shortest pulse at the largest speed.
-    omega_max, omega_long, omega_least:
-        Electrical speeds in rad/s: the largest that is unique, the one below which the third pulse
-        is needed, and the one below which the rotor counts as at rest.
+    Args:
+        fraction: Length of the shortest pulse in sampling periods, at most 1: with it the largest
+            speed makes no more than the largest current.
+        longest: Length of the longest pulse in sampling periods. A pulse that has not made
+            ``level`` is tried again with twice the length.
+        spacing: From the begin of a pulse to that of the next one, in sampling periods.
+        long_spacing: From the begin of the second pulse to that of the third one, in sampling
+            periods.
+        level: Current in A that a pulse is to reach.
+        peak: Current in A of the shortest pulse at the largest speed.
+        omega_max, omega_long, omega_least: Electrical speeds in rad/s: the largest that is unique,
+            the one below which the third pulse is needed, and the one below which the rotor counts
+            as at rest.
     """
 
     fraction: float
@@ -93,14 +73,10 @@ class FlyingStart:
 def short_circuit_current(machine: LinearMachine, omega: FloatArray, time: float) -> ComplexArray:
     """Current i_d + j i_q in A after a short circuit from rest.
 
-    Parameters
-    ----------
-    machine:
-        Its constants.
-    omega:
-        Electrical speeds in rad/s, shape (N,).
-    time:
-        Length of the short circuit in s.
+    Args:
+        machine: Its constants.
+        omega: Electrical speeds in rad/s, shape (N,).
+        time: Length of the short circuit in s.
     """
     omega = np.asarray(omega, dtype=np.float64)
     d, q = machine.r_s / machine.l_d, machine.r_s / machine.l_q
@@ -144,24 +120,16 @@ def plan_flying_start(
 ) -> FlyingStart:
     """Pulses for speeds up to ``omega_max``.
 
-    Parameters
-    ----------
-    machine:
-        Its constants; ``i_max`` is the largest current.
-    t_s:
-        Sampling period in s.
-    omega_max:
-        Largest electrical speed in rad/s.
-    fractions:
-        Whether pulses shorter than a sampling period can be made.
-    i_limit:
-        Current in A that no pulse may exceed; None for ``machine.i_max``.
+    Args:
+        machine: Its constants; ``i_max`` is the largest current.
+        t_s: Sampling period in s.
+        omega_max: Largest electrical speed in rad/s.
+        fractions: Whether pulses shorter than a sampling period can be made.
+        i_limit: Current in A that no pulse may exceed; None for ``machine.i_max``.
 
-    Raises
-    ------
-    NoSolutionError
-        There is no magnet, the shortest pulse makes too much current, or the rotor turns too far
-        between two pulses; the message has the number.
+    Raises:
+        NoSolutionError: There is no magnet, the shortest pulse makes too much current, or the rotor
+            turns too far between two pulses; the message has the number.
     """
     where, limit = "control.start_up.flying_start", machine.i_max if i_limit is None else i_limit
     if not machine.psi_pm > 0.0:
@@ -197,12 +165,9 @@ def plan_flying_start(
 def speed_of_pair(first: ComplexArray, second: ComplexArray, spacing: float) -> FloatArray:
     """Electrical speed in rad/s from the currents of two pulses.
 
-    Parameters
-    ----------
-    first, second:
-        Currents alpha + j beta in A at the ends of two equal pulses, shape (N,).
-    spacing:
-        Time between them in s.
+    Args:
+        first, second: Currents alpha + j beta in A at the ends of two equal pulses, shape (N,).
+        spacing: Time between them in s.
     """
     return np.asarray(np.angle(second * np.conj(first)) / spacing, dtype=np.float64)
 
@@ -212,14 +177,10 @@ def refined_speed(
 ) -> FloatArray:
     """Electrical speed in rad/s from a later pair, its turns told by a rough speed.
 
-    Parameters
-    ----------
-    omega:
-        Rough electrical speed in rad/s, shape (N,).
-    second, third:
-        Currents alpha + j beta in A at the ends of two equal pulses, shape (N,).
-    long_spacing:
-        Time between them in s.
+    Args:
+        omega: Rough electrical speed in rad/s, shape (N,).
+        second, third: Currents alpha + j beta in A at the ends of two equal pulses, shape (N,).
+        long_spacing: Time between them in s.
     """
     gap = np.angle(third * np.conj(second) * np.exp(-1j * omega * long_spacing))
     return np.asarray(omega + gap / long_spacing, dtype=np.float64)
@@ -230,16 +191,11 @@ def angle_of_pulse(
 ) -> FloatArray:
     """Electrical angle in rad at the end of a pulse, wrapped to -pi to pi.
 
-    Parameters
-    ----------
-    machine:
-        Its constants.
-    current:
-        Current alpha + j beta in A at the end of the pulse, shape (N,).
-    omega:
-        Electrical speed in rad/s, shape (N,).
-    time:
-        Length of the pulse in s.
+    Args:
+        machine: Its constants.
+        current: Current alpha + j beta in A at the end of the pulse, shape (N,).
+        omega: Electrical speed in rad/s, shape (N,).
+        time: Length of the pulse in s.
     """
     model = short_circuit_current(machine, omega, time)
     return np.asarray(np.angle(current * np.conj(model)), dtype=np.float64)

@@ -32,56 +32,22 @@ from dqforge.optimizer.estimators.solve import TunedTracker, solve_tracker
 from dqforge.optimizer.observers.conditions import lost_voltage
 from dqforge.optimizer.start_up.alignment import alignment_damping, alignment_time, swing_time
 
-USUAL_LOAD = 0.3
+USUAL_LOAD = 0.3  # Largest load torque of a design that names none, over the largest torque.
+STEEPEST = 0.6  # sin delta of the ramp at the largest load, where it chooses its current.
+LEAST_SALIENCY = 1.1  # L_q/L_d below which no start by saliency is tried.
 
-"""Largest load torque of a design that names none, over the largest torque."""
-
-
-STEEPEST = 0.6
-
-"""sin delta of the ramp at the largest load, where it chooses its current."""
-
-
-LEAST_SALIENCY = 1.1
-
-"""L_q/L_d below which no start by saliency is tried."""
-
-
+# Fall of L_dd at the current limit below which noise of 0.5 % hides the polarity: five sigma.
 LEAST_SATURATION = 0.025
-
-"""Fall of L_dd at the current limit below which noise of 0.5 % hides the polarity: five sigma."""
-
-
 _ACCELERATION, _DAMPING, _DAMPED_BELOW = 0.1, 0.1, 0.65
-
-
 _ANGLE, _RESISTANCE = math.radians(15.0), 0.3
-
-
 _SLOWEST, _FASTEST = 0.1, 0.5  # of the base speed, for the hand-over
-
-
 _LEAST_SHARE = 0.5  # of the current limit, for the ramp
-
-
 _TRIP, _OPEN_TRIP = 1.8, 2.5  # over the current limit; of a voltage ramp, whose current is open
-
-
 ALIGN_DAMPING, _ALIGN_FILTER = 0.4, 0.3  # of the alignment, and of its filter over 1/omega_n
-
-
 _CAUGHT, _REST = 0.15, 0.05  # current of a short circuit over the limit; speed of a rotor at rest
-
-
 _LAG = math.radians(10.0)  # of a phase-locked loop while the reference accelerates
-
-
 _TRACKED_LAG = math.radians(3.0)  # of a tracker's, which the correction of drift slows further
-
-
 _ABOVE = 1.3  # of the least speed of a tracker, for the hand-over
-
-
 _SLOW_LOOP, _SLOWEST_LOOP, _LOOP = 0.01, 2.0 * math.pi * 40.0, 0.05
 
 
@@ -89,60 +55,44 @@ _SLOW_LOOP, _SLOWEST_LOOP, _LOOP = 0.01, 2.0 * math.pi * 40.0, 0.05
 class StartUpPlan:
     """Everything that the start-up needs, in SI units; angles and speeds electrical.
 
-    Parameters
-    ----------
-    method, alignment:
-        How the rotor leaves standstill, and how it is brought to a known angle; never ``auto``.
-    flying:
-        Whether a rotor that turns already is looked for.
-    t_s:
-        Sampling period in s.
-    pole_pairs, r_s, l_d, l_q, psi_pm, inertia:
-        The machine as the controller believes it: Ohm, H, Wb, kg m^2.
-    current_limit, rated_torque, base_speed:
-        I in A, K_T I in N m and the base speed in rad/s.
-    load_torque:
-        Largest load torque to start, in N m.
-    align_current, align_voltage, align_time:
-        In A, V and s.
-    align_damping, align_filter:
-        Current against the turning rotor in A per rad/s, and the time constant in s of the filter
-        of its speed.
-    ramp_current, ramp_acceleration, ramp_rise:
-        In A and rad/s^2, reached after ``ramp_rise`` s.
-    boost:
-        Voltage in V of the voltage ramp beside psi omega.
-    damping:
-        Speed taken off the ramp per V of the active voltage above its mean, in rad/s.
-    swing_time:
-        2 pi/omega_n at the current of the ramp, in s.
-    hand_over, mix_from, back_below, ramp_end, stall_below, ratio_above:
-        In rad/s: the observer at speed rules from the first on, begins to count from the second,
-        rules no more below the third; the ramp ends at the fourth; a start that falls below the
-        fifth has stalled; the ratio of the EMF is looked at above the last.
-    agree_share, agree_time:
-        The observer's speed must be that of the ramp within this share for so many s.
-    patience:
-        Time in s beyond the planned end until a start has failed.
-    held_current, fade_time:
-        d current in A held until the observer rules, and the time in s in which it goes.
-    run_acceleration:
-        Slope of the speed reference after the start in rad/s^2.
-    ratio_low, ratio_high, ratio_filter, ratio_settled, ratio_time:
-        Limits of EMF over omega psi, its filter in s, how long the speed must have settled and how
-        long it must be outside, in s.
-    stall_time:
-        Time in s for which the speed must be too low.
-    retries, retry_pause:
-        Further tries, and the time in s before the next.
-    trip_current, v_dc_min:
-        Limits in A and V (0: none).
-    catch_current, catch_longest, catch_pause, catch_least:
-        Flying start: current in A that a pulse should reach, its longest duration and the pause in
-        s, and the speed in rad/s below which the rotor counts as at rest.
-    search_time, polarity_time, polarity_current, polarity_share:
-        Start by saliency: time in s to find the axis, time in s per side of it, current in A, and
-        by what share the ripples at both ends must differ.
+    Args:
+        method, alignment: How the rotor leaves standstill, and how it is brought to a known angle;
+            never ``auto``.
+        flying: Whether a rotor that turns already is looked for.
+        t_s: Sampling period in s.
+        pole_pairs, r_s, l_d, l_q, psi_pm, inertia: The machine as the controller believes it: Ohm,
+            H, Wb, kg m^2.
+        current_limit, rated_torque, base_speed: I in A, K_T I in N m and the base speed in rad/s.
+        load_torque: Largest load torque to start, in N m.
+        align_current, align_voltage, align_time: In A, V and s.
+        align_damping, align_filter: Current against the turning rotor in A per rad/s, and the time
+            constant in s of the filter of its speed.
+        ramp_current, ramp_acceleration, ramp_rise: In A and rad/s^2, reached after ``ramp_rise`` s.
+        boost: Voltage in V of the voltage ramp beside psi omega.
+        damping: Speed taken off the ramp per V of the active voltage above its mean, in rad/s.
+        swing_time: 2 pi/omega_n at the current of the ramp, in s.
+        hand_over, mix_from, back_below, ramp_end, stall_below, ratio_above: In rad/s: the observer
+            at speed rules from the first on, begins to count from the second, rules no more below
+            the third; the ramp ends at the fourth; a start that falls below the fifth has stalled;
+            the ratio of the EMF is looked at above the last.
+        agree_share, agree_time: The observer's speed must be that of the ramp within this share for
+            so many s.
+        patience: Time in s beyond the planned end until a start has failed.
+        held_current, fade_time: d current in A held until the observer rules, and the time in s in
+            which it goes.
+        run_acceleration: Slope of the speed reference after the start in rad/s^2.
+        ratio_low, ratio_high, ratio_filter, ratio_settled, ratio_time: Limits of EMF over omega
+            psi, its filter in s, how long the speed must have settled and how long it must be
+            outside, in s.
+        stall_time: Time in s for which the speed must be too low.
+        retries, retry_pause: Further tries, and the time in s before the next.
+        trip_current, v_dc_min: Limits in A and V (0: none).
+        catch_current, catch_longest, catch_pause, catch_least: Flying start: current in A that a
+            pulse should reach, its longest duration and the pause in s, and the speed in rad/s
+            below which the rotor counts as at rest.
+        search_time, polarity_time, polarity_current, polarity_share: Start by saliency: time in s
+            to find the axis, time in s per side of it, current in A, and by what share the ripples
+            at both ends must differ.
     """
 
     method: StartUpMethodName
@@ -217,12 +167,9 @@ def saturation(machine: Machine, i_max: float) -> float:
     """By how much the inductance L_dd falls from no current to the limit along d, relative: what
     tells north from south at rest; 0 of a machine of constant inductances.
 
-    Parameters
-    ----------
-    machine:
-        The machine.
-    i_max:
-        Current limit in A.
+    Args:
+        machine: The machine.
+        i_max: Current limit in A.
     """
     if isinstance(machine, LinearMachine):
         return 0.0
@@ -248,12 +195,9 @@ def _or(value: float | None, usual: float) -> float:
 def chosen_method(settings: StartUpSettings, machine: LinearMachine) -> StartUpMethodName:
     """The method that ``auto`` stands for; any other is itself.
 
-    Parameters
-    ----------
-    settings:
-        Of the start.
-    machine:
-        The machine at no current.
+    Args:
+        settings: Of the start.
+        machine: The machine at no current.
     """
     if settings.method != "auto":
         return settings.method
@@ -268,12 +212,9 @@ def hand_over_speed(design: Design, machine: LinearMachine) -> float:
     """Electrical speed in rad/s where resistance and dead time turn the observer's angle by 15 deg,
     within 10 and 50 % of the base speed.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    machine:
-        Its machine at no current.
+    Args:
+        design: The design.
+        machine: Its machine at no current.
     """
     tolerances = design.control.tolerances
     share = 0.0 if tolerances is None else max(abs(side) for side in tolerances.limits("r_s"))
@@ -294,14 +235,10 @@ def slowest_loop(
 ) -> float:
     """Natural frequency in rad/s of the slowest phase-locked loop that the speed control runs on.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    method:
-        How it starts.
-    tracked:
-        The tracker that it runs on at speed, None where that is an observer.
+    Args:
+        design: The design.
+        method: How it starts.
+        tracked: The tracker that it runs on at speed, None where that is an observer.
     """
     if tracked is not None and tracked.loop is not None:
         return math.sqrt(tracked.loop.k_i / tracked.loop.t_s)
@@ -317,10 +254,8 @@ def slowest_loop(
 def start_up_plan(design: Design) -> StartUpPlan | None:
     """What the start of a design needs; None where it asks for none.
 
-    Parameters
-    ----------
-    design:
-        The design; one with a start has a magnet, an inertia, an observer and a speed loop.
+    Args:
+        design: The design; one with a start has a magnet, an inertia, an observer and a speed loop.
     """
     settings = design.control.start_up
     if settings is None:

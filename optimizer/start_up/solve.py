@@ -52,10 +52,8 @@ class StartUp:
 def accelerating_torque(plan: StartUpPlan) -> float:
     """Torque in N m that accelerates the ramp.
 
-    Parameters
-    ----------
-    plan:
-        What the start needs.
+    Args:
+        plan: What the start needs.
     """
     return plan.ramp_acceleration * plan.inertia / plan.pole_pairs
 
@@ -63,14 +61,11 @@ def accelerating_torque(plan: StartUpPlan) -> float:
 def largest_load(plan: StartUpPlan, method: StartUpMethodName, current: float) -> float:
     """Largest load torque in N m that a method starts with a current in A; 0 for none.
 
-    Parameters
-    ----------
-    plan:
-        What the start needs.
-    method:
-        The method.
-    current:
-        Of the ramp, of the alignment before ``direct``, or the current limit for ``saliency``.
+    Args:
+        plan: What the start needs.
+        method: The method.
+        current: Of the ramp, of the alignment before ``direct``, or the current limit for
+            ``saliency``.
     """
     torque = plan.torque_per_ampere * current
     if method == "direct":
@@ -86,12 +81,9 @@ def drift(design: Design, plan: StartUpPlan) -> float:
     """Flux linkage in Wb that wrong resistance and dead time integrate until the hand-over of a
     start from the alignment into the observer.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    plan:
-        What its start needs.
+    Args:
+        design: The design.
+        plan: What its start needs.
     """
     tolerances = design.control.tolerances
     share = 0.0 if tolerances is None else max(abs(side) for side in tolerances.limits("r_s"))
@@ -111,10 +103,8 @@ _LIMITED = (
 def _refuse_limits(design: Design, plan: StartUpPlan) -> None:
     """Refuse what the drive cannot carry, reach, or would trip on at once.
 
-    Raises
-    ------
-    InputError
-        With the limit.
+    Raises:
+        InputError: With the limit.
     """
     settings, limit = design.control.start_up, plan.current_limit
     if settings is None:
@@ -225,17 +215,12 @@ def _refuse(design: Design, plan: StartUpPlan, most: float) -> None:
 def solve_start_up(design: Design) -> StartUp | None:
     """The start that a design asks for, None without one.
 
-    Parameters
-    ----------
-    design:
-        The design.
+    Args:
+        design: The design.
 
-    Raises
-    ------
-    InputError
-        The drive cannot carry or reach what is asked for, or trips on it.
-    NoSolutionError
-        Physics forbids the method; the message has the number.
+    Raises:
+        InputError: The drive cannot carry or reach what is asked for, or trips on it.
+        NoSolutionError: Physics forbids the method; the message has the number.
     """
     plan = start_up_plan(design)
     if plan is None:

@@ -17,31 +17,15 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray, IndexArray
 from dqforge.machines.records import dataclass
 
+# What really happened: the observer never took over; the rotor stands or creeps; the observer is
+# about half an electrical turn off; the speed swings; the angle, or the speed, is off by more than
+# the limit; the current ran beyond every limit.
 Failure = Literal["no hand-over", "stalled", "half a turn", "swings", "angle", "speed", "overload"]
-
-"""What really happened: the observer never took over; the rotor stands or creeps; the observer is
-about half an electrical turn off; the speed swings; the angle, or the speed, is off by more than
-the limit; the current ran beyond every limit."""
-
-
-SPEED_LIMIT = 0.05
-"""Largest deviation of the mean speed from its reference, relative."""
-
-
-ANGLE_LIMIT = math.radians(30.0)
-"""Largest error of the observer's angle in rad, r.m.s."""
-
-
-SWING_LIMIT = 0.2
-"""Largest swing of the speed, peak to peak, over its reference."""
-
-
+SPEED_LIMIT = 0.05  # Largest deviation of the mean speed from its reference, relative.
+ANGLE_LIMIT = math.radians(30.0)  # Largest error of the observer's angle in rad, r.m.s.
+SWING_LIMIT = 0.2  # Largest swing of the speed, peak to peak, over its reference.
 _STANDS = 0.2  # of the reference: slower is a standstill
-
-
 _HALF_TURN = 0.5 * math.pi
-
-
 _Z_95 = 1.959963984540054
 
 
@@ -49,22 +33,16 @@ _Z_95 = 1.959963984540054
 class StartRecord:
     """Samples of one start, shapes (N,).
 
-    Parameters
-    ----------
-    time:
-        In s, ascending.
-    omega_m:
-        True mechanical speed in rad/s.
-    reference:
-        The speed that is asked for, mechanical, in rad/s; it must not be zero at the end.
-    angle_error:
-        The observer's angle less the true one in rad, wrapped; nan where none is known.
-    ruling:
-        Whether the observer rules.
-    reported:
-        Whether the drive reports a fault, at the end or in a try before.
-    broken:
-        Whether the current ran beyond every limit.
+    Args:
+        time: In s, ascending.
+        omega_m: True mechanical speed in rad/s.
+        reference: The speed that is asked for, mechanical, in rad/s; it must not be zero at the
+            end.
+        angle_error: The observer's angle less the true one in rad, wrapped; nan where none is
+            known.
+        ruling: Whether the observer rules.
+        reported: Whether the drive reports a fault, at the end or in a try before.
+        broken: Whether the current ran beyond every limit.
     """
 
     time: FloatArray
@@ -80,24 +58,17 @@ class StartRecord:
 class StartVerdict:
     """How a start went.
 
-    Parameters
-    ----------
-    failure:
-        What happened, None where the drive has started.
-    reported:
-        Whether the drive reported a fault.
-    speed_error:
-        Mean speed at the end over its reference, less 1.
-    angle_error:
-        Error of the observer's angle at the end in rad, r.m.s.; nan where the record has none.
-    swing:
-        Swing of the speed at the end, peak to peak, over its reference.
-    time_90:
-        When 90 % of the reference was first reached, in s; nan if never.
-    hand_over_error:
-        Error of the observer's angle in rad when it took over; nan if it never did.
-    back_turn:
-        Largest mechanical movement against the direction of the start, in rad.
+    Args:
+        failure: What happened, None where the drive has started.
+        reported: Whether the drive reported a fault.
+        speed_error: Mean speed at the end over its reference, less 1.
+        angle_error: Error of the observer's angle at the end in rad, r.m.s.; nan where the record
+            has none.
+        swing: Swing of the speed at the end, peak to peak, over its reference.
+        time_90: When 90 % of the reference was first reached, in s; nan if never.
+        hand_over_error: Error of the observer's angle in rad when it took over; nan if it never
+            did.
+        back_turn: Largest mechanical movement against the direction of the start, in rad.
     """
 
     failure: Failure | None
@@ -151,12 +122,9 @@ def _failure(
 def judge_start(record: StartRecord, settled: float) -> StartVerdict:
     """How a start went.
 
-    Parameters
-    ----------
-    record:
-        Its samples.
-    settled:
-        Length in s of the last part, in which everything must hold.
+    Args:
+        record: Its samples.
+        settled: Length in s of the last part, in which everything must hold.
     """
     last = np.flatnonzero(record.time >= record.time[-1] - settled)
     wanted = float(record.reference[-1])
@@ -180,12 +148,9 @@ def judge_start(record: StartRecord, settled: float) -> StartVerdict:
 def wilson_interval(succeeded: int, count: int) -> tuple[float, float]:
     """Score interval of Wilson, 95 %, of a share of which ``succeeded`` of ``count`` were seen.
 
-    Parameters
-    ----------
-    succeeded:
-        How many.
-    count:
-        Of how many, at least one.
+    Args:
+        succeeded: How many.
+        count: Of how many, at least one.
     """
     share, z = succeeded / count, _Z_95
     centre = (share + z * z / (2.0 * count)) / (1.0 + z * z / count)
@@ -198,12 +163,9 @@ def wilson_interval(succeeded: int, count: int) -> tuple[float, float]:
 class StartRate:
     """How often drives started.
 
-    Parameters
-    ----------
-    load:
-        Load torque over the torque of the current limit in the q axis.
-    verdicts:
-        One per start.
+    Args:
+        load: Load torque over the torque of the current limit in the q axis.
+        verdicts: One per start.
     """
 
     load: float
@@ -244,14 +206,10 @@ class StartRate:
 def percentile(verdicts: Sequence[StartVerdict], name: str, share: float) -> float:
     """Percentile of the magnitude of one figure over the starts that succeeded; nan without any.
 
-    Parameters
-    ----------
-    verdicts:
-        Of the starts.
-    name:
-        Of the figure: a field of `StartVerdict`.
-    share:
-        In percent.
+    Args:
+        verdicts: Of the starts.
+        name: Of the figure: a field of `StartVerdict`.
+        share: In percent.
     """
     values = [abs(float(getattr(one, name))) for one in verdicts if one.started]
     return float(np.percentile(values, share)) if values else math.nan

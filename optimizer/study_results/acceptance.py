@@ -15,9 +15,7 @@ from dqforge.optimizer.exploration.row_block import STATES, RowState
 from dqforge.optimizer.exploration.verdicts import within
 from dqforge.optimizer.study_results.intervals import CONFIDENCE, Share
 
-NAMED = 20
-
-"""Rows of each bad ending that are named; all are counted."""
+NAMED = 20  # Rows of each bad ending that are named; all are counted.
 
 
 class StudyRows(Protocol):
@@ -94,24 +92,15 @@ class NamedRow:
 class AcceptanceTally:
     """What is accepted, counted over the rows so far.
 
-    Parameters
-    ----------
-    ranges:
-        What is accepted.
-    inputs:
-        Columns of the inputs that are told of a worst row.
-    rows:
-        Rows so far. Those without a value meet nothing, whatever they ended by.
-    met:
-        Rows that meet each range.
-    met_all:
-        Rows that meet all of them.
-    worst:
-        Of each range, None as long as no row had a value.
-    states:
-        Rows by how they ended.
-    named:
-        The first `NAMED` rows of each bad ending.
+    Args:
+        ranges: What is accepted.
+        inputs: Columns of the inputs that are told of a worst row.
+        rows: Rows so far. Those without a value meet nothing, whatever they ended by.
+        met: Rows that meet each range.
+        met_all: Rows that meet all of them.
+        worst: Of each range, None as long as no row had a value.
+        states: Rows by how they ended.
+        named: The first `NAMED` rows of each bad ending.
     """
 
     ranges: tuple[AcceptedRange, ...]

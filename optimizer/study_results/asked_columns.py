@@ -13,10 +13,8 @@ from dqforge.optimizer.variant_steps.outputs import bound_output
 def goal_columns(study: Study) -> tuple[GoalColumn, ...]:
     """Goals of a study.
 
-    Parameters
-    ----------
-    study:
-        The study.
+    Args:
+        study: The study.
     """
     return tuple(GoalColumn(OUTPUT_COLUMN + goal.output, goal.minimise) for goal in study.goals)
 
@@ -24,12 +22,9 @@ def goal_columns(study: Study) -> tuple[GoalColumn, ...]:
 def bound_column(bound: Bound, design: Design) -> AcceptedRange:
     """A limit of a study, or what it accepts.
 
-    Parameters
-    ----------
-    bound:
-        As the study says it.
-    design:
-        The design that it starts from.
+    Args:
+        bound: As the study says it.
+        design: The design that it starts from.
     """
     name = bound_output(bound, design)
     return AcceptedRange(OUTPUT_COLUMN + name, bound.output, bound.below, bound.above)

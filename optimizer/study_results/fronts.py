@@ -12,21 +12,17 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray, IndexArray
 from dqforge.machines.records import dataclass
 
-_BLOCK = 512
-
-"""Rows that are held against a front at a time: of the order of a front's own size."""
+_BLOCK = 512  # Rows that are held against a front at a time: of the order of a front's own size.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Front:
     """A front of rows, ascending by index.
 
-    Parameters
-    ----------
-    index:
-        Indices of the rows in the study, int64 (n,).
-    goals:
-        What is made small, shape (n, G); a goal that is to be large stands with its sign turned.
+    Args:
+        index: Indices of the rows in the study, int64 (n,).
+        goals: What is made small, shape (n, G); a goal that is to be large stands with its sign
+            turned.
     """
 
     index: NDArray[np.int64]
@@ -46,10 +42,8 @@ class Front:
 def empty_front(goals: int) -> Front:
     """A front of no rows.
 
-    Parameters
-    ----------
-    goals:
-        Number of goals G.
+    Args:
+        goals: Number of goals G.
     """
     return Front(np.empty(0, dtype=np.int64), np.empty((0, goals)))
 
@@ -57,12 +51,9 @@ def empty_front(goals: int) -> Front:
 def front_of(index: NDArray[np.int64], goals: FloatArray) -> Front:
     """The front of rows; those with a goal that is no number are out.
 
-    Parameters
-    ----------
-    index:
-        Indices of the rows, shape (n,), each once.
-    goals:
-        What is made small, shape (n, G).
+    Args:
+        index: Indices of the rows, shape (n,), each once.
+        goals: What is made small, shape (n, G).
     """
     index, goals = np.asarray(index, dtype=np.int64), np.asarray(goals, dtype=np.float64)
     known = ~np.any(np.isnan(goals), axis=1)

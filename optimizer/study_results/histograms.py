@@ -8,26 +8,21 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 
+# Bins; at least a quarter of them lie within the values, so that a quantile is known to 1/128 of
+# their range, mostly to 1/256.
 BINS = 512
-
-"""Bins; at least a quarter of them lie within the values, so that a quantile is known to 1/128 of
-their range, mostly to 1/256."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Histogram:
     """Counts of an output's finite values.
 
-    Parameters
-    ----------
-    low, width:
-        Lower end of the first bin and width of each; the width is 0 while all values are equal.
-    counts:
-        Rows in each bin, int64 (BINS,).
-    unknown:
-        Rows without a finite value.
-    least, largest:
-        Of the values; infinite where there are none.
+    Args:
+        low, width: Lower end of the first bin and width of each; the width is 0 while all values
+            are equal.
+        counts: Rows in each bin, int64 (BINS,).
+        unknown: Rows without a finite value.
+        least, largest: Of the values; infinite where there are none.
     """
 
     low: float

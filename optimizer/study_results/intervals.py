@@ -7,21 +7,16 @@ from statistics import NormalDist
 
 from dqforge.machines.records import dataclass
 
-CONFIDENCE = 0.95
-
-"""Share of studies in which an interval holds the true share."""
+CONFIDENCE = 0.95  # Share of studies in which an interval holds the true share.
 
 
 @dataclass(frozen=True, slots=True)
 class Share:
     """``met`` of ``count`` rows.
 
-    Parameters
-    ----------
-    met, count:
-        Numbers of rows.
-    confidence:
-        Probability with which the interval holds the true share.
+    Args:
+        met, count: Numbers of rows.
+        confidence: Probability with which the interval holds the true share.
     """
 
     met: int
@@ -49,12 +44,9 @@ def wilson(met: int, count: int, confidence: float = CONFIDENCE) -> tuple[float,
     (p + z^2/2n +- z sqrt(p (1 - p)/n + z^2/4n^2)) / (1 + z^2/n) with p = met/n. None of n rows, and
     all of them, have an interval with a width, too; of no rows it is everything from 0 to 1.
 
-    Parameters
-    ----------
-    met, count:
-        Numbers of rows.
-    confidence:
-        Probability with which the interval holds the true share.
+    Args:
+        met, count: Numbers of rows.
+        confidence: Probability with which the interval holds the true share.
     """
     if count == 0:
         return 0.0, 1.0

@@ -21,27 +21,20 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 
-BINS = 50
-
-"""Bins of each input."""
+BINS = 50  # Bins of each input.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BinnedOutput:
     """Sums of an output over the bins of D inputs; more rows are added by `plus`.
 
-    Parameters
-    ----------
-    edges:
-        Inner edges of the bins of each input, shape (D, B - 1), ascending.
-    centre:
-        A value of the output from which it is counted, and of each input, shape (1 + D,): sums of
-        squares would cancel otherwise.
-    counts, sums:
-        Rows, and sum of the output, in each bin, shape (D, B).
-    moments:
-        Sums of products of the output and the inputs, shape (1 + D, 1 + D), and their own sums,
-        shape (1 + D,), as the last row.
+    Args:
+        edges: Inner edges of the bins of each input, shape (D, B - 1), ascending.
+        centre: A value of the output from which it is counted, and of each input, shape (1 + D,):
+            sums of squares would cancel otherwise.
+        counts, sums: Rows, and sum of the output, in each bin, shape (D, B).
+        moments: Sums of products of the output and the inputs, shape (1 + D, 1 + D), and their own
+            sums, shape (1 + D,), as the last row.
     """
 
     edges: FloatArray
@@ -75,14 +68,10 @@ class BinnedOutput:
 def binned_output(inputs: FloatArray, output: FloatArray, bins: int = BINS) -> BinnedOutput:
     """Bins for an output, empty, with edges that hold equally many of the rows given.
 
-    Parameters
-    ----------
-    inputs:
-        Inputs of the first rows of the study, shape (n, D).
-    output:
-        Output of the same rows, shape (n,).
-    bins:
-        Number of bins B, fewer where there are fewer rows.
+    Args:
+        inputs: Inputs of the first rows of the study, shape (n, D).
+        output: Output of the same rows, shape (n,).
+        bins: Number of bins B, fewer where there are fewer rows.
     """
     count = max(min(bins, inputs.shape[0] // 4), 1)
     shares = np.arange(1, count) / count
@@ -103,21 +92,15 @@ def binned_output(inputs: FloatArray, output: FloatArray, bins: int = BINS) -> B
 class Sensitivities:
     """What an output depends on, arrays of shape (D,) in the order of ``inputs``.
 
-    Parameters
-    ----------
-    output, inputs:
-        Names.
-    rows:
-        Rows that they come from.
-    first:
-        First-order sensitivities; NaN of an output that does not change.
-    squared_correlation:
-        Squares of the correlations: the same where the output is a straight line in the input.
-    bias:
-        What was taken off the plain quotient of variances of an input without influence.
-    total:
-        Total sensitivities, with all that an input does together with others; None from a draw
-        that was not made for them.
+    Args:
+        output, inputs: Names.
+        rows: Rows that they come from.
+        first: First-order sensitivities; NaN of an output that does not change.
+        squared_correlation: Squares of the correlations: the same where the output is a straight
+            line in the input.
+        bias: What was taken off the plain quotient of variances of an input without influence.
+        total: Total sensitivities, with all that an input does together with others; None from a
+            draw that was not made for them.
     """
 
     output: str
@@ -136,12 +119,9 @@ class Sensitivities:
 def sensitivities(output: str, inputs: Sequence[str], found: BinnedOutput) -> Sensitivities:
     """Sensitivities of an output to inputs that were drawn independently of each other.
 
-    Parameters
-    ----------
-    output, inputs:
-        Names of the output and of the D inputs.
-    found:
-        The output over their bins.
+    Args:
+        output, inputs: Names of the output and of the D inputs.
+        found: The output over their bins.
     """
     rows, width = found.rows, found.moments.shape[1]
     unknown = np.full(width - 1, np.nan)

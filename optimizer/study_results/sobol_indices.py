@@ -39,20 +39,14 @@ def _nothing() -> FloatArray:
 class SaltelliSums:
     """What the estimators need of the rows so far.
 
-    Parameters
-    ----------
-    inputs:
-        Number of inputs D.
-    centre:
-        A value of the output from which it is counted; None before the first base row.
-    base:
-        Base rows so far; those with a row that is no finite number are left out.
-    whole:
-        Sums over A and B together: of the output, and of its square.
-    changes, products, squares:
-        Sums of f(AB_i) - f(A), of that times f(B), and of its square, shape (D,).
-    left:
-        Rows behind the last whole base row.
+    Args:
+        inputs: Number of inputs D.
+        centre: A value of the output from which it is counted; None before the first base row.
+        base: Base rows so far; those with a row that is no finite number are left out.
+        whole: Sums over A and B together: of the output, and of its square.
+        changes, products, squares: Sums of f(AB_i) - f(A), of that times f(B), and of its square,
+            shape (D,).
+        left: Rows behind the last whole base row.
     """
 
     inputs: int
@@ -108,12 +102,9 @@ class SaltelliSums:
 def sobol_indices(output: FloatArray, inputs: int) -> SobolIndices:
     """First-order and total sensitivities from the rows of the design in their order.
 
-    Parameters
-    ----------
-    output:
-        The output of each row, shape (n (D + 2),); rows behind the last whole base row, and base
-        rows of which one row is no finite number, are left out.
-    inputs:
-        Number of inputs D.
+    Args:
+        output: The output of each row, shape (n (D + 2),); rows behind the last whole base row, and
+            base rows of which one row is no finite number, are left out.
+        inputs: Number of inputs D.
     """
     return SaltelliSums(inputs).plus(np.asarray(output, dtype=np.float64)).indices()

@@ -38,24 +38,16 @@ class GoalColumn:
 class StudyQuestion:
     """What is asked of the rows together, by the names of their columns.
 
-    Parameters
-    ----------
-    accept:
-        What is accepted.
-    goals:
-        Goals of the front; none for no front.
-    inputs:
-        Columns told of a worst row.
-    drawn:
-        Inputs that are drawn.
-    sensitivity:
-        Outputs whose sensitivity to them is asked for.
-    spread:
-        Outputs that have a histogram.
-    saltelli:
-        Whether rows are those of `dqforge.optimizer.exploration.saltelli_design`, for first-order
-        and total sensitivities. Then shares count the two independent samples alone: the others
-        repeat all of their inputs but one.
+    Args:
+        accept: What is accepted.
+        goals: Goals of the front; none for no front.
+        inputs: Columns told of a worst row.
+        drawn: Inputs that are drawn.
+        sensitivity: Outputs whose sensitivity to them is asked for.
+        spread: Outputs that have a histogram.
+        saltelli: Whether rows are those of `dqforge.optimizer.exploration.saltelli_design`, for
+            first-order and total sensitivities. Then shares count the two independent samples
+            alone: the others repeat all of their inputs but one.
     """
 
     accept: tuple[AcceptedRange, ...] = ()
@@ -78,20 +70,13 @@ class StudyQuestion:
 class StudySummary:
     """What the rows say together.
 
-    Parameters
-    ----------
-    question:
-        What was asked.
-    rows:
-        All rows.
-    acceptance:
-        Shares, worst rows, rows by how they ended.
-    front:
-        The front of the rows in state ``ok``; None where no goal was asked for.
-    sensitivities:
-        Of each output asked for, in that order.
-    spread:
-        Histograms of outputs, in the order asked for.
+    Args:
+        question: What was asked.
+        rows: All rows.
+        acceptance: Shares, worst rows, rows by how they ended.
+        front: The front of the rows in state ``ok``; None where no goal was asked for.
+        sensitivities: Of each output asked for, in that order.
+        spread: Histograms of outputs, in the order asked for.
     """
 
     question: StudyQuestion
@@ -105,12 +90,9 @@ class StudySummary:
 def summarise(question: StudyQuestion, parts: Iterable[StudyRows]) -> StudySummary:
     """Go through the parts of a study once.
 
-    Parameters
-    ----------
-    question:
-        What is asked; a part holds `StudyQuestion.columns`.
-    parts:
-        Parts in their order.
+    Args:
+        question: What is asked; a part holds `StudyQuestion.columns`.
+        parts: Parts in their order.
     """
     rows = 0
     acceptance = AcceptanceTally(question.accept, question.inputs)

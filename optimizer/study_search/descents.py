@@ -23,31 +23,21 @@ from dqforge.machines.exploration.study import Search
 from dqforge.optimizer.study_search.search_rows import Outcomes
 from dqforge.optimizer.study_search.search_space import SearchVariable, values_of
 
-_FIRST_STEP = 0.2
+_FIRST_STEP = 0.2  # First step of a descent, as a share of every range.
+_LAST_STEP = 1e-5  # Step at which a descent ends.
 
-"""First step of a descent, as a share of every range."""
-
-
-_LAST_STEP = 1e-5
-
-"""Step at which a descent ends."""
-
-
+# What a row without values counts with, in spreads of the goal above the worst one known.
 _LOST = 10.0
-
-"""What a row without values counts with, in spreads of the goal above the worst one known."""
 
 
 @dataclass(slots=True, eq=False)
 class Descent:
     """One descent: its start and what it has been told, point by point in the order asked.
 
-    Parameters
-    ----------
-    start:
-        Shares of the ranges, shape (V,).
-    points, goals, limits:
-        Points asked for, their goal, and the excess of each limit, shape (L,) each.
+    Args:
+        start: Shares of the ranges, shape (V,).
+        points, goals, limits: Points asked for, their goal, and the excess of each limit, shape
+            (L,) each.
     """
 
     start: FloatArray
@@ -104,16 +94,11 @@ class Descent:
 class Descents:
     """Descents under way; `dqforge.optimizer.study_search.search_rows.SearchRows`.
 
-    Parameters
-    ----------
-    variables:
-        What varies: ranges alone.
-    population:
-        Number of descents, rows of each generation.
-    seed:
-        Of the starts.
-    generation:
-        Generations that have been told.
+    Args:
+        variables: What varies: ranges alone.
+        population: Number of descents, rows of each generation.
+        seed: Of the starts.
+        generation: Generations that have been told.
     """
 
     variables: tuple[SearchVariable, ...]
@@ -169,19 +154,14 @@ class Descents:
 def open_descents(search: Search, variables: Sequence[SearchVariable], goals: int) -> Descents:
     """Descents before their first generation.
 
-    Parameters
-    ----------
-    search:
-        Rows per generation, which is the number of descents, and seed.
-    variables:
-        What varies.
-    goals:
-        Number of goals.
+    Args:
+        search: Rows per generation, which is the number of descents, and seed.
+        variables: What varies.
+        goals: Number of goals.
 
-    Raises
-    ------
-    InputError
-        There is more than one goal, or something varies that has no values between two steps.
+    Raises:
+        InputError: There is more than one goal, or something varies that has no values between two
+            steps.
     """
     if goals != 1:
         raise InputError(

@@ -23,29 +23,21 @@ from dqforge.optimizer.study_search.search_space import (
     values_of,
 )
 
+# Excess that a row without values counts with: more than any limit can be broken by.
 _OUT_OF_REACH = 1e9
-
-"""Excess that a row without values counts with: more than any limit can be broken by."""
 
 
 @dataclass(slots=True, eq=False)
 class Evolution:
     """NSGA-II under way; `dqforge.optimizer.study_search.search_rows.SearchRows`.
 
-    Parameters
-    ----------
-    variables:
-        What varies.
-    population:
-        Rows of each generation.
-    seed:
-        Of all numbers at random.
-    algorithm:
-        That of pymoo.
-    generation:
-        Generations that have been told.
-    asked:
-        Individuals of the generation that was asked for and not yet told.
+    Args:
+        variables: What varies.
+        population: Rows of each generation.
+        seed: Of all numbers at random.
+        algorithm: That of pymoo.
+        generation: Generations that have been told.
+        asked: Individuals of the generation that was asked for and not yet told.
     """
 
     variables: tuple[SearchVariable, ...]
@@ -95,10 +87,8 @@ class Evolution:
 def points_of(individuals: Any) -> FloatArray:
     """Shares of ranges and places of steps of pymoo's individuals, shape (n, V).
 
-    Parameters
-    ----------
-    individuals:
-        A population of pymoo.
+    Args:
+        individuals: A population of pymoo.
     """
     rows = [[each.X[_name(place)] for place in range(len(each.X))] for each in individuals]
     return np.array(rows, dtype=np.float64)
@@ -136,19 +126,13 @@ def open_evolution(
 ) -> Evolution:
     """NSGA-II before its first generation.
 
-    Parameters
-    ----------
-    search:
-        Rows per generation and seed.
-    variables:
-        What varies.
-    goals, limits:
-        Numbers of goals and of limits.
+    Args:
+        search: Rows per generation and seed.
+        variables: What varies.
+        goals, limits: Numbers of goals and of limits.
 
-    Raises
-    ------
-    InputError
-        pymoo is not installed.
+    Raises:
+        InputError: pymoo is not installed.
     """
     try:
         from pymoo.algorithms.moo.nsga2 import NSGA2

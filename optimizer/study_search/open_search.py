@@ -17,19 +17,13 @@ def open_search(
 ) -> SearchRows:
     """A search of a study, before its first generation.
 
-    Parameters
-    ----------
-    search:
-        Method, rows per generation and seed.
-    variables:
-        What varies.
-    goals, limits:
-        Numbers of goals and of limits.
+    Args:
+        search: Method, rows per generation and seed.
+        variables: What varies.
+        goals, limits: Numbers of goals and of limits.
 
-    Raises
-    ------
-    InputError
-        The method does not suit the study, or pymoo is not installed.
+    Raises:
+        InputError: The method does not suit the study, or pymoo is not installed.
     """
     if goals == 0:
         raise InputError("search: nothing is made small; write goals under pareto: {minimise: ...}")

@@ -22,23 +22,18 @@ from dqforge.optimizer.study_results.acceptance import AcceptedRange
 from dqforge.optimizer.study_results.summary import GoalColumn
 from dqforge.optimizer.study_search.search_space import SearchVariable
 
-PARTS = 4
-
-"""Parts of a generation, about: enough for the workers of one machine."""
+PARTS = 4  # Parts of a generation, about: enough for the workers of one machine.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcomes:
     """What became of the rows of one generation, in their order.
 
-    Parameters
-    ----------
-    goals:
-        What is made small, shape (n, G); anything where a row has no values.
-    excess:
-        How far each limit is broken, as a share of it, shape (n, L); at most 0 where it is kept.
-    known:
-        Whether a row has values, shape (n,).
+    Args:
+        goals: What is made small, shape (n, G); anything where a row has no values.
+        excess: How far each limit is broken, as a share of it, shape (n, L); at most 0 where it is
+            kept.
+        known: Whether a row has values, shape (n,).
     """
 
     goals: FloatArray
@@ -79,12 +74,9 @@ def generation_batch(population: int, largest: int) -> int:
     """Rows of a part: a divisor of the population, so that no part lies in two generations; about
     a quarter of it and no more than ``largest``.
 
-    Parameters
-    ----------
-    population:
-        Rows of a generation.
-    largest:
-        Rows that a part may have by the kind of the study.
+    Args:
+        population: Rows of a generation.
+        largest: Rows that a part may have by the kind of the study.
     """
     wish = max(min(population // PARTS, largest), 1)
     divisors = [size for size in range(wish, 0, -1) if population % size == 0]
@@ -101,16 +93,11 @@ def outcomes_of(
 ) -> Outcomes:
     """Outcomes of the rows of a generation from their columns.
 
-    Parameters
-    ----------
-    goals:
-        What is made small or large.
-    limits:
-        Limits of the study.
-    columns:
-        Columns of the rows by name, shape (n,).
-    states:
-        Places in `STATES`, shape (n,).
+    Args:
+        goals: What is made small or large.
+        limits: Limits of the study.
+        columns: Columns of the rows by name, shape (n,).
+        states: Places in `STATES`, shape (n,).
     """
     signed = [
         np.asarray(columns[each.column], dtype=np.float64) * (1.0 if each.minimise else -1.0)

@@ -19,19 +19,13 @@ VariableKind = Literal["range", "steps", "choice"]
 class SearchVariable:
     """One axis of a study as a search sees it.
 
-    Parameters
-    ----------
-    keys:
-        What varies, in step.
-    kind:
-        ``range``: any number from ``low`` to ``high``; ``steps``: one of ``count`` steps whose
-        numbers ascend or descend; ``choice``: one of ``count`` without an order.
-    low, high:
-        Ends of a range in SI units.
-    logarithmic:
-        Whether equal ratios of a range count alike, not equal differences.
-    count:
-        Number of steps.
+    Args:
+        keys: What varies, in step.
+        kind: ``range``: any number from ``low`` to ``high``; ``steps``: one of ``count`` steps
+            whose numbers ascend or descend; ``choice``: one of ``count`` without an order.
+        low, high: Ends of a range in SI units.
+        logarithmic: Whether equal ratios of a range count alike, not equal differences.
+        count: Number of steps.
     """
 
     keys: tuple[str, ...]
@@ -57,15 +51,11 @@ class SearchVariable:
 def search_variables(axes: Sequence[Axis]) -> tuple[SearchVariable, ...]:
     """What a search varies, one variable per axis.
 
-    Parameters
-    ----------
-    axes:
-        Axes of the study.
+    Args:
+        axes: Axes of the study.
 
-    Raises
-    ------
-    InputError
-        Nothing varies.
+    Raises:
+        InputError: Nothing varies.
     """
     if not axes:
         raise InputError("search: nothing varies; write the keys to search over under vary")
@@ -86,12 +76,9 @@ def _variable(axis: Axis) -> SearchVariable:
 def values_of(variables: Sequence[SearchVariable], points: FloatArray) -> FloatArray:
     """Points as rows have them, shape (n, V): numbers of ranges in SI units, places of steps.
 
-    Parameters
-    ----------
-    variables:
-        What varies.
-    points:
-        Shares of ranges from 0 to 1, and places of steps, shape (n, V).
+    Args:
+        variables: What varies.
+        points: Shares of ranges from 0 to 1, and places of steps, shape (n, V).
     """
     columns = [each.value(points[:, place]) for place, each in enumerate(variables)]
     return np.column_stack(columns)
@@ -102,14 +89,10 @@ def drawn_points(
 ) -> FloatArray:
     """Points at random, shares of ranges and places of steps, shape (count, V).
 
-    Parameters
-    ----------
-    variables:
-        What varies.
-    count:
-        Number of points.
-    random:
-        Source of the numbers.
+    Args:
+        variables: What varies.
+        count: Number of points.
+        random: Source of the numbers.
     """
     columns = [
         random.random(count)

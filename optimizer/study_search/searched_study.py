@@ -32,16 +32,11 @@ from dqforge.optimizer.study_search.search_space import search_variables
 class GenerationRows:
     """Rows of one generation (a `RowSource`), at their places in the study.
 
-    Parameters
-    ----------
-    plan:
-        How rows are computed.
-    batch:
-        Rows per part.
-    start:
-        Index of the first row of the generation.
-    points:
-        What the search chose for its rows, shape (P, axes).
+    Args:
+        plan: How rows are computed.
+        batch: Rows per part.
+        start: Index of the first row of the generation.
+        points: What the search chose for its rows, shape (P, axes).
     """
 
     plan: StudyPlan
@@ -71,30 +66,24 @@ class GenerationRows:
     def inputs(self, first: int, end: int) -> Inputs:
         """What goes into rows first to end - 1 of the study, by key.
 
-        Parameters
-        ----------
-        first, end:
-            Range of rows of this generation.
+        Args:
+            first, end: Range of rows of this generation.
         """
         return chosen_inputs(self.plan.study, self.points[first - self.start : end - self.start])
 
     def keys(self, first: int, end: int) -> NDArray[np.uint8]:
         """Keys of rows first to end - 1 of the study, shape (n, 16).
 
-        Parameters
-        ----------
-        first, end:
-            Range of rows of this generation.
+        Args:
+            first, end: Range of rows of this generation.
         """
         return self.plan.keys_of(self.inputs(first, end))
 
     def rows(self, first: int, end: int) -> RowBlock:
         """Rows first to end - 1 of the study, computed.
 
-        Parameters
-        ----------
-        first, end:
-            Range of rows of this generation.
+        Args:
+            first, end: Range of rows of this generation.
         """
         return self.plan.rows_of(self.inputs(first, end), first, end - first)
 
@@ -114,12 +103,9 @@ def _plan(packed: bytes) -> StudyPlan:
 class SearchedStudy:
     """A study with a search.
 
-    Parameters
-    ----------
-    plan:
-        How its rows are computed.
-    search:
-        What its file says of the search.
+    Args:
+        plan: How its rows are computed.
+        search: What its file says of the search.
     """
 
     plan: StudyPlan
@@ -138,10 +124,8 @@ class SearchedStudy:
     def begun(self) -> SearchRows:
         """The search before its first generation.
 
-        Raises
-        ------
-        InputError
-            The method does not suit the study, or its library is not installed.
+        Raises:
+            InputError: The method does not suit the study, or its library is not installed.
         """
         study = self.plan.study
         variables = search_variables(study.axes)
@@ -150,12 +134,9 @@ class SearchedStudy:
     def generation(self, number: int, points: FloatArray) -> GenerationRows:
         """Rows of a generation.
 
-        Parameters
-        ----------
-        number:
-            Of the generation, from 0.
-        points:
-            What the search chose, shape (P, axes).
+        Args:
+            number: Of the generation, from 0.
+            points: What the search chose, shape (P, axes).
         """
         return GenerationRows(self.plan, self.batch, number * self.search.population, points)
 
@@ -178,11 +159,8 @@ class SearchedStudy:
     ) -> Outcomes:
         """What a search is told of a generation.
 
-        Parameters
-        ----------
-        columns:
-            `judged_columns` of its rows in their order, shape (P,).
-        states:
-            Places in `STATES`, shape (P,).
+        Args:
+            columns: `judged_columns` of its rows in their order, shape (P,).
+            states: Places in `STATES`, shape (P,).
         """
         return outcomes_of(self._goals, self._limits, columns, states)

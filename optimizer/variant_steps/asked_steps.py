@@ -5,21 +5,17 @@ from __future__ import annotations
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.variant_steps.outputs import Output, Step
 
+# Steps of a row without a fixed header, in the order in which refusals count.
 STEPS: tuple[Step, ...] = ("limit", "fit", "current-loops", "speed-loop", "losses")
-
-"""Steps of a row without a fixed header, in the order in which refusals count."""
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
     """What a study asks of its rows.
 
-    Parameters
-    ----------
-    outputs:
-        All outputs.
-    named:
-        Those that the study itself names: a row without them has no solution.
+    Args:
+        outputs: All outputs.
+        named: Those that the study itself names: a row without them has no solution.
     """
 
     outputs: tuple[Output, ...]

@@ -51,27 +51,20 @@ from dqforge.optimizer.variant_steps.loss_rows import point_weights
 from dqforge.optimizer.variant_steps.map_scales import SCALED_FIELDS
 from dqforge.optimizer.variant_steps.outputs import FIT_PATHS, LOOP_QUANTITIES, Step
 
+# Errors of a fit that columns have; what a form costs in copper only the single path knows.
 BATCH_ERRORS = ("i_d", "i_q", "torque", "torque_relative")
-
-"""Errors of a fit that columns have; what a form costs in copper only the single path knows."""
-
-Column = FloatArray | NDArray[np.int32]
-
-"""Numbers, or places in the words of a choice, of N rows."""
+Column = FloatArray | NDArray[np.int32]  # Numbers, or places in the words of a choice, of N rows.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BatchRows:
     """N variants of a drive with constant inductances, or with factors of one flux map.
 
-    Parameters
-    ----------
-    base:
-        The design, for everything that does not vary.
-    columns:
-        What varies by the names ``machine.<field>`` and ``inverter.<field>``, arrays of shape (N,).
-    asked:
-        What the study asks for.
+    Args:
+        base: The design, for everything that does not vary.
+        columns: What varies by the names ``machine.<field>`` and ``inverter.<field>``, arrays of
+            shape (N,).
+        asked: What the study asks for.
     """
 
     base: Design
@@ -107,10 +100,8 @@ class BatchRows:
         """The machines of some rows over the flux map of the base, with the current limit of drive
         and inverter together.
 
-        Parameters
-        ----------
-        fine:
-            Which rows, (N,).
+        Args:
+            fine: Which rows, (N,).
         """
         machine = self.base.machine
         assert isinstance(machine, SaturatedMachine)
@@ -160,14 +151,10 @@ class BatchRows:
 class Filled:
     """What a step found.
 
-    Parameters
-    ----------
-    columns:
-        By name of the output, shape (N,).
-    done:
-        Rows that are answered, (N,).
-    obstacles:
-        Of rows that break a limit of the drive: which one.
+    Args:
+        columns: By name of the output, shape (N,).
+        done: Rows that are answered, (N,).
+        obstacles: Of rows that break a limit of the drive: which one.
     """
 
     columns: Mapping[str, Column]
@@ -182,10 +169,8 @@ class Filled:
 def batch_limits(rows: BatchRows) -> Filled | None:
     """Largest torque and its currents; None where a voltage limits them.
 
-    Parameters
-    ----------
-    rows:
-        The variants.
+    Args:
+        rows: The variants.
     """
     if rows.base.operation.omega_m is not None:
         return None
@@ -223,10 +208,8 @@ def _scaled_limits(rows: BatchRows) -> Filled | None:
 def batch_fits(rows: BatchRows) -> Filled | None:
     """Errors of the current references; None where columns do not have the form or method.
 
-    Parameters
-    ----------
-    rows:
-        The variants.
+    Args:
+        rows: The variants.
     """
     base = rows.base
     asked = {output.quantity for output in rows.asked.of_step("fit")}
@@ -251,10 +234,8 @@ def batch_current_loops(rows: BatchRows) -> Filled | None:
     """Gains and margins of both current loops; None where these are searched for, or judged over
     tolerances.
 
-    Parameters
-    ----------
-    rows:
-        The variants.
+    Args:
+        rows: The variants.
     """
     control = rows.base.control
     method = control.current_loop.method
@@ -272,10 +253,8 @@ def batch_all_loops(rows: BatchRows) -> Filled | None:
     """Gains and margins of all loops; None where the speed loop runs on an observer or on edges of
     an encoder, or where more is asked of the loops than these.
 
-    Parameters
-    ----------
-    rows:
-        The variants.
+    Args:
+        rows: The variants.
     """
     control = rows.base.control
     settings = control.speed_loop
@@ -325,10 +304,8 @@ def _with_least(columns: dict[str, Column]) -> dict[str, Column]:
 def batch_losses(rows: BatchRows) -> Filled | None:
     """Losses at the points; None where their currents are solved for one machine at a time.
 
-    Parameters
-    ----------
-    rows:
-        The variants.
+    Args:
+        rows: The variants.
     """
     base, losses = rows.base, rows.base.losses
     if rows.saturates or losses is None or not losses.points:
@@ -373,6 +350,7 @@ def _loss_rows(
     )
 
 
+# What can be computed for many machines at once.
 BATCH_STEPS: Mapping[Step, Callable[[BatchRows], Filled | None]] = {
     "limit": batch_limits,
     "fit": batch_fits,
@@ -380,5 +358,3 @@ BATCH_STEPS: Mapping[Step, Callable[[BatchRows], Filled | None]] = {
     "speed-loop": batch_all_loops,
     "losses": batch_losses,
 }
-
-"""What can be computed for many machines at once."""

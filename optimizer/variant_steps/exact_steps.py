@@ -32,9 +32,7 @@ from dqforge.optimizer.variant_steps.outputs import FIT_ERRORS, LOOP_QUANTITIES,
 from dqforge.optimizer.variant_steps.step_cache import StepCache, Work, key_of
 from dqforge.optimizer.variant_steps.variation import used_settings
 
-Numbers = Mapping[str, float]
-
-"""Values by name of the output, in SI units."""
+Numbers = Mapping[str, float]  # Values by name of the output, in SI units.
 
 
 @dataclass(slots=True)
@@ -53,12 +51,9 @@ class ExactSteps:
     def key(self, step: Step, design: Design) -> Hashable:
         """What a step of a design depends on, the same for all designs that share it.
 
-        Parameters
-        ----------
-        step:
-            The step.
-        design:
-            The design.
+        Args:
+            step: The step.
+            design: The design.
         """
         positive = _positive(design)
         if step == "limit":
@@ -75,10 +70,8 @@ class ExactSteps:
     def limit(self, design: Design) -> Numbers:
         """Largest torque and its currents.
 
-        Raises
-        ------
-        DqforgeError
-            As `CurrentChoice.largest_torque`.
+        Raises:
+            DqforgeError: As `CurrentChoice.largest_torque`.
         """
         with located(design.places, "operation"):
             choice = current_choice(_positive(design))
@@ -92,10 +85,8 @@ class ExactSteps:
     def fit(self, design: Design) -> Numbers:
         """Errors of the current reference.
 
-        Raises
-        ------
-        DqforgeError
-            As `solve_fit`.
+        Raises:
+            DqforgeError: As `solve_fit`.
         """
         plain = _positive(design)
         with located(design.places, "fit"):
@@ -109,10 +100,8 @@ class ExactSteps:
     def current_loops(self, design: Design) -> Numbers:
         """Gains and margins of both current loops.
 
-        Raises
-        ------
-        DqforgeError
-            As `solve_gains`, which is asked where the design names tolerances.
+        Raises:
+            DqforgeError: As `solve_gains`, which is asked where the design names tolerances.
         """
         if not _has_plain_currents(design):
             return self.all_loops(design)
@@ -132,10 +121,8 @@ class ExactSteps:
     def all_loops(self, design: Design) -> Numbers:
         """Gains and margins of every loop.
 
-        Raises
-        ------
-        DqforgeError
-            As `solve_gains`.
+        Raises:
+            DqforgeError: As `solve_gains`.
         """
         plain = _for_gains(design)
         with located(design.places, "control"):
@@ -153,10 +140,8 @@ class ExactSteps:
     def losses(self, design: Design) -> LossComparison:
         """Losses at the points of the design, which names some.
 
-        Raises
-        ------
-        DqforgeError
-            As `compare_points`.
+        Raises:
+            DqforgeError: As `compare_points`.
         """
         drive = loss_drive(design)
         with located(design.places, "losses"):

@@ -24,25 +24,18 @@ from dqforge.optimizer.variant_steps.outputs import (
     word_index,
 )
 
-_EQUAL_LOSS = 1e-9
-
-"""Totals that differ by less count as equal: the first alternative is taken."""
+_EQUAL_LOSS = 1e-9  # Totals that differ by less count as equal: the first alternative is taken.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LossRows:
     """Losses of N rows: S strategies with M modulators at P points.
 
-    Parameters
-    ----------
-    strategies, modulations, points:
-        Labels.
-    budget:
-        Arrays of the shape (S, M, P, N).
-    reached:
-        Whether the currents make the torque, shape (S, M, P, N).
-    weights:
-        Of the points, shape (P,), with the sum 1.
+    Args:
+        strategies, modulations, points: Labels.
+        budget: Arrays of the shape (S, M, P, N).
+        reached: Whether the currents make the torque, shape (S, M, P, N).
+        weights: Of the points, shape (P,), with the sum 1.
     """
 
     strategies: tuple[AnyStrategy, ...]
@@ -62,14 +55,10 @@ class LossRows:
 class LossColumns:
     """Columns by name, and how each row ended.
 
-    Parameters
-    ----------
-    columns:
-        Numbers (N,), or places in the words of a choice.
-    obstacles:
-        Why the best alternative of a point cannot be used, by row: empty where it can.
-    missing:
-        Rows that have no numbers at a point, shape (N,).
+    Args:
+        columns: Numbers (N,), or places in the words of a choice.
+        obstacles: Why the best alternative of a point cannot be used, by row: empty where it can.
+        missing: Rows that have no numbers at a point, shape (N,).
     """
 
     columns: dict[str, FloatArray | NDArray[np.int32]]
@@ -80,12 +69,9 @@ class LossColumns:
 def mapped(budget: DriveBudget, change: Callable[[NDArray[Any]], NDArray[Any]]) -> DriveBudget:
     """A budget with every array changed alike.
 
-    Parameters
-    ----------
-    budget:
-        Arrays of one shape.
-    change:
-        What becomes of each.
+    Args:
+        budget: Arrays of one shape.
+        change: What becomes of each.
     """
     columns: dict[str, Any] = {
         part.name: change(getattr(budget, part.name)) for part in fields(DriveBudget)
@@ -96,12 +82,9 @@ def mapped(budget: DriveBudget, change: Callable[[NDArray[Any]], NDArray[Any]]) 
 def loss_columns(rows: LossRows, outputs: Sequence[Output]) -> LossColumns:
     """Columns of the outputs that are asked for.
 
-    Parameters
-    ----------
-    rows:
-        Losses of every alternative.
-    outputs:
-        Outputs of the step ``losses``.
+    Args:
+        rows: Losses of every alternative.
+        outputs: Outputs of the step ``losses``.
     """
     best = _best(rows, "")
     columns: dict[str, FloatArray | NDArray[np.int32]] = {}

@@ -20,10 +20,8 @@ from dqforge.optimizer.variant_steps.loss_tables import LossTable
 def point_weights(points: Sequence[LoadPoint]) -> FloatArray:
     """Weights of points with the sum 1.
 
-    Parameters
-    ----------
-    points:
-        Operating points with their own weights.
+    Args:
+        points: Operating points with their own weights.
     """
     given = np.array([point.weight for point in points])
     return np.asarray(given / np.sum(given))
@@ -32,10 +30,8 @@ def point_weights(points: Sequence[LoadPoint]) -> FloatArray:
 def of_comparison(found: LossComparison) -> LossRows:
     """One row from the comparison of one design.
 
-    Parameters
-    ----------
-    found:
-        Losses (S, M, P).
+    Args:
+        found: Losses (S, M, P).
     """
     return LossRows(
         found.strategies,
@@ -50,14 +46,10 @@ def of_comparison(found: LossComparison) -> LossRows:
 def of_table(table: LossTable, losses: LossSettings, places: IndexArray) -> LossRows:
     """N rows that differ in carrier frequency alone.
 
-    Parameters
-    ----------
-    table:
-        Losses (S, M, F, P) with every modulator and frequency of the study.
-    losses:
-        Points, strategies and modulators of the rows.
-    places:
-        Places of their frequencies in the table, shape (N,).
+    Args:
+        table: Losses (S, M, F, P) with every modulator and frequency of the study.
+        losses: Points, strategies and modulators of the rows.
+        places: Places of their frequencies in the table, shape (N,).
     """
     known = table.modulations
     names = np.array([known.index(name) for name in losses.modulations], dtype=np.intp)

@@ -23,9 +23,7 @@ from dqforge.optimizer.losses.loss_map import budget_options
 from dqforge.optimizer.losses.machine_axis import STRATEGIES, budgets_over_machines, drive_axis
 from dqforge.optimizer.variant_steps.loss_columns import mapped
 
-_MOST_ALTERNATIVES = 20_000
-
-"""Points times modulators times frequencies of one table of losses."""
+_MOST_ALTERNATIVES = 20_000  # Points times modulators times frequencies of one table of losses.
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,14 +52,11 @@ class LossGrid:
 class LossTable:
     """Losses of one drive with every modulator and carrier frequency of a study.
 
-    Parameters
-    ----------
-    modulations:
-        M modulators.
-    budget:
-        Arrays of the shape (S, M, F, P), in the order of strategies, frequencies and points.
-    reached:
-        Whether the currents make the torque, of the same shape.
+    Args:
+        modulations: M modulators.
+        budget: Arrays of the shape (S, M, F, P), in the order of strategies, frequencies and
+            points.
+        reached: Whether the currents make the torque, of the same shape.
     """
 
     modulations: tuple[ModulationName, ...]
@@ -84,12 +79,9 @@ class LossDrive:
 def loss_drive(design: Design, f_sw: float | None = None) -> LossDrive:
     """What the losses of a design depend on.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    f_sw:
-        Carrier frequency in Hz that stands for all; None for the design's own.
+    Args:
+        design: The design.
+        f_sw: Carrier frequency in Hz that stands for all; None for the design's own.
     """
     inverter = replace(design.inverter, current_sensing=None)
     return LossDrive(
@@ -105,19 +97,13 @@ def loss_drive(design: Design, f_sw: float | None = None) -> LossDrive:
 def drive_table(drive: LossDrive, losses: LossSettings, grid: LossGrid) -> LossTable:
     """Losses with every modulator and frequency of a study.
 
-    Parameters
-    ----------
-    drive:
-        The drive.
-    losses:
-        Points and strategies.
-    grid:
-        Modulators and frequencies.
+    Args:
+        drive: The drive.
+        losses: Points and strategies.
+        grid: Modulators and frequencies.
 
-    Raises
-    ------
-    DqforgeError
-        One of the alternatives is refused.
+    Raises:
+        DqforgeError: One of the alternatives is refused.
     """
     return _linear_table(drive, losses, grid) or _any_table(drive, losses, grid)
 

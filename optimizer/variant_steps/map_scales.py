@@ -9,24 +9,18 @@ from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.scaled_machines import ScaledMachines
 
+# Columns of `ScaledMachines` that are factors of the map.
 SCALE_FIELDS = ("magnet", "inductance_d", "inductance_q", "current")
-"""Columns of `ScaledMachines` that are factors of the map."""
-
-SCALED_FIELDS = (*SCALE_FIELDS, "r_s", "i_max")
-"""All its columns."""
-
+SCALED_FIELDS = (*SCALE_FIELDS, "r_s", "i_max")  # All its columns.
 _EQUAL = 1e-12
 
 
 def scale_between(first: SaturatedMachine, last: SaturatedMachine, ratio: float) -> str | None:
     """The one factor by which the map of a machine is another's; None where it is none.
 
-    Parameters
-    ----------
-    first, last:
-        The machines.
-    ratio:
-        What the factor would have to be.
+    Args:
+        first, last: The machines.
+        ratio: What the factor would have to be.
     """
     for name in SCALE_FIELDS:
         scaled = ScaledMachines.varied(first, 1, {name: np.array([ratio])}).machine(0)

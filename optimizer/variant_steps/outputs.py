@@ -20,15 +20,11 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.wording import close_matches, shown
 from dqforge.optimizer.losses.budget_record import PARTS
 
+# What is computed for an output: the largest torque, the current reference, the loops, the budget,
+# or what a fixed header makes of the machine.
 Step = Literal["limit", "fit", "current-loops", "speed-loop", "losses", "yields"]
-
-"""What is computed for an output: the largest torque, the current reference, the loops, the
-budget, or what a fixed header makes of the machine."""
-
 LOOPS = ("i_d", "i_q", "speed")
-
 FIT_PATHS = ("batch", "exact")
-
 _LIMIT = {"torque_max": "N m", "i_d": "A", "i_q": "A"}
 
 FIT_ERRORS: Mapping[str, str] = {
@@ -51,13 +47,13 @@ LOOP_QUANTITIES: Mapping[str, str] = {
     "ki": "",
 }
 
+# Means over the points by their weights.
 LOSS_POWERS: Mapping[str, str] = dict.fromkeys(
     ("total", *PARTS, "input_power", "shaft_power", "friction"),
     "W",
 )
 
-"""Means over the points by their weights."""
-
+# Largest ones of the points.
 LOSS_PEAKS: Mapping[str, str] = {
     "junction_temperature": "degC",
     "diode_temperature": "degC",
@@ -68,18 +64,11 @@ LOSS_PEAKS: Mapping[str, str] = {
     "voltage_error": "V",
 }
 
-"""Largest ones of the points."""
-
 LOSS_QUANTITIES: Mapping[str, str] = {**LOSS_POWERS, **LOSS_PEAKS}
-
 _YIELDS = {"torque_error": "", "torque_made": "N m", "loss_penalty": ""}
-
 _MODULATIONS: tuple[str, ...] = tuple(sorted(get_args(ModulationName)))
-
 _STRATEGIES: tuple[str, ...] = tuple(sorted({*get_args(LossStrategy), *get_args(PhaseStrategy)}))
-
 _POINT = re.compile(r"losses\.points\.(0|[1-9]\d{0,2})\.(?:([a-z0-9-]+)\.)?([a-z_]+)", re.ASCII)
-
 _DEFAULT_MARGINS = tuple(name for name in LOOP_QUANTITIES if name not in ("kp", "ki"))
 
 
@@ -98,18 +87,12 @@ class PointOutput:
 class Output:
     """One output.
 
-    Parameters
-    ----------
-    name:
-        As in the study; the column is ``out.<name>``.
-    unit:
-        SI unit, empty for numbers.
-    step:
-        What makes it.
-    choices:
-        Words of an output that is none of numbers, sorted.
-    point:
-        Of losses at a point: which one.
+    Args:
+        name: As in the study; the column is ``out.<name>``.
+        unit: SI unit, empty for numbers.
+        step: What makes it.
+        choices: Words of an output that is none of numbers, sorted.
+        point: Of losses at a point: which one.
     """
 
     name: str
@@ -179,13 +162,10 @@ def default_outputs(design: Design, *, header: bool) -> tuple[str, ...]:
     """What a study that names no outputs gets of a design: largest torque, errors of the fit,
     margins, losses and junction temperature of every point.
 
-    Parameters
-    ----------
-    design:
-        The design the study starts from, with what the study sets.
-    header:
-        Whether the study names a header: its torque, loss penalty and current loops are what is
-        then judged on every machine, losses where the study names them.
+    Args:
+        design: The design the study starts from, with what the study sets.
+        header: Whether the study names a header: its torque, loss penalty and current loops are
+            what is then judged on every machine, losses where the study names them.
     """
     if header:
         loops = [f"gains.{loop}.{name}" for loop in LOOPS[:2] for name in _DEFAULT_MARGINS]
@@ -234,10 +214,8 @@ def _points(design: Design) -> tuple[LoadPoint, ...]:
 def bound_output(bound: Bound, design: Design) -> str:
     """Name of the output that a bound looks at: that of its point where it names one.
 
-    Raises
-    ------
-    InputError
-        The design has no such point, or the output is none of single points.
+    Raises:
+        InputError: The design has no such point, or the output is none of single points.
     """
     if bound.point is None:
         return bound.output
@@ -260,17 +238,13 @@ def study_outputs(study: Study, design: Design) -> tuple[Output, ...]:
     """Outputs of a study in the order of their columns: those it lists or the default ones, then
     what its limits, acceptance, goals and sensitivities look at.
 
-    Parameters
-    ----------
-    study:
-        The study.
-    design:
-        The design it starts from, with what it sets.
+    Args:
+        study: The study.
+        design: The design it starts from, with what it sets.
 
-    Raises
-    ------
-    InputError
-        A name is none of an output, or the design cannot give it; with its place in the study.
+    Raises:
+        InputError: A name is none of an output, or the design cannot give it; with its place in the
+            study.
     """
     header = bool(study.header)
     listed = study.outputs or default_outputs(design, header=header)
@@ -290,12 +264,9 @@ def study_outputs(study: Study, design: Design) -> tuple[Output, ...]:
 def named_outputs(study: Study, design: Design) -> frozenset[str]:
     """Names that the study itself asks for, not by default.
 
-    Parameters
-    ----------
-    study:
-        The study.
-    design:
-        The design it starts from.
+    Args:
+        study: The study.
+        design: The design it starts from.
     """
     return frozenset(name for _, name, _ in _asked(study, study.outputs, design))
 

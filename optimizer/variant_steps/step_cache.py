@@ -17,30 +17,21 @@ from typing import Generic, TypeVar
 from dqforge.machines.errors import DqforgeError
 
 Result = TypeVar("Result")
-
-_MOST_KEPT = 512
-
-"""Results of one kind of step that are kept, the latest used ones."""
+_MOST_KEPT = 512  # Results of one kind of step that are kept, the latest used ones.
 
 
 @dataclass(slots=True)
 class Work:
     """How often each step was computed.
 
-    Parameters
-    ----------
-    designs:
-        Designs that were read and checked.
-    limits:
-        Largest torques, one machine at a time.
-    fits:
-        Current references, one machine at a time.
-    gain_sets:
-        Sets of gains, one design at a time.
-    budget_calls:
-        Loss budgets: calls, whatever the number of points, modulators and frequencies of each.
-    batches:
-        Calls of the formulas for many machines at once.
+    Args:
+        designs: Designs that were read and checked.
+        limits: Largest torques, one machine at a time.
+        fits: Current references, one machine at a time.
+        gain_sets: Sets of gains, one design at a time.
+        budget_calls: Loss budgets: calls, whatever the number of points, modulators and frequencies
+            of each.
+        batches: Calls of the formulas for many machines at once.
     """
 
     designs: int = 0
@@ -54,10 +45,8 @@ class Work:
 def key_of(inputs: object) -> Hashable:
     """What two equal inputs share: themselves where they can be hashed, else a digest.
 
-    Parameters
-    ----------
-    inputs:
-        Frozen dataclasses and tuples; a flux map in them is known by its numbers.
+    Args:
+        inputs: Frozen dataclasses and tuples; a flux map in them is known by its numbers.
     """
     return hashlib.sha256(pickle.dumps(inputs, protocol=5)).digest()
 
@@ -71,10 +60,8 @@ class StepCache(Generic[Result]):
     def of(self, key: Hashable, compute: Callable[[], Result]) -> Result:
         """What ``compute`` gives, computed where nothing is kept for the key.
 
-        Raises
-        ------
-        DqforgeError
-            As ``compute``; a new one each time, for its place to be found.
+        Raises:
+            DqforgeError: As ``compute``; a new one each time, for its place to be found.
         """
         if key not in self._kept:
             self._kept[key] = _outcome(compute)

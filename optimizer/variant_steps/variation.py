@@ -35,19 +35,12 @@ MACHINE_FIELDS = (
 )
 
 SATURATED_FIELDS = ("r_s", "i_max", "inertia", "friction", "omega_m_max")
-
 INVERTER_FIELDS = ("v_dc", "f_sw", "i_max")
+MOST_KEYS = 6  # Keys whose corners are all tried; with more the rows are made one by one.
 
-MOST_KEYS = 6
-
-"""Keys whose corners are all tried; with more the rows are made one by one."""
-
+# Parts of a design that tell of it and that no step looks at.
 _RECORDS = ("values", "assumptions", "digest", "given", "places", "flux_evidence", "name", "about")
-
-"""Parts of a design that tell of it and that no step looks at."""
-
 _PROPORTIONAL = 1e-12
-
 Corner = Mapping[str, float]
 
 
@@ -64,16 +57,11 @@ class Effect:
 class Variation:
     """Keys that vary numbers of a drive, or factors of its flux map, alone.
 
-    Parameters
-    ----------
-    base:
-        The design with every key at its lower end.
-    corners:
-        Designs by key with that key alone at its upper end.
-    effects:
-        What each key changes.
-    ends:
-        Least and largest value of each key in SI units.
+    Args:
+        base: The design with every key at its lower end.
+        corners: Designs by key with that key alone at its upper end.
+        effects: What each key changes.
+        ends: Least and largest value of each key in SI units.
     """
 
     base: Design
@@ -84,10 +72,8 @@ class Variation:
     def columns(self, numbers: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """Values of the changed fields by their names, arrays of shape (N,).
 
-        Parameters
-        ----------
-        numbers:
-            Values of the keys in SI units, shape (N,).
+        Args:
+            numbers: Values of the keys in SI units, shape (N,).
         """
         return {
             name: factor * numbers[key]
@@ -98,10 +84,8 @@ class Variation:
     def between(self, share: FloatArray) -> dict[str, FloatArray]:
         """Values of the changed fields on the way from the lower to the upper ends of all keys.
 
-        Parameters
-        ----------
-        share:
-            Shares of the way, shape (N,).
+        Args:
+            share: Shares of the way, shape (N,).
         """
         return self.columns(
             {key: low + share * (high - low) for key, (low, high) in self.ends.items()}
@@ -110,10 +94,8 @@ class Variation:
     def keys_of(self, step_key: Callable[[Design], Hashable]) -> tuple[str, ...]:
         """Keys that a step depends on.
 
-        Parameters
-        ----------
-        step_key:
-            What the step of a design depends on.
+        Args:
+            step_key: What the step of a design depends on.
         """
         plain = step_key(self.base)
         return tuple(key for key, made in self.corners.items() if step_key(made) != plain)
@@ -124,16 +106,11 @@ def variation(
 ) -> Variation | None:
     """How keys change a design between bounds.
 
-    Parameters
-    ----------
-    make:
-        The design with values of the keys in SI units.
-    bounds:
-        Least and largest value of each key in SI units.
+    Args:
+        make: The design with values of the keys in SI units.
+        bounds: Least and largest value of each key in SI units.
 
-    Returns
-    -------
-    Variation or None
+    Returns:
         None where a corner is refused, or a key changes more than numbers of a drive or one factor
         of its flux map.
     """
@@ -166,12 +143,9 @@ def batch_keys(
 ) -> tuple[str, ...]:
     """Keys that change numbers of a drive, or factors of its flux map, alone, each by itself.
 
-    Parameters
-    ----------
-    make:
-        The design with values of some keys in SI units, the others as the study's first row.
-    bounds:
-        Least and largest value of each key in SI units.
+    Args:
+        make: The design with values of some keys in SI units, the others as the study's first row.
+        bounds: Least and largest value of each key in SI units.
     """
     return tuple(key for key, ends in bounds.items() if variation(make, {key: ends}) is not None)
 
@@ -261,10 +235,8 @@ def _machine_fields(machine: Machine) -> Sequence[str]:
 def used_settings(settings: FitSettings) -> FitSettings:
     """Settings of a fit without the full scale of fixed point where it is in floating point.
 
-    Parameters
-    ----------
-    settings:
-        The settings.
+    Args:
+        settings: The settings.
     """
     if settings.format == "float32" and settings.budget is None:
         return replace(settings, full_scale=None)

@@ -41,15 +41,11 @@ from dqforge.optimizer.waveforms.salient_solver import SalientWaveforms, solve_s
 from dqforge.optimizer.waveforms.solver import WaveformSolutions, require_solution, solve_waveforms
 
 Rule = Literal["dq", "dqx", "dqy", "limited"]
-
-
 _EXACT = 1e-6
 
-
+# Permitted deviations of the torque from its mean, relative, at which the price of smoothness is
+# shown.
 FRONT_RIPPLES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)
-
-"""Permitted deviations of the torque from its mean, relative, at which the
-price of smoothness is shown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,10 +114,8 @@ class _Limited:
 def require_phases(design: Design) -> AnyPhaseMachine:
     """The machine in phase quantities.
 
-    Raises
-    ------
-    InputError
-        The design's machine has a sinusoidal back-EMF.
+    Raises:
+        InputError: The design's machine has a sinusoidal back-EMF.
     """
     if design.phase_machine is None:
         raise InputError(
@@ -181,12 +175,9 @@ def compare_waveforms(
 ) -> WaveformComparison:
     """Phase currents by dq, dqx, dqy, and within all limits, at one operating point.
 
-    Raises
-    ------
-    InputError
-        The machine has a sinusoidal back-EMF.
-    NoSolutionError
-        No currents keep the limits; says what would have to give.
+    Raises:
+        InputError: The machine has a sinusoidal back-EMF.
+        NoSolutionError: No currents keep the limits; says what would have to give.
     """
     machine = require_phases(design)
     settings = design.waveform if settings is None else settings
@@ -353,10 +344,8 @@ def with_point(
 ) -> WaveformSettings:
     """Settings in which what is given replaces what was set.
 
-    Raises
-    ------
-    InputError
-        The open phase is none of a, b and c, or the ripple is no share.
+    Raises:
+        InputError: The open phase is none of a, b and c, or the ripple is no share.
     """
     if phase is not None and phase not in ("a", "b", "c"):
         raise InputError(f"--open-phase: expected a, b or c, got '{phase}'")

@@ -20,14 +20,10 @@ from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
 from dqforge.optimizer.waveforms.quadratic_problem import UNBOUNDED, PointProblem, make_problem
 from dqforge.optimizer.waveforms.solver import WaveformSolutions, complementarity
 
+# Largest residual, and largest relative difference of the loss, at which two solutions count as
+# one.
 Verdict = Literal["confirmed", "confirmed infeasible", "differs"]
-
-
 AGREEMENT = 1e-6
-
-"""Largest residual, and largest relative difference of the loss, at which
-two solutions count as one."""
-
 
 # The step size adapts after fixed numbers of iterations, not by the clock:
 # the same input gives the same bytes.
@@ -66,24 +62,17 @@ class Residuals:
 class Confirmation:
     """One programme solved twice.
 
-    Parameters
-    ----------
-    torque, omega_m:
-        Torque in N m and mechanical speed in rad/s.
-    ripple:
-        Permitted deviation of the torque in N m.
-    ours, theirs:
-        Residuals of DAQP or PIQP (of the closed form where nothing binds), and of OSQP.
-    loss_difference:
-        Copper loss of OSQP's currents over ours, less one; NaN without currents.
-    current_difference:
-        Largest difference of a phase current in A; NaN without currents.
-    iterations:
-        Iterations of OSQP.
-    verdict:
-        ``confirmed``: both are optimal within `AGREEMENT` and lose the same; ``confirmed
-        infeasible``: OSQP's certificate proves that there are no currents either; ``differs``:
-        neither.
+    Args:
+        torque, omega_m: Torque in N m and mechanical speed in rad/s.
+        ripple: Permitted deviation of the torque in N m.
+        ours, theirs: Residuals of DAQP or PIQP (of the closed form where nothing binds), and of
+            OSQP.
+        loss_difference: Copper loss of OSQP's currents over ours, less one; NaN without currents.
+        current_difference: Largest difference of a phase current in A; NaN without currents.
+        iterations: Iterations of OSQP.
+        verdict: ``confirmed``: both are optimal within `AGREEMENT` and lose the same; ``confirmed
+            infeasible``: OSQP's certificate proves that there are no currents either; ``differs``:
+            neither.
     """
 
     torque: float
@@ -102,12 +91,9 @@ def confirm_waveforms(
 ) -> tuple[Confirmation, ...]:
     """Solve the programme of each of K points again with OSQP.
 
-    Raises
-    ------
-    InputError
-        OSQP is not installed.
-    NoSolutionError
-        Constant torque cannot be made at some angle, whatever the limits.
+    Raises:
+        InputError: OSQP is not installed.
+        NoSolutionError: Constant torque cannot be made at some angle, whatever the limits.
     """
     problem = make_problem(machine, limits)
     found = []

@@ -18,15 +18,9 @@ from dqforge.machines.topologies.topology import TOPOLOGIES
 
 OpenPhase = Literal["a", "b", "c"]
 
-
+# The kinds of inequalities, in the order of their rows.
 LIMITS = ("voltage", "current", "ripple", "neutral", "slew")
-
-"""The kinds of inequalities, in the order of their rows."""
-
-
 _RANK = 1e-9
-
-
 _INFINITE = 1e30
 
 
@@ -34,25 +28,17 @@ _INFINITE = 1e30
 class WaveformLimits:
     """What phase currents must keep.
 
-    Parameters
-    ----------
-    v_dc:
-        DC-link voltage in V.
-    topology:
-        Its voltages are those of `dqforge.machines.topologies.regions`, a neutral current flows
-        where it has a neutral; on ``split-capacitor`` one without a mean. ``diode-neutral``: one
-        flows only against all three back-EMFs, which is an inner approximation and may cost more
-        than three-wire; elsewhere as three-wire.
-    i_max:
-        Largest phase current in A, peak.
-    ripple:
-        Largest deviation of the torque from its mean in N m; 0 for constant torque.
-    neutral:
-        Largest neutral current in A, or None.
-    open_phase:
-        A phase without current, or None.
-    slew:
-        Largest rate of change of a phase current in A/s, or None.
+    Args:
+        v_dc: DC-link voltage in V.
+        topology: Its voltages are those of `dqforge.machines.topologies.regions`, a neutral current
+            flows where it has a neutral; on ``split-capacitor`` one without a mean.
+            ``diode-neutral``: one flows only against all three back-EMFs, which is an inner
+            approximation and may cost more than three-wire; elsewhere as three-wire.
+        i_max: Largest phase current in A, peak.
+        ripple: Largest deviation of the torque from its mean in N m; 0 for constant torque.
+        neutral: Largest neutral current in A, or None.
+        open_phase: A phase without current, or None.
+        slew: Largest rate of change of a phase current in A/s, or None.
     """
 
     v_dc: float
@@ -98,10 +84,8 @@ def angle_by_angle(
     """Current of least size for 1 N m, shape (3 part,), and the basis of what is left,
     shape (3 part, n).
 
-    Raises
-    ------
-    NoSolutionError
-        Constant torque cannot be made at some angle.
+    Raises:
+        NoSolutionError: Constant torque cannot be made at some angle.
     """
     from scipy.sparse import csr_matrix
 

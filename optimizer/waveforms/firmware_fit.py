@@ -181,12 +181,9 @@ def fit_phases(
     They are proportional to the torque, so that neither bus nor current limit enters but
     as the end of the domain.
 
-    Raises
-    ------
-    InputError
-        Harmonics are asked for, and the pole pairs differ.
-    NoSolutionError
-        Constant torque cannot be made at some angle, or no form keeps the error.
+    Raises:
+        InputError: Harmonics are asked for, and the pole pairs differ.
+        NoSolutionError: Constant torque cannot be made at some angle, or no form keeps the error.
     """
     if TOPOLOGIES[limits.topology].diodes:  # what they pass depends on torque and motion
         limits = replace(limits, topology="three-wire")

@@ -130,12 +130,9 @@ class PhaseHarmonics:
         return np.stack([np.zeros_like(cosine) if part is None else part for part in total])
 
 
+# Ascending coefficients of polynomials, float32 values, by row and harmonic; empty where there is
+# none.
 Weights = tuple[tuple[tuple[float, ...], ...], ...]
-
-"""Ascending coefficients of polynomials, float32 values, by row and harmonic;
-empty where there is none."""
-
-
 HALF_ROOT_3 = np.float32(0.5 * np.sqrt(3.0))
 
 

@@ -23,19 +23,14 @@ _VANISHING = 1e-6
 class OpenPhasePrice:
     """Figures of constant torque with two phases over those with three by dqy.
 
-    Parameters
-    ----------
-    phase:
-        The one that is open.
-    copper, peak:
-        Copper loss and largest phase current, times those of three phases.
-    neutral_rms, neutral_peak:
-        Of the neutral current in A.
-    neutral:
-        Peak of the neutral over that of a phase while all three are there: what the neutral's leg
-        must carry.
-    torque_at_peak, torque_at_copper:
-        Share of the torque that is left with the same phase peak, and with the same copper loss.
+    Args:
+        phase: The one that is open.
+        copper, peak: Copper loss and largest phase current, times those of three phases.
+        neutral_rms, neutral_peak: Of the neutral current in A.
+        neutral: Peak of the neutral over that of a phase while all three are there: what the
+            neutral's leg must carry.
+        torque_at_peak, torque_at_copper: Share of the torque that is left with the same phase peak,
+            and with the same copper loss.
     """
 
     phase: OpenPhase
@@ -54,16 +49,11 @@ def open_phase_price(
     """The price, None where constant torque cannot be made: without a neutral, or where the two
     phases that are left make none at some angle.
 
-    Parameters
-    ----------
-    machine:
-        The machine.
-    topology:
-        How it is fed.
-    phase:
-        The phase that carries no current.
-    torque:
-        In N m.
+    Args:
+        machine: The machine.
+        topology: How it is fed.
+        phase: The phase that carries no current.
+        torque: In N m.
     """
     if not TOPOLOGIES[topology].neutral:
         return None

@@ -49,10 +49,8 @@ class WaveformFigures:
 def unit_currents(machine: PhaseMachine, rule: CurrentRule) -> FloatArray:
     """Phase currents per torque in A/(N m), shape (3, N).
 
-    Raises
-    ------
-    NoSolutionError
-        At some angle no current of the rule makes torque.
+    Raises:
+        NoSolutionError: At some angle no current of the rule makes torque.
     """
     flux = machine.flux
     if rule == "dq":

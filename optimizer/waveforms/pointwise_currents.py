@@ -176,10 +176,9 @@ def pointwise_currents(
 
     ``torque`` in N m has the shape (K,).
 
-    Raises
-    ------
-    NoSolutionError
-        Some torque cannot be made at some angle, or only with currents beyond all measure.
+    Raises:
+        NoSolutionError: Some torque cannot be made at some angle, or only with currents beyond all
+            measure.
     """
     made = torque_forms(
         machine.flux, machine.slope, machine.pole_pairs, free_currents(topology, open_phase)

@@ -31,14 +31,10 @@ from dqforge.optimizer.waveforms.constraint_rows import (
     angle_by_angle,
 )
 
-UNBOUNDED = 1e29
+UNBOUNDED = 1e29  # Bounds of this size and beyond are none.
 
-"""Bounds of this size and beyond are none."""
-
-
+# Unknowns up to which the matrices are kept dense, and an active-set method beats all others.
 DENSE_UNKNOWNS = 130
-
-"""Unknowns up to which the matrices are kept dense, and an active-set method beats all others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,10 +171,8 @@ def _stencil(part: int, shift: FloatArray, weights: tuple[float, ...]) -> Any:
 def make_problem(machine: PhaseMachine, limits: WaveformLimits) -> WaveformProblem:
     """What all operating points share.
 
-    Raises
-    ------
-    NoSolutionError
-        Constant torque cannot be made at some angle.
+    Raises:
+        NoSolutionError: Constant torque cannot be made at some angle.
     """
     from scipy.sparse import vstack
 

@@ -232,12 +232,9 @@ def fit_salient_phases(
     """Phase currents over torque and angle for the firmware: constant torque at least copper loss,
     angle by angle.
 
-    Raises
-    ------
-    InputError
-        A table is asked for, or the pole pairs differ.
-    NoSolutionError
-        Constant torque cannot be made at some angle, or no form keeps the error.
+    Raises:
+        InputError: A table is asked for, or the pole pairs differ.
+        NoSolutionError: Constant torque cannot be made at some angle, or no form keeps the error.
     """
     if settings.form == "table":
         raise InputError(

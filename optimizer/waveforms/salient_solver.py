@@ -99,12 +99,10 @@ def solve_salient(
 ) -> SalientWaveforms:
     """Phase currents of least copper loss for a torque in N m at a mechanical speed in rad/s.
 
-    Raises
-    ------
-    InputError
-        A number is not finite, the topology is ``diode-neutral``, or CasADi is not installed.
-    NoSolutionError
-        No currents were found within the limits.
+    Raises:
+        InputError: A number is not finite, the topology is ``diode-neutral``, or CasADi is not
+            installed.
+        NoSolutionError: No currents were found within the limits.
     """
     if not np.all(np.isfinite([torque, omega_m])):
         raise InputError("torque and speed must be finite; got nan or inf")

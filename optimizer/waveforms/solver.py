@@ -106,21 +106,15 @@ def solve_waveforms(
 ) -> WaveformSolutions:
     """Phase currents of least copper loss.
 
-    Parameters
-    ----------
-    machine:
-        The machine; its symmetry decides how large the problem is.
-    torque, omega_m:
-        Torques in N m and mechanical speeds in rad/s, any sign, broadcast together to K points.
-    limits:
-        What the currents keep.
+    Args:
+        machine: The machine; its symmetry decides how large the problem is.
+        torque, omega_m: Torques in N m and mechanical speeds in rad/s, any sign, broadcast together
+            to K points.
+        limits: What the currents keep.
 
-    Raises
-    ------
-    InputError
-        A number is not finite.
-    NoSolutionError
-        Constant torque cannot be made at some angle, whatever the limits.
+    Raises:
+        InputError: A number is not finite.
+        NoSolutionError: Constant torque cannot be made at some angle, whatever the limits.
     """
     torque, omega_m = np.broadcast_arrays(
         np.asarray(torque, dtype=np.float64), np.asarray(omega_m, dtype=np.float64)
@@ -280,10 +274,8 @@ def obstacle(
 ) -> Obstacle:
     """What would have to give so that a point can be had: three linear programmes.
 
-    Raises
-    ------
-    NoSolutionError
-        Constant torque cannot be made at some angle, whatever the limits.
+    Raises:
+        NoSolutionError: Constant torque cannot be made at some angle, whatever the limits.
     """
     problem = make_problem(machine, limits)
     omega_e = machine.pole_pairs * omega_m
@@ -355,10 +347,8 @@ def require_solution(
 ) -> None:
     """Refuse points that cannot be had, naming the first and what would have to give.
 
-    Raises
-    ------
-    NoSolutionError
-        Some point has no currents.
+    Raises:
+        NoSolutionError: Some point has no currents.
     """
     missing = np.flatnonzero(~solutions.feasible)
     if missing.size == 0:

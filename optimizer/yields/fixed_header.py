@@ -20,14 +20,10 @@ from dqforge.optimizer.loops.loop_gains import LoopGains
 class FixedLoop:
     """Gains of a current loop as the header holds them, rounded to single precision.
 
-    Parameters
-    ----------
-    kp:
-        Proportional gain in V/A.
-    ki_ts:
-        Integral gain per sample in V/A.
-    t_s:
-        Sampling period in s.
+    Args:
+        kp: Proportional gain in V/A.
+        ki_ts: Integral gain per sample in V/A.
+        t_s: Sampling period in s.
     """
 
     kp: float
@@ -49,19 +45,13 @@ class FixedLoop:
 class FixedHeader:
     """A header that is flashed to every drive.
 
-    Parameters
-    ----------
-    reference:
-        The current reference in the arithmetic of the emitted C.
-    i_d, i_q:
-        The current loops, None where the header has none in rotor coordinates.
-    v_dc:
-        DC-link voltage in V that the loops were designed for.
-    speed:
-        Mechanical speed in rad/s at which the reference keeps the voltage limit, None where it
-        knows none: it then is to have the least copper loss.
-    digest:
-        SHA-256 of the design that the header was made of, in hexadecimal.
+    Args:
+        reference: The current reference in the arithmetic of the emitted C.
+        i_d, i_q: The current loops, None where the header has none in rotor coordinates.
+        v_dc: DC-link voltage in V that the loops were designed for.
+        speed: Mechanical speed in rad/s at which the reference keeps the voltage limit, None where
+            it knows none: it then is to have the least copper loss.
+        digest: SHA-256 of the design that the header was made of, in hexadecimal.
     """
 
     reference: Emitted
@@ -80,17 +70,12 @@ class FixedHeader:
 def nominal_header(design: Design) -> FixedHeader:
     """The header that a design gives, rounded as it is emitted.
 
-    Parameters
-    ----------
-    design:
-        The design.
+    Args:
+        design: The design.
 
-    Raises
-    ------
-    InputError
-        It is a six-step drive, which has no currents in rotor coordinates.
-    NoSolutionError
-        There is no fit, or no gains.
+    Raises:
+        InputError: It is a six-step drive, which has no currents in rotor coordinates.
+        NoSolutionError: There is no fit, or no gains.
     """
     if design.control.six_step is not None:
         raise InputError(

@@ -16,11 +16,9 @@ from dqforge.optimizer.loops.loop_axes.current_loop_axis import given_current_lo
 from dqforge.optimizer.yields.fixed_header import FixedHeader, FixedLoop
 from dqforge.optimizer.yields.reference_yield import Machines, ReferencePoints
 
-LOOPS = ("i_d", "i_q")
+LOOPS = ("i_d", "i_q")  # Loops of a header whose gains are judged on every machine.
 
-"""Loops of a header whose gains are judged on every machine."""
-
-
+# What is known of each of them: rad, a factor, s, rad/s, a factor, and 1 or 0.
 MARGINS = (
     "phase_margin",
     "gain_margin",
@@ -30,23 +28,16 @@ MARGINS = (
     "stable",
 )
 
-"""What is known of each of them: rad, a factor, s, rad/s, a factor, and 1 or 0."""
-
 
 def fixed_loop(header: FixedHeader, loop: str) -> FixedLoop:
     """Gains of a loop of the header.
 
-    Parameters
-    ----------
-    header:
-        The header.
-    loop:
-        ``i_d`` or ``i_q``.
+    Args:
+        header: The header.
+        loop: ``i_d`` or ``i_q``.
 
-    Raises
-    ------
-    InputError
-        The header has no such loop.
+    Raises:
+        InputError: The header has no such loop.
     """
     found: FixedLoop | None = getattr(header, loop) if loop in LOOPS else None
     if found is None:
@@ -63,14 +54,10 @@ def axis_inductance(loop: str, machines: Machines, points: ReferencePoints) -> F
     """Inductance in H that a loop sees in every machine, shape (N,): of flux maps the least
     incremental one at rest and at the header's currents, where the loop is fastest.
 
-    Parameters
-    ----------
-    loop:
-        ``i_d`` or ``i_q``.
-    machines:
-        N machines.
-    points:
-        Currents of the header.
+    Args:
+        loop: ``i_d`` or ``i_q``.
+        machines: N machines.
+        points: Currents of the header.
     """
     if isinstance(machines, MachineBatch):
         return machines.l_d if loop == "i_d" else machines.l_q
@@ -88,17 +75,12 @@ def loop_outputs(
     """Margins of one loop on every machine, by their names in `MARGINS`, arrays of shape (N,);
     NaN where the loop is not stable.
 
-    Parameters
-    ----------
-    fixed:
-        Gains of the loop.
-    r_s:
-        Phase resistance in Ohm of every machine, shape (N,).
-    inductance:
-        Inductance in H that the loop sees, shape (N,).
-    voltage_ratio:
-        DC-link voltage that they have over the one the loops were designed for, one number or
-        shape (N,).
+    Args:
+        fixed: Gains of the loop.
+        r_s: Phase resistance in Ohm of every machine, shape (N,).
+        inductance: Inductance in H that the loop sees, shape (N,).
+        voltage_ratio: DC-link voltage that they have over the one the loops were designed for, one
+            number or shape (N,).
     """
     margins = given_current_loops(
         r_s, inductance, fixed.t_s, fixed.kp, fixed.ki, voltage_ratio
@@ -112,9 +94,7 @@ def loop_outputs(
 def least_phase_margin(found: dict[str, dict[str, FloatArray]]) -> FloatArray:
     """Least phase margin in rad over the loops, shape (N,); NaN where one is not stable.
 
-    Parameters
-    ----------
-    found:
-        What `loop_outputs` gives, by loop.
+    Args:
+        found: What `loop_outputs` gives, by loop.
     """
     return np.asarray(np.min([loop["phase_margin"] for loop in found.values()], axis=0))

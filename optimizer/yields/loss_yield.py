@@ -37,17 +37,12 @@ class FixedDrive:
 def point_currents(header: FixedHeader, torque: FloatArray) -> ReferencePoints:
     """Currents of the header at points of operation.
 
-    Parameters
-    ----------
-    header:
-        The header.
-    torque:
-        Torques in N m that are asked for, shape (P,).
+    Args:
+        header: The header.
+        torque: Torques in N m that are asked for, shape (P,).
 
-    Raises
-    ------
-    InputError
-        A point lies beyond the end of the header.
+    Raises:
+        InputError: A point lies beyond the end of the header.
     """
     for place, asked in enumerate(torque.tolist()):
         if abs(asked) > header.torque_max * (1.0 + 1e-6):
@@ -68,21 +63,15 @@ def header_budget(
     """Budget of N machines at P points with M modulators, arrays (M, 1, N P): the points of the
     first machine, then those of the second.
 
-    Parameters
-    ----------
-    drive:
-        Header and inverter.
-    machines:
-        N machines.
-    torque, omega_m:
-        Torques in N m that are asked for, and mechanical speeds in rad/s, shape (P,).
-    modulations:
-        M modulators.
+    Args:
+        drive: Header and inverter.
+        machines: N machines.
+        torque, omega_m: Torques in N m that are asked for, and mechanical speeds in rad/s, shape
+            (P,).
+        modulations: M modulators.
 
-    Raises
-    ------
-    InputError
-        As `point_currents`.
+    Raises:
+        InputError: As `point_currents`.
     """
     points = point_currents(drive.header, torque)
     count = machines.count

@@ -25,24 +25,14 @@ from dqforge.optimizer.machine_batch.batch_currents import strategy_currents
 from dqforge.optimizer.machine_batch.scaled_loci import currents_on_loci, scaled_loci
 from dqforge.optimizer.yields.fixed_header import FixedHeader
 
-TORQUES = 20
+TORQUES = 20  # Torques at which a header is judged, evenly spaced up to its full scale.
+LEAST_SHARE = 0.05  # Share of the full scale at which they begin: below it both losses vanish.
 
-"""Torques at which a header is judged, evenly spaced up to its full scale."""
-
-
-LEAST_SHARE = 0.05
-
-"""Share of the full scale at which they begin: below it both losses vanish."""
-
-
+# Many machines: with constant inductances, or over one flux map.
 Machines = MachineBatch | ScaledMachines
 
-"""Many machines: with constant inductances, or over one flux map."""
-
-
+# Largest current of a header by which loci go on: so far that rounding leaves no torque out.
 _BEYOND = 1.001
-
-"""Largest current of a header by which loci go on: so far that rounding leaves no torque out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +47,10 @@ class ReferencePoints:
 def reference_points(header: FixedHeader, torque: FloatArray | None = None) -> ReferencePoints:
     """Currents of the header as its C returns them, without contraction.
 
-    Parameters
-    ----------
-    header:
-        The header.
-    torque:
-        Torques in N m, shape (P,); when None those at which a header is judged. Each is rounded to
-        a number that the header's format has.
+    Args:
+        header: The header.
+        torque: Torques in N m, shape (P,); when None those at which a header is judged. Each is
+            rounded to a number that the header's format has.
     """
     asked = np.linspace(LEAST_SHARE, 1.0, TORQUES) * header.torque_max if torque is None else torque
     reference = header.reference
@@ -78,12 +65,9 @@ def reference_points(header: FixedHeader, torque: FloatArray | None = None) -> R
 def produced_torque(points: ReferencePoints, machines: Machines) -> FloatArray:
     """Torque in N m that the header's currents make, shape (P, N).
 
-    Parameters
-    ----------
-    points:
-        Currents of the header at P torques.
-    machines:
-        N machines.
+    Args:
+        points: Currents of the header at P torques.
+        machines: N machines.
     """
     return machines.torque(points.i_d[:, np.newaxis], points.i_q[:, np.newaxis])
 
@@ -91,14 +75,10 @@ def produced_torque(points: ReferencePoints, machines: Machines) -> FloatArray:
 def torque_errors(header: FixedHeader, points: ReferencePoints, produced: FloatArray) -> FloatArray:
     """Largest torque error of each machine over the full scale, shape (N,).
 
-    Parameters
-    ----------
-    header:
-        The header.
-    points:
-        Currents of the header at P torques.
-    produced:
-        Torque in N m that they make, shape (P, N).
+    Args:
+        header: The header.
+        points: Currents of the header at P torques.
+        produced: Torque in N m that they make, shape (P, N).
     """
     off = np.abs(produced - points.torque[:, np.newaxis])
     return np.asarray(np.max(off, axis=0) / header.torque_max)
@@ -109,14 +89,10 @@ def loss_penalties(points: ReferencePoints, machines: Machines, produced: FloatA
     shape (N,); infinite where a torque is not made at all, NaN where a machine's optimum leaves the
     data of its flux map.
 
-    Parameters
-    ----------
-    points:
-        Currents of the header at P torques.
-    machines:
-        N machines.
-    produced:
-        Torque in N m that the currents make, shape (P, N).
+    Args:
+        points: Currents of the header at P torques.
+        machines: N machines.
+        produced: Torque in N m that the currents make, shape (P, N).
     """
     square = (points.i_d**2 + points.i_q**2)[:, np.newaxis]
     own_d, own_q = _own_currents(points, machines, np.maximum(produced, 0.0))

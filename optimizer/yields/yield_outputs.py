@@ -28,38 +28,25 @@ from dqforge.optimizer.yields.reference_yield import (
     torque_errors,
 )
 
+# Largest torque error over the full scale of the header, a share.
 TORQUE_ERROR = "reference.torque_error"
 
-"""Largest torque error over the full scale of the header, a share."""
-
-
+# Largest excess of the copper loss over the least one of the machine, a share of that.
 LOSS_PENALTY = "reference.loss_penalty"
 
-"""Largest excess of the copper loss over the least one of the machine, a share of that."""
-
-
+# Torque in N m that the machine makes where the full scale of the header is asked for.
 TORQUE_MADE = "reference.torque_made"
 
-"""Torque in N m that the machine makes where the full scale of the header is asked for."""
-
-
+# Torque in N m at which the header clamps what is asked for, the same on every machine.
 TORQUE_MAX = "reference.torque_max"
-
-"""Torque in N m at which the header clamps what is asked for, the same on every machine."""
-
-
-LEAST_MARGIN = "gains.phase_margin"
-
-"""Least phase margin in rad over the current loops."""
+LEAST_MARGIN = "gains.phase_margin"  # Least phase margin in rad over the current loops.
 
 
 def output_names(header: FixedHeader) -> tuple[str, ...]:
     """Outputs of reference and gains that a header has.
 
-    Parameters
-    ----------
-    header:
-        The header.
+    Args:
+        header: The header.
     """
     loops = [loop for loop in LOOPS if getattr(header, loop) is not None]
     penalty = () if header.speed is not None else (LOSS_PENALTY,)
@@ -83,21 +70,16 @@ def yield_outputs(
     """Outputs of N machines under one header, by name in the order of ``wanted``, arrays of shape
     (N,); NaN for what does not exist.
 
-    Parameters
-    ----------
-    header:
-        What is flashed to every drive.
-    machines:
-        N machines.
-    wanted:
-        Names of outputs, as `output_names` has them; what none of them needs is not computed.
-    v_dc:
-        DC-link voltage in V of each drive, one number or shape (N,); that of the header when None.
+    Args:
+        header: What is flashed to every drive.
+        machines: N machines.
+        wanted: Names of outputs, as `output_names` has them; what none of them needs is not
+            computed.
+        v_dc: DC-link voltage in V of each drive, one number or shape (N,); that of the header when
+            None.
 
-    Raises
-    ------
-    InputError
-        A name is none of those that a fixed header has.
+    Raises:
+        InputError: A name is none of those that a fixed header has.
     """
     check_outputs(header, wanted)
     voltage = header.v_dc if v_dc is None else v_dc
@@ -108,17 +90,12 @@ def yield_outputs(
 def check_outputs(header: FixedHeader, wanted: Collection[str]) -> None:
     """Refuse outputs of reference and gains that a fixed header does not have.
 
-    Parameters
-    ----------
-    header:
-        The header.
-    wanted:
-        Names of outputs.
+    Args:
+        header: The header.
+        wanted: Names of outputs.
 
-    Raises
-    ------
-    InputError
-        Names the first of them, and what to write instead.
+    Raises:
+        InputError: Names the first of them, and what to write instead.
     """
     known = output_names(header)
     for name in wanted:

@@ -29,14 +29,11 @@ def _speed_on_observer(design: Design) -> bool:
 def answer_check(design: Design) -> Answer:
     """List what was read.
 
-    Raises
-    ------
-    InputError
-        The bases of fixed-point control do not hold the largest values, or the voltage feedback
-        of the references has nothing to do or turns the flux.
-    NoSolutionError
-        A loop does not hold, of a design whose speed loop runs on a position observer, it is a
-        six-step drive that holds at no speed, or physics forbids its start.
+    Raises:
+        InputError: The bases of fixed-point control do not hold the largest values, or the voltage
+            feedback of the references has nothing to do or turns the flux.
+        NoSolutionError: A loop does not hold, of a design whose speed loop runs on a position
+            observer, it is a six-step drive that holds at no speed, or physics forbids its start.
     """
     stage("checking")
     leaving = _refuse(design)

@@ -20,17 +20,13 @@ from dqforge.reports.pages.console import stage
 def answer_compare(first: str, second: str, settings: Sequence[str] | None = None) -> Answer:
     """Compare two designs or results.
 
-    Parameters
-    ----------
-    first, second:
-        Designs, what an earlier run wrote, or the configuration of another firmware.
-    settings:
-        Keys of the second, as those of `load`: what changes with them if both are the same.
+    Args:
+        first, second: Designs, what an earlier run wrote, or the configuration of another firmware.
+        settings: Keys of the second, as those of `load`: what changes with them if both are the
+            same.
 
-    Raises
-    ------
-    InputError
-        As `read_side`; or keys are set of what an earlier run wrote.
+    Raises:
+        InputError: As `read_side`; or keys are set of what an earlier run wrote.
     """
 
     def load_second(name: str) -> Design:

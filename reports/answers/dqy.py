@@ -36,10 +36,8 @@ FLASH_HINT = "dqforge dqy --flash compares topologies and controllers, and says 
 def answer_dqy(design: Design, request: WaveformRequest) -> Answer:
     """Shape the currents at the point of the request, or else of the design.
 
-    Raises
-    ------
-    InputError
-        An option is not understood, or as `compare_waveforms`.
+    Raises:
+        InputError: An option is not understood, or as `compare_waveforms`.
     """
     stage("shaping the currents")
     settings = with_point(

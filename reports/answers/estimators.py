@@ -21,12 +21,9 @@ def answer_estimators(
 ) -> Answer:
     """Compare the estimators and start-ups of a design.
 
-    Raises
-    ------
-    InputError
-        As `which_estimators`.
-    NoSolutionError
-        Likewise, or there is no pair whose headers could be written.
+    Raises:
+        InputError: As `which_estimators`.
+        NoSolutionError: Likewise, or there is no pair whose headers could be written.
     """
     found = which_estimators(design, only, starts)
 

@@ -27,28 +27,19 @@ from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
 
 _MADE_HERE = "made by dqforge"
-
-
-_HEAD = 2000
-
-"""Characters at the begin of a file in which it says who made it."""
+_HEAD = 2000  # Characters at the begin of a file in which it says who made it.
 
 
 def answer_explain(files: Sequence[Path], machine: str | None) -> Answer:
     """What the configuration in files of a firmware, or a header or result of ours, amounts to.
 
-    Parameters
-    ----------
-    files:
-        One, or several of one firmware.
-    machine:
-        The design (a file, or a name of the library) whose machine it runs on, in place of the one
-        that it tells of.
+    Args:
+        files: One, or several of one firmware.
+        machine: The design (a file, or a name of the library) whose machine it runs on, in place of
+            the one that it tells of.
 
-    Raises
-    ------
-    InputError
-        A file is of no known firmware, or not what that writes.
+    Raises:
+        InputError: A file is of no known firmware, or not what that writes.
     """
     if not files:
         raise InputError("explain: no file is named; write the file of a firmware")

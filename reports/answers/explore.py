@@ -47,10 +47,8 @@ class Where:
     def settings(self) -> EngineSettings:
         """The engine that is asked for.
 
-        Raises
-        ------
-        InputError
-            Options exclude each other.
+        Raises:
+            InputError: Options exclude each other.
         """
         there = self.scheduler or self.scheduler_file is not None
         if self.scheduler and self.scheduler_file is not None:
@@ -95,26 +93,16 @@ class Looked:
 class StudyRequest:
     """What is asked of a study.
 
-    Parameters
-    ----------
-    study:
-        Its file, or a folder that holds one computed.
-    out:
-        Folder of the parts, None for the usual one.
-    dry_run:
-        Whether it is only estimated.
-    limit:
-        Rows to compute, up to the end of a part; None for all.
-    restart:
-        Whether what the folder holds is taken away.
-    where:
-        On what it is computed.
-    looked:
-        What is shown of its rows, or exported.
-    reuse:
-        Folders of earlier studies from which rows are taken.
-    plot:
-        Whether a figure of all rows is asked for.
+    Args:
+        study: Its file, or a folder that holds one computed.
+        out: Folder of the parts, None for the usual one.
+        dry_run: Whether it is only estimated.
+        limit: Rows to compute, up to the end of a part; None for all.
+        restart: Whether what the folder holds is taken away.
+        where: On what it is computed.
+        looked: What is shown of its rows, or exported.
+        reuse: Folders of earlier studies from which rows are taken.
+        plot: Whether a figure of all rows is asked for.
     """
 
     study: str
@@ -136,12 +124,9 @@ class StudyRequest:
 def answer_explore(request: StudyRequest) -> Answer:
     """Compute a study, or look into the folder of one.
 
-    Raises
-    ------
-    InputError
-        The study is wrong, the folder holds another one, or options exclude each other.
-    EngineStoppedError
-        The run could not go on.
+    Raises:
+        InputError: The study is wrong, the folder holds another one, or options exclude each other.
+        EngineStoppedError: The run could not go on.
     """
     if request.plot and (request.dry_run or request.looked.at_rows or request.looked.export):
         raise InputError("--plot draws all rows: leave out --dry-run, --table, --csv and --export")

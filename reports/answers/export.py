@@ -42,26 +42,18 @@ def answer_export_for(
 ) -> Answer:
     """Write a design as the files of other firmware.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    names:
-        Whose files.
-    into:
-        An existing file whose other fields are kept; of one firmware only.
-    verify:
-        Whether the loops of each firmware are simulated, and refused where they do not settle.
-    elsewhere:
-        Whether the existing file stays as it is.
+    Args:
+        design: The design.
+        names: Whose files.
+        into: An existing file whose other fields are kept; of one firmware only.
+        verify: Whether the loops of each firmware are simulated, and refused where they do not
+            settle.
+        elsewhere: Whether the existing file stays as it is.
 
-    Raises
-    ------
-    InputError
-        There is no such firmware, it needs what the design does not say, or the existing file is
-        not its own.
-    NoSolutionError
-        Its loops do not settle on this drive; says why.
+    Raises:
+        InputError: There is no such firmware, it needs what the design does not say, or the
+            existing file is not its own.
+        NoSolutionError: Its loops do not settle on this drive; says why.
     """
     chosen = tuple(dict.fromkeys(method_of(name, option="--for").name for name in names))
     if into is not None and len(chosen) != 1:

@@ -23,18 +23,13 @@ from dqforge.reports.pages.answer import Answer, Files
 class NewRequest:
     """What a new file is made of; nothing: the general template.
 
-    Parameters
-    ----------
-    machine:
-        Name of a drive in the library.
-    files, settings:
-        As `answer_new_from`.
-    sheet:
-        By the dotted key, what a data sheet says, as the options of the command line have it.
-    template:
-        Whether the general template is asked for.
-    study:
-        Name of a study in the library, which is made instead of a design.
+    Args:
+        machine: Name of a drive in the library.
+        files, settings: As `answer_new_from`.
+        sheet: By the dotted key, what a data sheet says, as the options of the command line have
+            it.
+        template: Whether the general template is asked for.
+        study: Name of a study in the library, which is made instead of a design.
     """
 
     machine: str | None = None
@@ -49,12 +44,10 @@ def answer_new(folder: Path, asked: NewRequest) -> Answer:
     """A commented design file to start from: of a data sheet, of the library, of files of other
     firmware, or a general one; or a study of the library. Its schema goes beside it.
 
-    Raises
-    ------
-    InputError
-        The library has no such entry, the data sheet lacks or contradicts something, the folder
-        has such a file already, or more than one of the ways is asked for; or as
-        `answer_new_from`.
+    Raises:
+        InputError: The library has no such entry, the data sheet lacks or contradicts something,
+            the folder has such a file already, or more than one of the ways is asked for; or as
+            `answer_new_from`.
     """
     _refuse_two_ways(asked)
     if asked.files:
@@ -131,20 +124,14 @@ def answer_new_from(
 ) -> Answer:
     """A design file from the configuration that files of a firmware hold.
 
-    Parameters
-    ----------
-    folder:
-        Folder to make; it gets a file design.yaml.
-    files:
-        Files of one firmware.
-    settings:
-        Keys that the files do not say, or that shall be others, as those of ``--set``.
+    Args:
+        folder: Folder to make; it gets a file design.yaml.
+        files: Files of one firmware.
+        settings: Keys that the files do not say, or that shall be others, as those of ``--set``.
 
-    Raises
-    ------
-    InputError
-        A file is of no known firmware, a value in it is none that a design can have, or the folder
-        has a design file already.
+    Raises:
+        InputError: A file is of no known firmware, a value in it is none that a design can have, or
+            the folder has a design file already.
     """
     path = new_file(folder, NEW_DESIGN)
     from dqforge.reports.firmware_files.design_made import design_from_files

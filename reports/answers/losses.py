@@ -27,10 +27,8 @@ __all__ = ["LossRequest", "answer_losses"]
 def answer_losses(design: Design, request: LossRequest, *, choice: bool) -> Answer:
     """Losses at the points of the design, over a map or a mission, or the choice of the design.
 
-    Raises
-    ------
-    InputError
-        As `answer` and `answer_choice`, and where options do not go together.
+    Raises:
+        InputError: As `answer` and `answer_choice`, and where options do not go together.
     """
     if design.control.six_step is not None:
         raise InputError(

@@ -27,12 +27,9 @@ from dqforge.reports.written_headers import WrittenHeaders, read_folder, verify_
 def answer_verify(folder: Path, target: str | None) -> Answer:
     """Verify a folder, on an emulated core as well where one is named.
 
-    Raises
-    ------
-    InputError
-        The folder is not what dqforge writes, or there is no such core.
-    VerificationError
-        Something differs; the message names the first difference.
+    Raises:
+        InputError: The folder is not what dqforge writes, or there is no such core.
+        VerificationError: Something differs; the message names the first difference.
     """
     if target is not None:
         target_of(target)

@@ -14,9 +14,7 @@ from dqforge.reports.c_code.title import title
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData
 
-SUFFIXES = ("hardware.h", "application.h", "main.c")
-
-"""Ends of the names of its files."""
+SUFFIXES = ("hardware.h", "application.h", "main.c")  # Ends of the names of its files.
 
 
 def _settings(plan: ApplicationPlan) -> list[tuple[str, str]]:

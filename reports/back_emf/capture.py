@@ -24,11 +24,9 @@ from dqforge.reports.plain_data import PlainData
 
 _PHASES = "abc"
 
-
+# Harmonics below this share of the fundamental, or below their uncertainty, are not listed on the
+# terminal.
 _LEAST_SHARE = 1e-3
-
-"""Harmonics below this share of the fundamental, or below their uncertainty,
-are not listed on the terminal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,20 +119,14 @@ def read_capture(
     """Read and analyse the back-EMF of three phases in one file, or in several with
     some of the channels each.
 
-    Parameters
-    ----------
-    paths:
-        The files.
-    request:
-        The options.
-    progress:
-        Told the share that is done, of which reading is half.
+    Args:
+        paths: The files.
+        request: The options.
+        progress: Told the share that is done, of which reading is half.
 
-    Raises
-    ------
-    InputError
-        A file is not what it claims to be, with the line where that begins,
-        or an option is not understood.
+    Raises:
+        InputError: A file is not what it claims to be, with the line where that begins, or an
+            option is not understood.
     """
     speed = parse_option(request.speed, "speed", "--speed")
     if request.pole_pairs is not None and request.pole_pairs < 1:

@@ -13,23 +13,12 @@ import numpy as np
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.observers.parts import Arithmetic
 
+# The float next to pi, which lies above it; `wrap` returns less than this.
 PI = np.float32(3.1415927)
-
-"""The float next to pi, which lies above it; `wrap` returns less than this."""
-
-
 _SINE = np.array([-0.16666658, 0.008332287, -0.00019525598], dtype=np.float32)
-
-
 _COSINE = np.array([-0.49999887, 0.041655786, -0.0013591051], dtype=np.float32)
-
-
 _SMALL_SINE = np.array([-0.16666406, 0.0082862], dtype=np.float32)
-
-
 _SMALL_COSINE = np.array([-0.5, 0.0416663, -0.00138272], dtype=np.float32)
-
-
 _ZERO, _ONE, _FAR = np.float32(0.0), np.float32(1.0), np.float32(65536.0)
 
 
@@ -95,6 +84,5 @@ def _polynomial(coefficients: SingleArray, x: SingleArray) -> SingleArray:
     return np.asarray(value, dtype=np.float32)
 
 
+# Single precision, in which transforms and observers equal their C functions.
 SINGLE = Arithmetic(np.float32, wrap, rotation)
-
-"""Single precision, in which transforms and observers equal their C functions."""

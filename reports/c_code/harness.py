@@ -41,21 +41,14 @@ class Programme:
     ) -> None:
         """Compare results with the model bit for bit.
 
-        Parameters
-        ----------
-        found:
-            Results of the compiled harness, of the shape and type of the model.
-        place, author:
-            Where it ran and what gave the results, for the message.
-        kind:
-            What the message says of the model.
-        any_nan:
-            Whether one not-a-number is as good as another.
+        Args:
+            found: Results of the compiled harness, of the shape and type of the model.
+            place, author: Where it ran and what gave the results, for the message.
+            kind: What the message says of the model.
+            any_nan: Whether one not-a-number is as good as another.
 
-        Raises
-        ------
-        VerificationError
-            Rows differ; the message has the first.
+        Raises:
+            VerificationError: Rows differ; the message has the first.
         """
         bits = np.dtype(f"u{self.model.dtype.itemsize}")
         model = np.ascontiguousarray(self.model)

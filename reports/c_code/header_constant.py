@@ -9,20 +9,13 @@ from dqforge.machines.records import dataclass
 class Constant:
     """One number of the header.
 
-    Parameters
-    ----------
-    quantity:
-        What it is, as ``<group>.<symbol>`` (``i_d.kp``); a dialect finds its name by it.
-    value:
-        In ``unit``; a whole number for what is counted and for codes.
-    unit:
-        SI unit, ``per unit``, or empty for a pure number.
-    meaning, note:
-        What it is, and what is said behind the unit.
-    base:
-        What one is of a value per unit, by the quantities of its bases.
-    bits:
-        Fractional bits of a code, None of other numbers.
+    Args:
+        quantity: What it is, as ``<group>.<symbol>`` (``i_d.kp``); a dialect finds its name by it.
+        value: In ``unit``; a whole number for what is counted and for codes.
+        unit: SI unit, ``per unit``, or empty for a pure number.
+        meaning, note: What it is, and what is said behind the unit.
+        base: What one is of a value per unit, by the quantities of its bases.
+        bits: Fractional bits of a code, None of other numbers.
     """
 
     quantity: str

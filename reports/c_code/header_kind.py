@@ -26,24 +26,17 @@ M = TypeVar("M")
 class HeaderKind(Generic[R, M]):
     """One kind of header.
 
-    Parameters
-    ----------
-    name:
-        Part of the file names ``<prefix>_<name>.h`` and of the key
-        ``<name>_header`` in ``result.json``.
-    files:
-        Names and bytes of its files for a result.
-    plain:
-        What ``result.json`` says of it, from which alone its model is built again; None where
-        the result has no header of this kind.
-    read:
-        Model from its plain data and the whole result; raises InputError where they
-        are not what dqforge writes.
-    programme:
-        Harness, inputs and results of a model.
-    vectors:
-        Whether ``<prefix>_<name>_vectors.h`` is written too, with a function
-        ``<prefix>_<name>_mismatches``.
+    Args:
+        name: Part of the file names ``<prefix>_<name>.h`` and of the key ``<name>_header`` in
+            ``result.json``.
+        files: Names and bytes of its files for a result.
+        plain: What ``result.json`` says of it, from which alone its model is built again; None
+            where the result has no header of this kind.
+        read: Model from its plain data and the whole result; raises InputError where they are not
+            what dqforge writes.
+        programme: Harness, inputs and results of a model.
+        vectors: Whether ``<prefix>_<name>_vectors.h`` is written too, with a function
+            ``<prefix>_<name>_mismatches``.
     """
 
     name: str
@@ -80,16 +73,11 @@ def integer_kinds(
     """Headers ``<prefix>_<name>_q15.h`` and ``<prefix>_<name>_q31.h`` of a result that is a fit
     per fixed-point format.
 
-    Parameters
-    ----------
-    name:
-        What comes before the format.
-    width_of:
-        Bits of the codes of a fit.
-    files, plain, programme:
-        As of `HeaderKind`, of one fit.
-    read:
-        Model from its plain data, the bits of its codes and the whole result.
+    Args:
+        name: What comes before the format.
+        width_of: Bits of the codes of a fit.
+        files, plain, programme: As of `HeaderKind`, of one fit.
+        read: Model from its plain data, the bits of its codes and the whole result.
     """
 
     def kind(width: int) -> HeaderKind[tuple[F, ...], M]:

@@ -17,10 +17,8 @@ def float_literal(value: float) -> str:
     """Shortest decimal literal of a float, such as ``0.1049F``, that reads
     back to the same 32 bits.
 
-    Raises
-    ------
-    ValueError
-        The value is not finite as a float: an emitted header must not hold it.
+    Raises:
+        ValueError: The value is not finite as a float: an emitted header must not hold it.
     """
     with np.errstate(over="ignore"):
         single = np.float32(value)

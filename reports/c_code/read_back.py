@@ -15,10 +15,8 @@ from dqforge.optimizer.curves.single_precision import SingleArray
 def single_from(value: Any) -> np.float32:
     """A float32 from a number.
 
-    Raises
-    ------
-    TypeError, ValueError
-        It is no number, or not finite in single precision.
+    Raises:
+        TypeError, ValueError: It is no number, or not finite in single precision.
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError

@@ -12,30 +12,22 @@ if TYPE_CHECKING:
     from dqforge.machines.errors import DqforgeError
 
 
-NEW_DESIGN, NEW_STUDY = "design.yaml", "study.yaml"
+NEW_DESIGN, NEW_STUDY = "design.yaml", "study.yaml"  # Names of the files that `dqforge new` makes.
 
-"""Names of the files that `dqforge new` makes."""
-
-
+# Designs that the command under way has loaded: its refusals name their place in the file.
 _loaded: ContextVar[tuple[Design, ...]] = ContextVar("_loaded", default=())
-
-"""Designs that the command under way has loaded: its refusals name their place in the file."""
 
 
 def load(name: str, settings: Sequence[str] | None = None) -> Design:
     """Load a design file, or a library drive where no such file exists and that is its name.
 
-    Parameters
-    ----------
-    name:
-        File, or name in the library.
-    settings:
-        Keys that are set instead of what the file says, such as ``machine.resistance=12 mOhm``.
+    Args:
+        name: File, or name in the library.
+        settings: Keys that are set instead of what the file says, such as ``machine.resistance=12
+            mOhm``.
 
-    Raises
-    ------
-    InputError
-        There is no such design, or it is wrong.
+    Raises:
+        InputError: There is no such design, or it is wrong.
     """
     from dqforge.machines.design import catalogue, loader
     from dqforge.reports.pages.console import stage

@@ -16,21 +16,17 @@ from dqforge.reports.command_line.refusals import tell
 from dqforge.reports.operating_system import system
 from dqforge.reports.operating_system.console_encoding import spell_out
 
+# What the system says of files and disks, and not of connections or processes.
 INTERRUPTED = 130
-
 _OF_FILES = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EMFILE)
-"""What the system says of files and disks, and not of connections or processes."""
 
 
 def exit_code(command: Callable[[], object], locate: Callable[[DqforgeError], None]) -> int:
     """Run a command; what goes wrong becomes a line on stderr and an exit code.
 
-    Parameters
-    ----------
-    command:
-        What is run; its result is the exit code where it is a number.
-    locate:
-        Gives a refusal its place in a design.
+    Args:
+        command: What is run; its result is the exit code where it is a number.
+        locate: Gives a refusal its place in a design.
     """
     import typer
     from typer.exceptions import TyperException

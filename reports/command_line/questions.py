@@ -33,21 +33,15 @@ _HELP = "?"
 def asked_sheet(folder: Path, given: Mapping[str, str], *, asking: bool) -> dict[str, str]:
     """What the data sheet says: what was given, and what is asked for where that does not do.
 
-    Parameters
-    ----------
-    folder:
-        For which the design is made.
-    given:
-        By the dotted key, texts of options; where there are any, only what is needed is asked for.
-    asking:
-        Whether questions may be asked.
+    Args:
+        folder: For which the design is made.
+        given: By the dotted key, texts of options; where there are any, only what is needed is
+            asked for.
+        asking: Whether questions may be asked.
 
-    Raises
-    ------
-    InputError
-        An option says what its key cannot be.
-    KeyboardInterrupt
-        The person has left.
+    Raises:
+        InputError: An option says what its key cannot be.
+        KeyboardInterrupt: The person has left.
     """
     if not asking or (given and not missing(given)) or not _is_terminal():
         return dict(given)
@@ -90,16 +84,11 @@ def _tell(text: str) -> None:
 class Dialogue:
     """Questions and what has been answered.
 
-    Parameters
-    ----------
-    ask:
-        Shows a prompt, returns the answer.
-    tell:
-        Shows a line.
-    values:
-        By the dotted key, what is known; answers are added.
-    needed_only:
-        Whether what may be left out is not asked for.
+    Args:
+        ask: Shows a prompt, returns the answer.
+        tell: Shows a line.
+        values: By the dotted key, what is known; answers are added.
+        needed_only: Whether what may be left out is not asked for.
     """
 
     ask: Callable[[str], str]

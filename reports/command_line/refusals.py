@@ -54,12 +54,9 @@ def excerpt(error: DqforgeError, room: int) -> list[tuple[str, str]]:
     """The line of the file that an error is about and the mark below it, each with its style;
     nothing where the line is not at hand.
 
-    Parameters
-    ----------
-    error:
-        With source, line and column.
-    room:
-        Columns of the terminal. A longer line is cut on both sides of the place.
+    Args:
+        error: With source, line and column.
+        room: Columns of the terminal. A longer line is cut on both sides of the place.
     """
     line = None
     if error.source is not None and error.line is not None:

@@ -32,25 +32,16 @@ def respond(
 ) -> int:
     """Ask, and show the answer; its exit code.
 
-    Parameters
-    ----------
-    command:
-        Its name, for JSON.
-    ask:
-        Reads and computes; names its stages by `dqforge.reports.pages.console.stage`.
-    json:
-        Whether JSON is printed instead of tables.
-    plot:
-        File to draw into; refused before anything is computed where it could not be written.
-    out:
-        Folder for files, where the command writes any; None for none.
-    default:
-        Whether files go into the folder of their design where ``out`` is None.
-    bar:
-        Name of what moves a bar, for commands that tell the share that is done;
-        else a spinner turns.
-    silent:
-        Whether nothing moves.
+    Args:
+        command: Its name, for JSON.
+        ask: Reads and computes; names its stages by `dqforge.reports.pages.console.stage`.
+        json: Whether JSON is printed instead of tables.
+        plot: File to draw into; refused before anything is computed where it could not be written.
+        out: Folder for files, where the command writes any; None for none.
+        default: Whether files go into the folder of their design where ``out`` is None.
+        bar: Name of what moves a bar, for commands that tell the share that is done; else a spinner
+            turns.
+        silent: Whether nothing moves.
     """
     if plot is not None:
         check_figure_path(plot, Path(OUT) if default and out is None else out)

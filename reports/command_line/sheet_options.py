@@ -11,11 +11,7 @@ from typer import Option
 
 from dqforge.machines.data_sheet.sheet_values import SHEET_VALUES, SheetValue
 
-Sheet = dict[str, str]
-
-"""By the dotted key of the design, the text that was given."""
-
-
+Sheet = dict[str, str]  # By the dotted key of the design, the text that was given.
 _BUNDLE = "sheet"
 
 

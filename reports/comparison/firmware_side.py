@@ -26,15 +26,11 @@ _DESIGNS = (".yaml", ".yml")
 def firmware_side(name: str) -> Side | None:
     """The side of a file of another firmware, None where it is none.
 
-    Parameters
-    ----------
-    name:
-        What the user named.
+    Args:
+        name: What the user named.
 
-    Raises
-    ------
-    InputError
-        It is such a file, and not what the firmware writes.
+    Raises:
+        InputError: It is such a file, and not what the firmware writes.
     """
     path = Path(name)
     if not path.is_file() or path.suffix.lower() in _DESIGNS:

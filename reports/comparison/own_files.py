@@ -13,6 +13,7 @@ from dqforge.reports.comparison.sources import Side
 from dqforge.reports.firmware.text_file import TextFile
 from dqforge.reports.firmware_files.plain import DRIVE_KEYS
 
+# Macros of the main header by the field of `DriveValues`.
 _MACROS = {
     "pole_pairs": "POLE_PAIRS",
     "r_s": "R_S_OHM",
@@ -22,9 +23,6 @@ _MACROS = {
     "i_max": "CURRENT_MAX_A",
     "t_s": "T_S_S",
 }
-
-"""Macros of the main header by the field of `DriveValues`."""
-
 
 _LOOPS = {
     "current_d": ("ID_KP_V_PER_A", "ID_KI_V_PER_AS"),
@@ -43,15 +41,11 @@ def is_own(file: TextFile) -> bool:
 def own_gains(side: Side) -> OwnGains:
     """Gains and machine of what dqforge wrote.
 
-    Parameters
-    ----------
-    side:
-        As `dqforge.reports.comparison.sources.read_side` gives it.
+    Args:
+        side: As `dqforge.reports.comparison.sources.read_side` gives it.
 
-    Raises
-    ------
-    InputError
-        It holds none, or something that is no number.
+    Raises:
+        InputError: It holds none, or something that is no number.
     """
     found = _of_macros(side) if side.header_only else _of_result(side)
     if found.current_q is None and found.current_d is None:

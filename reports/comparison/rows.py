@@ -115,10 +115,8 @@ def quantity_rows(
 
     Those of one section stand together, where its first one stands.
 
-    Raises
-    ------
-    InputError
-        A result holds something else than dqforge writes.
+    Raises:
+        InputError: A result holds something else than dqforge writes.
     """
     asked = [*_DRIVE, *(part for capability in capabilities for part in capability.quantities)]
     sections = list(dict.fromkeys(quantity.section for quantity in asked))

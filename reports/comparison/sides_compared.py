@@ -220,23 +220,17 @@ def _foreign_note(names: list[str]) -> str:
 def compare_sides(a: Side, b: Side, capabilities: Capabilities = CAPABILITIES) -> Comparison:
     """Everything that two sides can be compared by.
 
-    Parameters
-    ----------
-    a, b:
-        Designs, results or headers (`sources.read_side`).
-    capabilities:
-        Those of the product, or these and some from outside, as the sides were solved with.
+    Args:
+        a, b: Designs, results or headers (`sources.read_side`).
+        capabilities: Those of the product, or these and some from outside, as the sides were solved
+            with.
 
-    Returns
-    -------
-    Comparison
+    Returns:
         Rows for every quantity that at least one side has, whether it differs or not; of a header
         alone only macros and code.
 
-    Raises
-    ------
-    InputError
-        A result holds something else than dqforge writes.
+    Raises:
+        InputError: A result holds something else than dqforge writes.
     """
     sides = (a, b)
     macros, compared, notes = _macro_rows(sides)

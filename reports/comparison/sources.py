@@ -49,21 +49,16 @@ _MACRO = re.compile(r"^#define ([A-Za-z_][A-Za-z0-9_]*) \(([^()\n]*)\)", re.MULT
 class Side:
     """One side of a comparison.
 
-    Parameters
-    ----------
-    source:
-        What the user named.
-    result:
-        The document that `dqforge run` writes.
-    macros:
-        Values of the header's macros as they are written, by name without prefix;
-        None where there is no header.
-    code:
-        The header without comments and prefixes; None where there is none.
-    header_only:
-        True where ``result`` holds nothing but the name of the design and the digest of its file.
-    foreign:
-        True for the configuration of another firmware: machine, limits and loops are all it has.
+    Args:
+        source: What the user named.
+        result: The document that `dqforge run` writes.
+        macros: Values of the header's macros as they are written, by name without prefix; None
+            where there is no header.
+        code: The header without comments and prefixes; None where there is none.
+        header_only: True where ``result`` holds nothing but the name of the design and the digest
+            of its file.
+        foreign: True for the configuration of another firmware: machine, limits and loops are all
+            it has.
     """
 
     source: str
@@ -103,19 +98,13 @@ def read_side(text: str, load: Callable[[str], Design]) -> Side:
     """One side by what the user named: a folder, JSON file or header that `dqforge run` wrote,
     else a design.
 
-    Parameters
-    ----------
-    text:
-        Folder, file, or name of a library drive.
-    load:
-        Makes a design of a file or name.
+    Args:
+        text: Folder, file, or name of a library drive.
+        load: Makes a design of a file or name.
 
-    Raises
-    ------
-    InputError
-        It is none of these; the message names what is wrong.
-    NoSolutionError
-        The design has no solution.
+    Raises:
+        InputError: It is none of these; the message names what is wrong.
+        NoSolutionError: The design has no solution.
     """
     if not text:
         raise InputError(
@@ -141,14 +130,10 @@ def solved_side(source: str, design: Design, capabilities: Capabilities = CAPABI
     """The side of a design, solved and emitted as `dqforge run` does, without a file being
     written.
 
-    Parameters
-    ----------
-    source:
-        What the user named.
-    design:
-        What is solved.
-    capabilities:
-        Those of the product, or these and some from outside.
+    Args:
+        source: What the user named.
+        design: What is solved.
+        capabilities: Those of the product, or these and some from outside.
     """
     from dqforge.optimizer.solution import solve
     from dqforge.reports.main_header.header import header_files

@@ -228,14 +228,10 @@ def sweep_rows(width: int) -> int:
 def integer_rows(width: int, inputs: CodeArray, results: CodeArray, name: str) -> Programme:
     """The harness of a control in integers on rows of inputs and results, shapes (N, columns).
 
-    Parameters
-    ----------
-    width:
-        Bits of a code; rows hold words of twice that.
-    inputs, results:
-        What goes in, and what must come out.
-    name:
-        What runs, for messages.
+    Args:
+        width: Bits of a code; rows hold words of twice that.
+        inputs, results: What goes in, and what must come out.
+        name: What runs, for messages.
     """
     wide = np.dtype(f"i{width // 4}")
     return Programme(

@@ -35,10 +35,8 @@ def fixed_control_from(
 
     ``reference`` are the current references of their own header, where they have some.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_fixed_control` makes.
+    Raises:
+        InputError: The data are not what `plain_fixed_control` makes.
     """
     try:
         current, voltage, speed, torque = positive(plain["bases"], 4)

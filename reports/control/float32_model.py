@@ -69,29 +69,19 @@ class ControlState:
 class ControlModel:
     """The control functions of one header.
 
-    Parameters
-    ----------
-    gains:
-        Members of ``<prefix>_control_gains_t`` by name, float32: ``d``, ``q`` and ``speed`` are
-        (kp, ki_ts, tracking); numbers, or arrays of shape (N,) where the drives differ.
-    ratio:
-        Current samples per speed sample.
-    modulation:
-        The modulator.
-    reference:
-        Current references of the torque.
-    weakening:
-        Current references of torque, voltage and speed, None where there are none.
-    overmodulation:
-        What becomes of a voltage beyond the circle in the hexagon.
-    reference_share:
-        What the references have of the controllers' voltage; the rest is kept free for control.
-    moving:
-        Slopes of the references and voltage feedback, None where there are none.
-    injects:
-        Whether a voltage is made besides, that of the state.
-    holds:
-        Whether a start-up adds currents to the references of a torque.
+    Args:
+        gains: Members of ``<prefix>_control_gains_t`` by name, float32: ``d``, ``q`` and ``speed``
+            are (kp, ki_ts, tracking); numbers, or arrays of shape (N,) where the drives differ.
+        ratio: Current samples per speed sample.
+        modulation: The modulator.
+        reference: Current references of the torque.
+        weakening: Current references of torque, voltage and speed, None where there are none.
+        overmodulation: What becomes of a voltage beyond the circle in the hexagon.
+        reference_share: What the references have of the controllers' voltage; the rest is kept free
+            for control.
+        moving: Slopes of the references and voltage feedback, None where there are none.
+        injects: Whether a voltage is made besides, that of the state.
+        holds: Whether a start-up adds currents to the references of a torque.
     """
 
     gains: Mapping[str, Any]
@@ -213,18 +203,13 @@ def speed_loop(
 ) -> SingleArray:
     """Torque reference in N m, as ``<prefix>_speed_loop``.
 
-    Parameters
-    ----------
-    gains:
-        As of `ControlModel`: ``speed``, ``torque_max`` and ``speed_filter``.
-    ratio:
-        Current samples per speed sample.
-    state:
-        What the loop keeps; it is changed.
-    omega_m, reference:
-        Mechanical speed and its reference in rad/s, shape (N,).
-    torque_step:
-        Largest change of the torque per current sample in N m, None where there is no limit.
+    Args:
+        gains: As of `ControlModel`: ``speed``, ``torque_max`` and ``speed_filter``.
+        ratio: Current samples per speed sample.
+        state: What the loop keeps; it is changed.
+        omega_m, reference: Mechanical speed and its reference in rad/s, shape (N,).
+        torque_step: Largest change of the torque per current sample in N m, None where there is no
+            limit.
     """
     _, ki_ts, tracking = gains["speed"]
     most = gains["torque_max"]
@@ -253,14 +238,10 @@ def three_leg_duties(
 ) -> Singles:
     """Duty cycles of three legs, as ``<prefix>_duties``.
 
-    Parameters
-    ----------
-    modulation:
-        The modulator.
-    voltage, current:
-        Alpha and beta in V and A, shape (N,).
-    v_dc:
-        DC-link voltage in V, shape (N,).
+    Args:
+        modulation: The modulator.
+        voltage, current: Alpha and beta in V and A, shape (N,).
+        v_dc: DC-link voltage in V, shape (N,).
     """
     if MODULATORS[modulation].kind == "centred":
         centred = centred_duties(voltage, v_dc)
@@ -284,12 +265,9 @@ def _clamped(duty: SingleArray) -> SingleArray:
 def centred_duties(voltage: Pair[SingleArray], v_dc: SingleArray) -> Singles:
     """Duty cycles of three legs with a centred zero sequence, as ``<prefix>_centred_duties``.
 
-    Parameters
-    ----------
-    voltage:
-        Alpha and beta in V, shape (N,); 0 where ``v_dc`` is not above 0.
-    v_dc:
-        DC-link voltage in V, shape (N,).
+    Args:
+        voltage: Alpha and beta in V, shape (N,); 0 where ``v_dc`` is not above 0.
+        v_dc: DC-link voltage in V, shape (N,).
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = _ONE / v_dc

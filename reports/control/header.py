@@ -81,10 +81,8 @@ def plain_control(solution: Solution) -> PlainData:
 
     Every number is a float32 value.
 
-    Raises
-    ------
-    InputError
-        The current reference is in fixed point, which the float32 control cannot call.
+    Raises:
+        InputError: The current reference is in fixed point, which the float32 control cannot call.
     """
     design = solution.design
     if isinstance(solution.fit.reference, FixedReference):
@@ -180,10 +178,8 @@ def speed_filter(filter_time: float, t_s: float) -> float:
 def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> ControlModel:
     """Read the control functions back from a result and its part that describes them.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_control` makes.
+    Raises:
+        InputError: The data are not what `plain_control` makes.
     """
     try:
         gains: dict[str, Any] = {
@@ -345,10 +341,8 @@ def _moving(plain: Mapping[str, Any]) -> dict[str, float]:
 def control_files(solution: Solution) -> dict[str, bytes]:
     """Name and bytes of ``<prefix>_control.h``.
 
-    Raises
-    ------
-    InputError
-        As `plain_control`.
+    Raises:
+        InputError: As `plain_control`.
     """
     design, plain = solution.design, plain_control(solution)
     prefix = design.export.prefix

@@ -49,10 +49,8 @@ def plain_rule(constants: RuleConstants) -> PlainData:
 def rule_from(plain: Mapping[str, Any]) -> RuleConstants:
     """Read a rule back.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_rule` makes.
+    Raises:
+        InputError: The data are not what `plain_rule` makes.
     """
     try:
         numbers = {name: plain[name] for name in _NUMBERS}

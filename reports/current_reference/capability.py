@@ -208,6 +208,7 @@ def _plain(solution: Solution, _: Solution) -> PlainData:
     )
 
 
+# Its result is the whole solution: the fit with its proof, its data and its alternatives.
 CURRENT_REFERENCE = Capability(
     name="fit",
     title="current reference",
@@ -224,8 +225,6 @@ CURRENT_REFERENCE = Capability(
     quantities=QUANTITIES,
 )
 
-"""Its result is the whole solution: the fit with its proof, its data and its alternatives."""
-
 NEGATIVE_POINTS = Capability(
     name="mtpa_negative",
     title="currents over negative torques",
@@ -234,6 +233,7 @@ NEGATIVE_POINTS = Capability(
     always=False,
 )
 
+# Tables and words of both stand with those of the current reference.
 NEGATIVE_REFERENCE = Capability(
     name="fit_negative",
     title="current reference of negative torques",
@@ -241,5 +241,3 @@ NEGATIVE_REFERENCE = Capability(
     plain=lambda _, half: plain_fit(half.fit, (), (), half.certificate),
     always=False,
 )
-
-"""Tables and words of both stand with those of the current reference."""

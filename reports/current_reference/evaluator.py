@@ -27,10 +27,7 @@ from dqforge.reports.pages.certificate_text import header_lines
 from dqforge.reports.pages.labels import operation_text
 from dqforge.reports.plain_data import PlainData, shortest
 
-_VECTOR_SEED = 20_260_501
-
-"""Seed of the random test vectors; any fixed number does."""
-
+_VECTOR_SEED = 20_260_501  # Seed of the random test vectors; any fixed number does.
 
 _FORM_TEXT = {
     "proportional": ("i_d = 0 and i_q proportional to the torque (exact)",),

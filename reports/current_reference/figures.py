@@ -40,14 +40,8 @@ if TYPE_CHECKING:
 
 
 _DASHES = (0, (4.0, 2.0))
-
-
 _LABELLED_BREAKPOINTS = 3
-
-
-ROUNDING = 1e-11
-
-"""Relative loss penalty that is nothing but the rounding of double precision."""
+ROUNDING = 1e-11  # Relative loss penalty that is nothing but the rounding of double precision.
 
 
 def breakpoints(fit: ReferenceFit) -> FloatArray:
@@ -180,14 +174,10 @@ def plot_mtpa(design: Design, curves: Curves, fit: ReferenceFit | None = None) -
     """The plane of the currents: constant torque, the current limit, the exact trajectory
     and the fitted reference.
 
-    Parameters
-    ----------
-    design:
-        The design, for its machine and its current limit.
-    curves:
-        Exact operating points.
-    fit:
-        The reference that the firmware evaluates; left out where None.
+    Args:
+        design: The design, for its machine and its current limit.
+        curves: Exact operating points.
+        fit: The reference that the firmware evaluates; left out where None.
     """
     i_max, side = design.i_max, 1.0 if design.machine.saliency < 0.0 else -1.0
     with style():

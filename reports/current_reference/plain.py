@@ -203,10 +203,8 @@ def _fixed_reference(plain: Mapping[str, Any], width: int) -> FixedReference:
 def from_plain(plain: Mapping[str, Any]) -> Emitted:
     """Read a reference back.
 
-    Raises
-    ------
-    InputError
-        The data are not what `to_plain` makes; it names the entry.
+    Raises:
+        InputError: The data are not what `to_plain` makes; it names the entry.
     """
     positive = _one_from_plain(plain)
     if "negative" not in plain:

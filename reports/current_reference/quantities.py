@@ -10,9 +10,8 @@ from dqforge.reports.capability import Quantity, Value
 
 _SECTION = "current reference"
 
+# Key of the bytes of constants, which a side of a comparison adds to ``header``.
 CONSTANTS = "constants_B"
-
-"""Key of the bytes of constants, which a side of a comparison adds to ``header``."""
 
 _ERRORS = (
     ("i_d error", "i_d", "A"),

@@ -25,9 +25,7 @@ from dqforge.reports.pages.labels import (
 )
 from dqforge.reports.pages.table import Table
 
-POOR_FIT = 0.01
-
-"""Relative copper-loss penalty from which a fit is called poor."""
+POOR_FIT = 0.01  # Relative copper-loss penalty from which a fit is called poor.
 
 
 def _error_cells(errors: ReferenceErrors) -> tuple[str, ...]:

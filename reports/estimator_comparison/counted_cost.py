@@ -34,10 +34,8 @@ _SHARE = 0.5  # of the largest speed
 def with_cost(found: EstimatorComparison) -> EstimatorComparison:
     """The comparison with instructions, cycles and bytes of each step, or why there are none.
 
-    Parameters
-    ----------
-    found:
-        The comparison.
+    Args:
+        found: The comparison.
     """
     with ThreadPoolExecutor(max(1, os.cpu_count() or 1)) as pool:
         try:
@@ -90,12 +88,9 @@ def steady_rows(design: Design, omega: float) -> NDArray[np.float32]:
     """Voltage and current (alpha, beta) of a drive at an electrical speed in rad/s that draws half
     its current limit across the magnets, shape (N, 4).
 
-    Parameters
-    ----------
-    design:
-        The drive.
-    omega:
-        Electrical speed in rad/s.
+    Args:
+        design: The drive.
+        omega: Electrical speed in rad/s.
     """
     machine, i_q = linearised(design.machine), 0.5 * design.machine.i_max
     turn = np.exp(1j * omega * design.control.t_s * np.arange(_SAMPLES))

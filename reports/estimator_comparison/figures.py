@@ -33,10 +33,8 @@ _HALF_TURN_COLOUR = WINNERS[1]
 def plot_comparison(found: EstimatorComparison) -> Figure:
     """Winners over speed and load, errors over the speed, starts that lock.
 
-    Parameters
-    ----------
-    found:
-        The comparison.
+    Args:
+        found: The comparison.
     """
     known = _by_cells(found)
     chosen = _chosen(found)
@@ -155,14 +153,10 @@ def _draw_errors(axes: Axes, found: EstimatorComparison, known: list[ComparedEst
 def draw_capture(axes: Axes, found: CaptureMap, speed: int) -> None:
     """Starts at one speed: coloured where they lock, white where they are lost.
 
-    Parameters
-    ----------
-    axes:
-        To draw into.
-    found:
-        The map.
-    speed:
-        Index of the speed.
+    Args:
+        axes: To draw into.
+        found: The map.
+        speed: Index of the speed.
     """
     outcome = found.outcome[speed]
     code = np.where(outcome == LOCKED, 0, np.where(outcome == HALF_TURN, 1, -1))

@@ -42,10 +42,8 @@ def _cell(angle: float, speed: float, omega: float, *, with_speed: bool) -> str:
 def warm_table(warm: WarmErrors) -> Table:
     """Steady errors over speed and load, on the coldest and the hottest machine.
 
-    Parameters
-    ----------
-    warm:
-        The errors.
+    Args:
+        warm: The errors.
     """
     finite = warm.speed[np.isfinite(warm.speed)]
     relative = np.abs(np.where(np.isfinite(warm.speed), warm.speed, 0.0)) / warm.omega
@@ -85,10 +83,8 @@ def warm_table(warm: WarmErrors) -> Table:
 def plain_warm(warm: WarmErrors) -> PlainData:
     """The errors by the keys of docs/reference/json.md.
 
-    Parameters
-    ----------
-    warm:
-        The errors.
+    Args:
+        warm: The errors.
     """
     return {
         "states": [asdict(state) for state in warm.states],
@@ -110,10 +106,8 @@ def _span(low: float, high: float) -> str:
 def capture_table(found: CaptureMap) -> Table:
     """Starts that lock, a row per speed.
 
-    Parameters
-    ----------
-    found:
-        The map.
+    Args:
+        found: The map.
     """
     right, rest = found.angle_range(0.0), found.angle_range(-1.0)
     rows = []
@@ -146,10 +140,8 @@ def capture_table(found: CaptureMap) -> Table:
 def plain_capture(found: CaptureMap) -> PlainData:
     """The map by the keys of docs/reference/json.md.
 
-    Parameters
-    ----------
-    found:
-        The map.
+    Args:
+        found: The map.
     """
     return {
         "omega_rad_per_s": found.omega,

@@ -23,18 +23,13 @@ if TYPE_CHECKING:
 def pair_files(design: Design, found: EstimatorComparison) -> dict[str, bytes]:
     """Names and bytes of the headers of the pair.
 
-    Parameters
-    ----------
-    design:
-        The drive.
-    found:
-        The comparison.
+    Args:
+        design: The drive.
+        found: The comparison.
 
-    Raises
-    ------
-    InputError, NoSolutionError
-        No estimator holds anywhere, so that there is nothing to write, or the control of the
-        start cannot be emitted.
+    Raises:
+        InputError, NoSolutionError: No estimator holds anywhere, so that there is nothing to write,
+            or the control of the start cannot be emitted.
     """
     pair = found.pair
     if pair.start is not None:

@@ -24,10 +24,8 @@ _NO_NAME = {NOBODY: None, UNREACHED: "unreached"}
 def plain_comparison(found: EstimatorComparison) -> PlainData:
     """By the keys of docs/reference/json.md.
 
-    Parameters
-    ----------
-    found:
-        The comparison.
+    Args:
+        found: The comparison.
     """
     asked = found.asked
     names = [row.candidate.name for row in found.estimators]

@@ -28,21 +28,14 @@ def which_estimators(
 ) -> EstimatorComparison:
     """The comparison with the cost of each step on the design's core.
 
-    Parameters
-    ----------
-    design:
-        The drive.
-    only:
-        Names of the estimators to compare, with commas in between; all of them when None.
+    Args:
+        design: The drive.
+        only: Names of the estimators to compare, with commas in between; all of them when None.
+        starts: How many starts each start-up is tried with per load; 0 for none.
 
-    starts:
-        How many starts each start-up is tried with per load; 0 for none.
-
-    Raises
-    ------
-    InputError, NoSolutionError
-        As `compare_estimators`, there is no estimator of that name, or too many starts are asked
-        for.
+    Raises:
+        InputError, NoSolutionError: As `compare_estimators`, there is no estimator of that name, or
+            too many starts are asked for.
     """
     if not 0 <= starts <= MOST_STARTS:
         raise InputError(f"--starts must lie between 0 and {MOST_STARTS}, got {starts}")

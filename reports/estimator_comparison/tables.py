@@ -44,12 +44,9 @@ _CAUSES = {
 def estimator_tables(design: Design, found: EstimatorComparison) -> list[Table]:
     """All tables.
 
-    Parameters
-    ----------
-    design:
-        The drive.
-    found:
-        The comparison.
+    Args:
+        design: The drive.
+        found: The comparison.
     """
     known = any(row.figures is not None for row in found.estimators)
     tables = [_estimators(design, found)]

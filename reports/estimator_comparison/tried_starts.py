@@ -17,9 +17,7 @@ if TYPE_CHECKING:
     from dqforge.optimizer.estimator_comparison.solve import EstimatorComparison
     from dqforge.optimizer.start_up.start_judgement import StartRate
 
-LOADS = (0.0, 0.3)
-
-"""Friction over the torque of the current limit with which starts are tried."""
+LOADS = (0.0, 0.3)  # Friction over the torque of the current limit with which starts are tried.
 
 
 def tried_starts(
@@ -27,14 +25,10 @@ def tried_starts(
 ) -> tuple[ComparedStart, ...]:
     """The start-ups of a comparison with the share of starts that succeed.
 
-    Parameters
-    ----------
-    found:
-        The comparison.
-    count:
-        Starts per load.
-    told:
-        Called with the name of each before it is tried.
+    Args:
+        found: The comparison.
+        count: Starts per load.
+        told: Called with the name of each before it is tried.
     """
     return tuple(_tried(row, count, told) for row in found.starts)
 

@@ -9,8 +9,7 @@ from typing import Any
 from dqforge.machines.records import dataclass
 from dqforge.reports.pages.figures_style import BLUE, RED, SKY
 
-WIDTH = 420.0
-"""Width of every drawing in its own units."""
+WIDTH = 420.0  # Width of every drawing in its own units.
 _LEFT, _RIGHT, _ROW, _HEIGHT, _FOOT = 170.0, 46.0, 30.0, 150.0, 34.0
 
 

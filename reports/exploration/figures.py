@@ -20,22 +20,18 @@ if TYPE_CHECKING:
     from dqforge.optimizer.study_results.acceptance import AcceptedRange
 
 _BINS = 60
-_WIDE = 8.0
-"""Ratio of the ends of an axis from which on it is logarithmic."""
+_WIDE = 8.0  # Ratio of the ends of an axis from which on it is logarithmic.
 
 
 def plot_study(view: StudyView) -> Figure:
     """The first two goals of a study with its front, else what it accepts of its outputs.
 
-    Parameters
-    ----------
-    view:
-        The study.
+    Args:
+        view: The study.
 
-    Raises
-    ------
-    InputError
-        It has neither two goals nor anything that is accepted, or no row that can be drawn.
+    Raises:
+        InputError: It has neither two goals nor anything that is accepted, or no row that can be
+            drawn.
     """
     if view.summary.front is not None and len(view.question.goals) > 1:
         return _front(view)

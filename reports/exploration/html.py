@@ -42,26 +42,21 @@ from dqforge.reports.study_store.column_texts import label, value_text
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-MOST_PANELS = 6
-"""Columns of the scatter matrix."""
-FILES = "What the study wrote beside this page"
-"""Caption of the table of files."""
+MOST_PANELS = 6  # Columns of the scatter matrix.
+FILES = "What the study wrote beside this page"  # Caption of the table of files.
 NOT_ACCEPTED = "not accepted"
 ENDINGS = (*STATES, NOT_ACCEPTED)
 _DIGITS = 7
+# Numbers of a message, not those within names.
 _NUMBER = re.compile(r"(?<![A-Za-z_])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-"""Numbers of a message, not those within names."""
 
 
 def render_study(view: StudyView, files: Sequence[ListedFile] = ()) -> str:
     """The page.
 
-    Parameters
-    ----------
-    view:
-        The study.
-    files:
-        What lies beside the page; without any it says nothing of files.
+    Args:
+        view: The study.
+        files: What lies beside the page; without any it says nothing of files.
     """
     tables = {
         "acceptance": _html(acceptance_table(view)),
@@ -113,14 +108,10 @@ def _contents(tables: Mapping[str, HtmlTable | None], *, spread: bool) -> list[t
 class DrawnChart:
     """A chart with its data and what a pointer needs to tell them.
 
-    Attributes
-    ----------
-    chart:
-        The chart.
-    data:
-        Its data.
-    panels:
-        As of `dqforge.reports.pages.page_figure.PageFigure`.
+    Attributes:
+        chart: The chart.
+        data: Its data.
+        panels: As of `dqforge.reports.pages.page_figure.PageFigure`.
     """
 
     chart: BarChart | HistogramChart
@@ -143,10 +134,8 @@ def pictured_table(view: StudyView) -> str:
     """The pictured rows as a table: their place in the study, how they ended, whether they are on
     the front, then the columns of `page_data` in the units of people.
 
-    Parameters
-    ----------
-    view:
-        The study.
+    Args:
+        view: The study.
     """
     plain, front = page_data(view), view.summary.front
     on_front = set() if front is None else set(front.index.tolist())
@@ -231,10 +220,8 @@ def _endings(view: StudyView) -> Table | None:
 def panel_columns(view: StudyView) -> tuple[ColumnSpec, ...]:
     """Columns of the scatter matrix: inputs that vary, then what is asked of the rows.
 
-    Parameters
-    ----------
-    view:
-        The study.
+    Args:
+        view: The study.
     """
     question = view.question
     asked = [each.column for each in question.accept] + [goal.column for goal in question.goals]
@@ -247,10 +234,8 @@ def panel_columns(view: StudyView) -> tuple[ColumnSpec, ...]:
 def page_data(view: StudyView) -> dict[str, Any]:
     """What the script of the page is given beside `pictured_table`: its columns, and the goals.
 
-    Parameters
-    ----------
-    view:
-        The study.
+    Args:
+        view: The study.
     """
     kept = _kept(view)
     columns = [_column(view, view.spec(name)) for name in kept]
@@ -310,10 +295,8 @@ def _cells(view: StudyView, spec: ColumnSpec) -> list[str]:
 def sensitivity_charts(view: StudyView) -> list[BarChart]:
     """Bars of first-order and total sensitivities, a chart for each output.
 
-    Parameters
-    ----------
-    view:
-        The study.
+    Args:
+        view: The study.
     """
     charts = []
     for found in view.summary.sensitivities:
@@ -329,10 +312,8 @@ def sensitivity_charts(view: StudyView) -> list[BarChart]:
 def histogram_charts(view: StudyView) -> list[HistogramChart]:
     """Histograms of what is accepted, with its bounds, and of what else is asked for.
 
-    Parameters
-    ----------
-    view:
-        The study.
+    Args:
+        view: The study.
     """
     charts = []
     for name, histogram in zip(view.question.spread, view.summary.spread, strict=True):

@@ -16,10 +16,8 @@ QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 def plain_summary(view: StudyView) -> PlainData:
     """Shares with their intervals, the worst rows, the front, sensitivities and spreads.
 
-    Parameters
-    ----------
-    view:
-        The study.
+    Args:
+        view: The study.
     """
     summary, question = view.summary, view.question
     tally = summary.acceptance

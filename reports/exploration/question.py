@@ -10,21 +10,16 @@ from dqforge.optimizer.exploration.row_block import INPUT_COLUMN, OUTPUT_COLUMN,
 from dqforge.optimizer.study_results.asked_columns import bound_column, goal_columns
 from dqforge.optimizer.study_results.summary import StudyQuestion
 
-MOST_SPREAD = 12
-"""Histograms of a study that names no outputs that matter more than others."""
+MOST_SPREAD = 12  # Histograms of a study that names no outputs that matter more than others.
 
 
 def study_question(study: Study, design: Design, columns: Sequence[ColumnSpec]) -> StudyQuestion:
     """The question of a study.
 
-    Parameters
-    ----------
-    study:
-        What its file says.
-    design:
-        The design that it starts from.
-    columns:
-        Columns of its rows.
+    Args:
+        study: What its file says.
+        design: The design that it starts from.
+        columns: Columns of its rows.
     """
     there = {column.name: column for column in columns}
     accept = tuple(bound_column(bound, design) for bound in study.accept)

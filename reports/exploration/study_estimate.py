@@ -23,12 +23,9 @@ _QUICK_S = 0.5
 def estimated_study(study: Study, plan: RowSource) -> Answer:
     """What a study would be, from its first rows.
 
-    Parameters
-    ----------
-    study:
-        The study.
-    plan:
-        Its rows; of a search those of the first generation, since others follow from them.
+    Args:
+        study: The study.
+        plan: Its rows; of a search those of the first generation, since others follow from them.
     """
     search = study.search
     known = plan.count if search is None else search.population

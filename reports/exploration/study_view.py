@@ -19,8 +19,7 @@ from dqforge.reports.study_store.column_texts import people_unit
 if TYPE_CHECKING:
     from dqforge.reports.study_store.part_store import PartStore
 
-MOST_PICTURED = 1500
-"""Rows of a picture besides those of the front: every n-th of the study."""
+MOST_PICTURED = 1500  # Rows of a picture besides those of the front: every n-th of the study.
 MOST_OF_FRONT = 500
 
 
@@ -28,16 +27,11 @@ MOST_OF_FRONT = 500
 class PicturedRows:
     """Some rows of a study.
 
-    Parameters
-    ----------
-    index:
-        Their indices, ascending, int64 (n,).
-    states:
-        Places in `dqforge.optimizer.exploration.row_block.STATES`, int8 (n,).
-    columns:
-        Numbers in SI units, of choices the places in their words, -1 for none, (n,).
-    step:
-        Every how manyth row is here, besides those of the front.
+    Args:
+        index: Their indices, ascending, int64 (n,).
+        states: Places in `dqforge.optimizer.exploration.row_block.STATES`, int8 (n,).
+        columns: Numbers in SI units, of choices the places in their words, -1 for none, (n,).
+        step: Every how manyth row is here, besides those of the front.
     """
 
     index: NDArray[np.int64]
@@ -50,24 +44,15 @@ class PicturedRows:
 class StudyView:
     """Everything that a page or a table says of a study.
 
-    Parameters
-    ----------
-    name, about:
-        Words of its file.
-    columns:
-        All columns of its rows.
-    rows:
-        Rows of the study; ``summary.rows`` of them are computed.
-    batch:
-        Rows per part.
-    summary:
-        What the rows say together.
-    pictured:
-        Rows for pictures.
-    audited:
-        Largest relative deviation of the batch path from the single path, by output.
-    computed_with:
-        Versions of what computed it.
+    Args:
+        name, about: Words of its file.
+        columns: All columns of its rows.
+        rows: Rows of the study; ``summary.rows`` of them are computed.
+        batch: Rows per part.
+        summary: What the rows say together.
+        pictured: Rows for pictures.
+        audited: Largest relative deviation of the batch path from the single path, by output.
+        computed_with: Versions of what computed it.
     """
 
     name: str
@@ -107,12 +92,9 @@ def _changes(values: NDArray[np.float64]) -> bool:
 def shown_unit(spec: ColumnSpec, values: NDArray[np.float64]) -> tuple[str, float]:
     """Unit in which values of a column are drawn, and the factor from SI to it.
 
-    Parameters
-    ----------
-    spec:
-        A column of numbers.
-    values:
-        What is drawn, shape (n,); the largest one chooses the prefix.
+    Args:
+        spec: A column of numbers.
+        values: What is drawn, shape (n,); the largest one chooses the prefix.
     """
     finite = np.abs(values[np.isfinite(values)])
     plain = people_unit(spec)
@@ -131,14 +113,10 @@ def pictured_rows(
 ) -> PicturedRows:
     """Rows for pictures: every n-th row of the study that is computed, and those of a front.
 
-    Parameters
-    ----------
-    store:
-        The study's folder; one part is in memory at a time.
-    names:
-        Whole names of the columns that are wanted.
-    front:
-        Indices of rows that are wanted in any case.
+    Args:
+        store: The study's folder; one part is in memory at a time.
+        names: Whole names of the columns that are wanted.
+        front: Indices of rows that are wanted in any case.
     """
     step = max(-(-store.header.count // MOST_PICTURED), 1)
     wanted = np.array(sorted(front)[:MOST_OF_FRONT], dtype=np.int64)

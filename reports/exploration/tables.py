@@ -11,17 +11,14 @@ from dqforge.reports.exploration.study_view import StudyView
 from dqforge.reports.pages.table import Table
 from dqforge.reports.study_store.column_texts import label, value_text
 
-MOST_ROWS = 20
-"""Rows of the front that a terminal shows."""
+MOST_ROWS = 20  # Rows of the front that a terminal shows.
 
 
 def study_tables(view: StudyView) -> list[Table]:
     """Every table that the study has something to say in.
 
-    Parameters
-    ----------
-    view:
-        The study.
+    Args:
+        view: The study.
     """
     found = [acceptance_table(view), front_table(view), sensitivity_table(view), audit_table(view)]
     return [table for table in found if table is not None]
@@ -30,10 +27,8 @@ def study_tables(view: StudyView) -> list[Table]:
 def acceptance_table(view: StudyView) -> Table | None:
     """Shares that are accepted, None where nothing is asked.
 
-    Parameters
-    ----------
-    view:
-        The study.
+    Args:
+        view: The study.
     """
     tally, ranges = view.summary.acceptance, view.question.accept
     if not ranges:
@@ -59,12 +54,9 @@ def acceptance_table(view: StudyView) -> Table | None:
 def range_text(view: StudyView, accepted: AcceptedRange) -> str:
     """Bounds of what is accepted.
 
-    Parameters
-    ----------
-    view:
-        The study.
-    accepted:
-        One range.
+    Args:
+        view: The study.
+        accepted: One range.
     """
     spec = view.spec(accepted.column)
     texts = [] if accepted.above is None else [f"above {value_text(spec, accepted.above)}"]
@@ -75,10 +67,8 @@ def range_text(view: StudyView, accepted: AcceptedRange) -> str:
 def rows_text(count: int) -> str:
     """So many rows.
 
-    Parameters
-    ----------
-    count:
-        How many.
+    Args:
+        count: How many.
     """
     return "1 row" if count == 1 else f"{count} rows"
 
@@ -86,10 +76,8 @@ def rows_text(count: int) -> str:
 def share_cells(share: Share) -> tuple[str, str]:
     """A share and its interval in percent.
 
-    Parameters
-    ----------
-    share:
-        Rows that are accepted.
+    Args:
+        share: Rows that are accepted.
     """
     low, high = share.interval
     ends = f"{100.0 * low:.2f} to {100.0 * high:.2f} %"
@@ -99,10 +87,8 @@ def share_cells(share: Share) -> tuple[str, str]:
 def front_table(view: StudyView) -> Table | None:
     """The front by its first goal, None where there is none.
 
-    Parameters
-    ----------
-    view:
-        The study.
+    Args:
+        view: The study.
     """
     front, goals = view.summary.front, view.question.goals
     if front is None:
@@ -133,10 +119,8 @@ def front_table(view: StudyView) -> Table | None:
 def sensitivity_table(view: StudyView) -> Table | None:
     """Sensitivities of every output asked for, None where none is.
 
-    Parameters
-    ----------
-    view:
-        The study.
+    Args:
+        view: The study.
     """
     found = view.summary.sensitivities
     if not found:
@@ -160,10 +144,8 @@ def _index(value: float) -> str:
 def audit_table(view: StudyView) -> Table | None:
     """How far rows computed together lie from those computed one by one, None where none is.
 
-    Parameters
-    ----------
-    view:
-        The study.
+    Args:
+        view: The study.
     """
     if not view.audited:
         return None

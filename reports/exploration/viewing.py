@@ -25,21 +25,14 @@ def view_study(
 ) -> StudyView:
     """Everything that is shown of a study.
 
-    Parameters
-    ----------
-    store:
-        Its folder.
-    question:
-        What is asked of its rows together.
-    audited:
-        Largest deviation of the batch path, as `PartStore.survey` found it.
-    about:
-        What its file says of it.
+    Args:
+        store: Its folder.
+        question: What is asked of its rows together.
+        audited: Largest deviation of the batch path, as `PartStore.survey` found it.
+        about: What its file says of it.
 
-    Raises
-    ------
-    StoreError
-        A part is damaged.
+    Raises:
+        StoreError: A part is damaged.
     """
     header = store.header
     summary = summarise(question, store.read([*question.columns, "message"]))
@@ -69,19 +62,13 @@ def view_of(store: PartStore, study: Study, audited: Mapping[str, float]) -> Stu
 def write_pages(store: PartStore, view: StudyView, inputs: Mapping[str, bytes]) -> tuple[str, ...]:
     """Write the report, the front and the sensitivities beside the parts; returns their names.
 
-    Parameters
-    ----------
-    store:
-        The study's folder.
-    view:
-        What is shown of it.
-    inputs:
-        What the study was read from, by name in the folder.
+    Args:
+        store: The study's folder.
+        view: What is shown of it.
+        inputs: What the study was read from, by name in the folder.
 
-    Raises
-    ------
-    StoreError
-        The disk is full, or the folder cannot be written.
+    Raises:
+        StoreError: The disk is full, or the folder cannot be written.
     """
     from dqforge.reports.study_store.store_files import FRONT, REPORT, SENSITIVITY
     from dqforge.reports.study_store.summary_files import front_file, sensitivity_file

@@ -66,10 +66,8 @@ def plain_weakening(step: DropReference) -> PlainData:
 def weakening_from(plain: Mapping[str, Any]) -> DropReference:
     """Read an evaluator back.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_weakening` makes.
+    Raises:
+        InputError: The data are not what `plain_weakening` makes.
     """
     try:
         found = WeakeningReference(

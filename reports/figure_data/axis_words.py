@@ -27,31 +27,19 @@ _LETTERS = {
     "\u00a0": " ",
 }
 
-
 _SIMPLE = r"[pnumkM]?(?:Ohm|Hz|Wh|Wb|VA|rad|kg|A|V|W|H|N|F|J|s|m|K)(?:\^?[23])?"
-
-
 _UNIT = rf"(?:%|ppm|ppb|rpm|dB|deg(?: ?C)?|{_SIMPLE}(?:[ /]{_SIMPLE})*)(?!\w)"
-
-
 _SHARE = rf"{_UNIT} of .*"
-
-
-NO_UNIT = "1"
-
-"""Unit of what has none."""
+NO_UNIT = "1"  # Unit of what has none.
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
     """What an axis shows.
 
-    Attributes
-    ----------
-    name:
-        Its name, empty where the label is a unit alone.
-    unit:
-        Its unit, "1" where it has none.
+    Attributes:
+        name: Its name, empty where the label is a unit alone.
+        unit: Its unit, "1" where it has none.
     """
 
     name: str
@@ -61,10 +49,8 @@ class Quantity:
 def plain(text: str) -> str:
     """Text of a figure in plain letters: subscripts after a low line, Greek letters by name.
 
-    Parameters
-    ----------
-    text:
-        As it is drawn, such as ``$L_{dd}$``.
+    Args:
+        text: As it is drawn, such as ``$L_{dd}$``.
     """
     text = text.replace("$", "").replace("{", "").replace("}", "").replace("\n", " ")
     for letter, word in _LETTERS.items():
@@ -76,10 +62,8 @@ def plain(text: str) -> str:
 def quantity(label: str) -> Quantity:
     """Name and unit that a label of an axis holds.
 
-    Parameters
-    ----------
-    label:
-        Such as ``$i_d$ error in mA``, ``Turn (rad)``, ``machines [%]`` or ``A``.
+    Args:
+        label: Such as ``$i_d$ error in mA``, ``Turn (rad)``, ``machines [%]`` or ``A``.
     """
     text = plain(label)
     alone = re.fullmatch(rf"({_SHARE}|{_UNIT})(?: \(.*\))?", text)

@@ -29,24 +29,18 @@ if TYPE_CHECKING:
     from matplotlib.patches import Rectangle
 
 _DIGITS, _STEPS = 1e-5, 1e-4
-Keys = Mapping[tuple[str, str], str]
-"""Entries of the legends of a figure by colour and dashes."""
+Keys = Mapping[tuple[str, str], str]  # Entries of the legends of a figure by colour and dashes.
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
     """One column of the data.
 
-    Attributes
-    ----------
-    quantity:
-        What it holds; the unit is empty where it holds names.
-    series:
-        Whose values these are, empty where it needs no name.
-    of:
-        The values for which this is the argument; None for values themselves.
-    cells:
-        As they are printed.
+    Attributes:
+        quantity: What it holds; the unit is empty where it holds names.
+        series: Whose values these are, empty where it needs no name.
+        of: The values for which this is the argument; None for values themselves.
+        cells: As they are printed.
     """
 
     quantity: Quantity
@@ -59,20 +53,14 @@ class Column:
 class Drawn:
     """One thing that is drawn.
 
-    Attributes
-    ----------
-    kind:
-        ``line``, ``step``, ``path``, ``points``, ``band``, ``span``, ``level``, ``stairs``,
-        ``bars``, ``cells``, ``named-cells`` or ``grid``.
-    columns:
-        Its data.
-    colours:
-        As ``#rrggbb``: one, or of bars one for each column of values; empty where they tell
-        nothing apart.
-    places:
-        Where bars stand, in data coordinates.
-    along:
-        Axis along which bars stand, or which a span or a level marks: ``x`` or ``y``.
+    Attributes:
+        kind: ``line``, ``step``, ``path``, ``points``, ``band``, ``span``, ``level``, ``stairs``,
+            ``bars``, ``cells``, ``named-cells`` or ``grid``.
+        columns: Its data.
+        colours: As ``#rrggbb``: one, or of bars one for each column of values; empty where they
+            tell nothing apart.
+        places: Where bars stand, in data coordinates.
+        along: Axis along which bars stand, or which a span or a level marks: ``x`` or ``y``.
     """
 
     kind: str
@@ -86,16 +74,11 @@ class Drawn:
 class Direction:
     """An axis as its data need it.
 
-    Attributes
-    ----------
-    quantity:
-        Name and unit of its label.
-    factor:
-        From data to the unit of the label.
-    names:
-        Places of ticks that have names in place of numbers.
-    log:
-        Whether its scale is logarithmic.
+    Attributes:
+        quantity: Name and unit of its label.
+        factor: From data to the unit of the label.
+        names: Places of ticks that have names in place of numbers.
+        log: Whether its scale is logarithmic.
     """
 
     quantity: Quantity
@@ -116,12 +99,9 @@ def number_texts(values: FloatArray, *, log: bool = False) -> tuple[str, ...]:
     """Numbers with six digits of the largest, or as many as part the values; six of each on a
     logarithmic scale. What is no number is empty.
 
-    Parameters
-    ----------
-    values:
-        Shape (N,).
-    log:
-        Whether small ones count as much as large ones.
+    Args:
+        values: Shape (N,).
+        log: Whether small ones count as much as large ones.
     """
     known = values[np.isfinite(values)]
     largest = float(np.max(np.abs(known), initial=0.0))
@@ -174,12 +154,9 @@ def _names(axis: Axis) -> tuple[tuple[float, str], ...]:
 def direction(axes: Axes, along: str) -> Direction:
     """How one axis of a panel is to be read.
 
-    Parameters
-    ----------
-    axes:
-        The panel.
-    along:
-        ``x`` or ``y``.
+    Args:
+        axes: The panel.
+        along: ``x`` or ``y``.
     """
     axis: Axis = getattr(axes, f"{along}axis")
     found = quantity(_label(axes, along))
@@ -204,12 +181,9 @@ def _face(artist: Any) -> str:
 class PanelReader:
     """Reads the artists of one panel.
 
-    Parameters
-    ----------
-    axes:
-        The panel.
-    keys:
-        What the legends of its figure say.
+    Args:
+        axes: The panel.
+        keys: What the legends of its figure say.
     """
 
     def __init__(self, axes: Axes, keys: Keys) -> None:

@@ -35,16 +35,11 @@ _LEVELS = 4
 class Panel:
     """One panel and what is in it.
 
-    Attributes
-    ----------
-    axes:
-        The panel as it is drawn.
-    x, y:
-        Its axes.
-    title:
-        In plain letters.
-    drawn:
-        What it shows.
+    Attributes:
+        axes: The panel as it is drawn.
+        x, y: Its axes.
+        title: In plain letters.
+        drawn: What it shows.
     """
 
     axes: Axes
@@ -58,16 +53,11 @@ class Panel:
 class FigureSheet:
     """The data of a figure.
 
-    Attributes
-    ----------
-    headers:
-        Of the columns: what, whose, and the unit in brackets; names have none.
-    columns:
-        Their cells as they are printed; shorter ones end earlier.
-    panels:
-        Those that show data.
-    places:
-        For each panel, for each thing in it, the indices of its columns.
+    Attributes:
+        headers: Of the columns: what, whose, and the unit in brackets; names have none.
+        columns: Their cells as they are printed; shorter ones end earlier.
+        panels: Those that show data.
+        places: For each panel, for each thing in it, the indices of its columns.
     """
 
     headers: tuple[str, ...]
@@ -216,10 +206,8 @@ def _headers(columns: Sequence[tuple[Column, str]]) -> tuple[str, ...]:
 def read_figure(figure: Figure) -> FigureSheet:
     """The data of everything that is drawn in a figure.
 
-    Parameters
-    ----------
-    figure:
-        Any.
+    Args:
+        figure: Any.
     """
     panels = []
     for axes in figure.axes:

@@ -20,14 +20,10 @@ if TYPE_CHECKING:
 class DrawnGrid:
     """Values over two axes.
 
-    Attributes
-    ----------
-    x, y:
-        In the units of the axes, shape (X,) and (Y,), or both (Y, X) where the grid is bent.
-    z:
-        Shape (Y, X); NaN where there is none.
-    name:
-        What the values are, with their unit, as a label says it.
+    Attributes:
+        x, y: In the units of the axes, shape (X,) and (Y,), or both (Y, X) where the grid is bent.
+        z: Shape (Y, X); NaN where there is none.
+        name: What the values are, with their unit, as a label says it.
     """
 
     x: FloatArray
@@ -45,16 +41,11 @@ _FACTORS: WeakKeyDictionary[Any, float] = WeakKeyDictionary()
 def draw_filled(axes: Axes, grid: DrawnGrid, drawn: FloatArray, **options: Any) -> ContourSet:
     """Filled contours that know the values they stand for.
 
-    Parameters
-    ----------
-    axes:
-        To draw into.
-    grid:
-        The values as they are told.
-    drawn:
-        The values as they are drawn, shape (Y, X): clipped, or carried on over gaps.
-    options:
-        Those of ``contourf``.
+    Args:
+        axes: To draw into.
+        grid: The values as they are told.
+        drawn: The values as they are drawn, shape (Y, X): clipped, or carried on over gaps.
+        options: Those of ``contourf``.
     """
     found = axes.contourf(grid.x, grid.y, drawn, **options)
     _GRIDS[found] = grid
@@ -64,10 +55,8 @@ def draw_filled(axes: Axes, grid: DrawnGrid, drawn: FloatArray, **options: Any) 
 def grid_of(contours: ContourSet) -> DrawnGrid:
     """The grid of filled contours.
 
-    Raises
-    ------
-    LookupError
-        They were not drawn by `draw_filled`, and their values are lost.
+    Raises:
+        LookupError: They were not drawn by `draw_filled`, and their values are lost.
     """
     if contours not in _GRIDS:
         raise LookupError("filled contours have no data: draw them by draw_filled")
@@ -77,12 +66,9 @@ def grid_of(contours: ContourSet) -> DrawnGrid:
 def tick_in_unit(axis: Axis, factor: float) -> None:
     """Write ticks in a unit that is smaller by ``factor`` than that of the data.
 
-    Parameters
-    ----------
-    axis:
-        The axis; it keeps the factor.
-    factor:
-        Such as 1000 for mA.
+    Args:
+        axis: The axis; it keeps the factor.
+        factor: Such as 1000 for mA.
     """
     from matplotlib.ticker import FuncFormatter
 
@@ -94,10 +80,8 @@ def tick_in_unit(axis: Axis, factor: float) -> None:
 def factor_of(axis: Axis) -> float:
     """By what the data of an axis are to be multiplied to stand in the unit of its label.
 
-    Parameters
-    ----------
-    axis:
-        Of any figure.
+    Args:
+        axis: Of any figure.
     """
     formatter: Any = axis.get_major_formatter()
     return float(_FACTORS.get(formatter, 1.0))

@@ -116,10 +116,8 @@ class Macros:
     def number(self, name: str) -> float | None:
         """Value of a macro, None where there is none of this name.
 
-        Raises
-        ------
-        InputError
-            It is there and no number; with its line.
+        Raises:
+            InputError: It is there and no number; with its line.
         """
         if name not in self.by_name:
             return None
@@ -161,21 +159,14 @@ def read_macros(
     Conditions are worked out as C does from what the file defines above them; a name that it does
     not define equals itself alone. Where that leaves a condition open, its first branch counts.
 
-    Parameters
-    ----------
-    text:
-        With line feeds at the ends of lines.
-    source:
-        Its file, for messages.
-    functions:
-        What wraps such as ``FRAC16(x)`` make of their arguments, by name.
-    known:
-        Texts of macros that are defined elsewhere.
+    Args:
+        text: With line feeds at the ends of lines.
+        source: Its file, for messages.
+        functions: What wraps such as ``FRAC16(x)`` make of their arguments, by name.
+        known: Texts of macros that are defined elsewhere.
 
-    Raises
-    ------
-    InputError
-        A comment is not closed, a condition has no end, or there are too many macros.
+    Raises:
+        InputError: A comment is not closed, a condition has no end, or there are too many macros.
     """
     plain, lines = without_comments(text, source), _Lines(text)
     found = Macros(source, (), functions or {}, {})
@@ -214,10 +205,8 @@ def read_macros(
 def read_assignments(text: str, source: str, functions: Functions | None = None) -> Macros:
     """Assignments such as ``params.motor.r = 0.05f;``, by what is assigned, as `Macros`.
 
-    Raises
-    ------
-    InputError
-        A comment is not closed, or there are too many.
+    Raises:
+        InputError: A comment is not closed, or there are too many.
     """
     plain, lines = without_comments(text, source), _Lines(text)
     found: list[Definition] = []
@@ -263,10 +252,8 @@ def without_comments(text: str, source: str) -> str:
     """The text with blanks for its comments and for the ends of continued lines: every character
     keeps its place.
 
-    Raises
-    ------
-    InputError
-        A comment is not closed.
+    Raises:
+        InputError: A comment is not closed.
     """
 
     def blank(found: re.Match[str]) -> str:

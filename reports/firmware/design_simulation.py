@@ -42,23 +42,16 @@ def simulate_with_firmware(
     ``control.firmware`` where it names one: the last of `DriveSimulation.others`. A six-step drive
     runs on its own.
 
-    Parameters
-    ----------
-    design:
-        With a section ``simulation``.
-    switched:
-        Whether every switching instant is simulated, whatever the section says.
-    solution:
-        That of the design, where it is there already.
-    progress:
-        Called with the share that is done.
+    Args:
+        design: With a section ``simulation``.
+        switched: Whether every switching instant is simulated, whatever the section says.
+        solution: That of the design, where it is there already.
+        progress: Called with the share that is done.
 
-    Raises
-    ------
-    InputError
-        There is no such section, it does not fit the design, or the firmware has no such control.
-    VerificationError
-        There is no C compiler, or the header does not compile.
+    Raises:
+        InputError: There is no such section, it does not fit the design, or the firmware has no
+            such control.
+        VerificationError: There is no C compiler, or the header does not compile.
     """
     if design.control.six_step is not None:
         found = None if solution is None else solution.six_step
@@ -88,25 +81,18 @@ def simulate_loops(
 ) -> DriveSimulation:
     """Run a firmware's loops alone through a scenario.
 
-    Parameters
-    ----------
-    design:
-        Machine and inverter.
-    loops:
-        What the firmware makes of the design.
-    scenario:
-        What the drive goes through; what the loops have not is left out, and said in the remarks.
-    progress:
-        Called with the share that is done.
-    program:
-        That of `dqforge.reports.firmware.loop_run.firmware_simulator`, where it is there already.
+    Args:
+        design: Machine and inverter.
+        loops: What the firmware makes of the design.
+        scenario: What the drive goes through; what the loops have not is left out, and said in the
+            remarks.
+        progress: Called with the share that is done.
+        program: That of `dqforge.reports.firmware.loop_run.firmware_simulator`, where it is there
+            already.
 
-    Raises
-    ------
-    InputError
-        The firmware has no such control.
-    VerificationError
-        There is no C compiler.
+    Raises:
+        InputError: The firmware has no such control.
+        VerificationError: There is no C compiler.
     """
     drive = firmware_drive(loops.profile, design)
     possible, remarks = _as_it_can_run(loops, scenario, drive)

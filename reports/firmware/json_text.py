@@ -59,10 +59,8 @@ class JsonText:
     def number(self, *path: str | int) -> float | None:
         """The number at a path, None where there is none or null.
 
-        Raises
-        ------
-        InputError
-            Something else stands there; with its line.
+        Raises:
+            InputError: Something else stands there; with its line.
         """
         found = self.value(*path)
         if found is None:
@@ -102,11 +100,9 @@ def parsed_json(text: str, source: str, *, constants: bool = False) -> JsonText:
     With ``constants`` Infinity, -Infinity and NaN are taken, as Python writes them; `JsonText`
     refuses them where a number is asked for.
 
-    Raises
-    ------
-    InputError
-        It is not JSON, a key stands there twice, a number is not finite, or it is nested too
-        deeply or too large; with the line.
+    Raises:
+        InputError: It is not JSON, a key stands there twice, a number is not finite, or it is
+            nested too deeply or too large; with the line.
     """
     _check_depth(text, source)
     twice: list[str] = []
@@ -192,10 +188,8 @@ def with_json_values(
     """The text with other values at these paths of keys; what is missing is put in front of its
     neighbours, everything else stays as it stands; ``constants`` as in `parsed_json`.
 
-    Raises
-    ------
-    InputError
-        As `parsed_json`; or a value stands where an object must.
+    Raises:
+        InputError: As `parsed_json`; or a value stands where an object must.
     """
     found = parsed_json(text, source, constants=constants)
     present = {path: value for path, value in values.items() if path in found.spans}

@@ -35,29 +35,13 @@ if TYPE_CHECKING:
     from dqforge.machines.names import ModulationName
     from dqforge.optimizer.firmware.configuration import DriveValues
 
-PREFIX = "firmware"
+PREFIX = "firmware"  # Prefix of names in the C code: ``firmware_current_control`` and the like.
+SAMPLES = 256  # Most periods over which the difference of angles, and the mean of speeds, is taken.
+POINTS = 64  # Most points of a table of currents.
 
-"""Prefix of names in the C code: ``firmware_current_control`` and the like."""
-
-
-SAMPLES = 256
-
-"""Most periods over which the difference of angles, and the mean of speeds, is taken."""
-
-
-POINTS = 64
-
-"""Most points of a table of currents."""
-
-
+# A member of the C structure: its comment, and its value (a whole number is an unsigned one).
 Member = tuple[str, float | int]
-
-"""A member of the C structure: its comment, and its value (a whole number is an unsigned one)."""
-
-
 _LARGEST = 3.4e38
-
-
 _REFERENCES = ("id-zero", "mtpa-linear", "table")
 
 
@@ -75,17 +59,13 @@ class LoopNumbers:
 def loop_numbers(profile: LoopProfile, values: DriveValues) -> LoopNumbers:
     """What the C code is given for a profile.
 
-    Parameters
-    ----------
-    profile:
-        Structure and numbers of the loops.
-    values:
-        What the firmware is told of machine and limits; feedforward and references use them.
+    Args:
+        profile: Structure and numbers of the loops.
+        values: What the firmware is told of machine and limits; feedforward and references use
+            them.
 
-    Raises
-    ------
-    InputError
-        The values lack what the structure needs, or the profile has more than fits.
+    Raises:
+        InputError: The values lack what the structure needs, or the profile has more than fits.
     """
     current, speed = profile.current, profile.speed
     t_s = sampling_period(profile)
@@ -129,10 +109,8 @@ def loop_numbers(profile: LoopProfile, values: DriveValues) -> LoopNumbers:
 def sampling_period(profile: LoopProfile) -> float:
     """Period in s of both current controllers.
 
-    Raises
-    ------
-    InputError
-        They have different ones.
+    Raises:
+        InputError: They have different ones.
     """
     d, q = profile.current.d.t_s, profile.current.q.t_s
     if d != q or d <= 0.0:
@@ -152,10 +130,8 @@ def speed_ratio(profile: LoopProfile) -> int:
 def loop_bytes(profile: LoopProfile, values: DriveValues) -> bytes:
     """Bytes of ``firmware_control_gains_t`` on this machine.
 
-    Raises
-    ------
-    InputError
-        As `loop_numbers`.
+    Raises:
+        InputError: As `loop_numbers`.
     """
     found = loop_numbers(profile, values)
     flat = [value for members in (*found.controllers, found.numbers) for _, value in members]
@@ -167,10 +143,8 @@ def loop_bytes(profile: LoopProfile, values: DriveValues) -> bytes:
 def loop_files(profile: LoopProfile, values: DriveValues) -> dict[str, bytes]:
     """Name and bytes of the header that `dqforge.reports.simulation.compiled_plant` compiles.
 
-    Raises
-    ------
-    InputError
-        As `loop_numbers`, or there is no such modulation.
+    Raises:
+        InputError: As `loop_numbers`, or there is no such modulation.
     """
     found = loop_numbers(profile, values)
     lines = [

@@ -29,11 +29,9 @@ if TYPE_CHECKING:
 def firmware_drive(profile: LoopProfile, design: Design) -> Drive:
     """The design's machine and inverter with the sampling and the delay of a firmware.
 
-    Raises
-    ------
-    InputError
-        The design has a machine that no firmware of others drives, or the delay cannot be
-        simulated.
+    Raises:
+        InputError: The design has a machine that no firmware of others drives, or the delay cannot
+            be simulated.
     """
     if design.phase_machine is not None:
         raise InputError(
@@ -65,12 +63,9 @@ def drive_with(profile: LoopProfile, drive: Drive) -> Drive:
 def firmware_simulator(profile: LoopProfile, values: DriveValues) -> Iterator[Simulator]:
     """A compiled program for all profiles that modulate as this one does.
 
-    Raises
-    ------
-    InputError
-        As `dqforge.reports.firmware.loop_code.loop_files`.
-    VerificationError
-        There is no C compiler, or the code does not compile.
+    Raises:
+        InputError: As `dqforge.reports.firmware.loop_code.loop_files`.
+        VerificationError: There is no C compiler, or the code does not compile.
     """
     with simulator(loop_files(profile, values), PREFIX) as program:
         yield program
@@ -88,29 +83,18 @@ def simulate_profile(
 ) -> Simulation:
     """Run a drive with the loops of a firmware through a scenario.
 
-    Parameters
-    ----------
-    profile:
-        Structure and numbers of the loops; its sampling and its delay hold.
-    values:
-        What the firmware is told of machine and limits.
-    drive:
-        Machine and inverter that are there.
-    scenario:
-        What it goes through; angle and phase currents come from its sensors.
-    stride:
-        Samples per recorded row.
-    program:
-        That of `firmware_simulator`, where it is there already.
-    progress:
-        Called with the share that is done.
+    Args:
+        profile: Structure and numbers of the loops; its sampling and its delay hold.
+        values: What the firmware is told of machine and limits.
+        drive: Machine and inverter that are there.
+        scenario: What it goes through; angle and phase currents come from its sensors.
+        stride: Samples per recorded row.
+        program: That of `firmware_simulator`, where it is there already.
+        progress: Called with the share that is done.
 
-    Raises
-    ------
-    InputError
-        The firmware has no such control, or the profile does not fit the simulation.
-    VerificationError
-        There is no C compiler, or the program cannot be run.
+    Raises:
+        InputError: The firmware has no such control, or the profile does not fit the simulation.
+        VerificationError: There is no C compiler, or the program cannot be run.
     """
     _require_control(profile, values, scenario)
     gains = loop_bytes(profile, values)

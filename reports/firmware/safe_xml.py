@@ -21,10 +21,8 @@ _ATTRIBUTE = re.compile(rb"""([^\s=<>"']+)\s*=\s*("[^"]*+"?|'[^']*+'?)""")
 def parsed_xml(text: str, source: str) -> Element:
     """Root of an XML text.
 
-    Raises
-    ------
-    InputError
-        It is not XML, has a document type, or is too deep or too large; with the line.
+    Raises:
+        InputError: It is not XML, has a document type, or is too deep or too large; with the line.
     """
     return parsed(text, source, _AGAIN)
 
@@ -42,10 +40,8 @@ def with_texts(text: str, source: str, values: Mapping[str, str]) -> str:
     """The text with other texts in the children of its root of these names; those that are
     missing stand at its end. A child that is there twice is changed twice.
 
-    Raises
-    ------
-    InputError
-        As `parsed_xml`; or one of them has children itself.
+    Raises:
+        InputError: As `parsed_xml`; or one of them has children itself.
     """
     root, content = parsed_xml(text, source), text.encode("utf-8")
     edits = []

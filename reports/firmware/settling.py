@@ -112,23 +112,15 @@ def settles(
     small and large steps of the speed. The inverter is averaged and without dead time, sensors are
     exact, the shaft carries no load.
 
-    Parameters
-    ----------
-    profile:
-        The loops of a configuration.
-    design:
-        Machine and inverter that they drive.
-    values:
-        What the firmware is told, such as `Configuration.drive`.
-    program:
-        That of `firmware_simulator`, where it is there already.
+    Args:
+        profile: The loops of a configuration.
+        design: Machine and inverter that they drive.
+        values: What the firmware is told, such as `Configuration.drive`.
+        program: That of `firmware_simulator`, where it is there already.
 
-    Raises
-    ------
-    InputError
-        As `dqforge.reports.firmware.loop_run.simulate_profile`.
-    VerificationError
-        There is no C compiler.
+    Raises:
+        InputError: As `dqforge.reports.firmware.loop_run.simulate_profile`.
+        VerificationError: There is no C compiler.
     """
     i_max = min(design.i_max, values.i_max or design.i_max)
     told = replace(values, i_max=i_max, pole_pairs=values.pole_pairs or design.machine.pole_pairs)

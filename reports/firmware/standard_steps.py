@@ -17,22 +17,13 @@ if TYPE_CHECKING:
     from dqforge.optimizer.firmware.configuration import DriveValues
     from dqforge.optimizer.firmware.profile import LoopProfile, PiController
 
+# Of the current limit: step of the current, and (times its torque) of the torque.
 CURRENT_SHARE = 0.5
 
-"""Of the current limit: step of the current, and (times its torque) of the torque."""
-
-
+# Of the base speed: steps of the speed, which leave the current limit alone and which do not.
 SMALL_SHARE, LARGE_SHARE = 0.05, 0.8
-
-"""Of the base speed: steps of the speed, which leave the current limit alone and which do not."""
-
-
 _CONSTANTS = 12.0  # slowest time constants that a step is given
-
-
 _LONGEST = 20.0
-
-
 _MOST_SAMPLES = 400_000
 
 
@@ -52,18 +43,12 @@ def standard_steps(
 ) -> tuple[tuple[StandardStep, ...], tuple[str, ...]]:
     """The steps that a configuration is put through, and sentences on those left out.
 
-    Parameters
-    ----------
-    profile:
-        The loops.
-    values:
-        What the firmware is told.
-    machine:
-        The machine that is there.
-    i_max:
-        Current limit in A (peak of phase).
-    v_dc:
-        Voltage of the dc link in V.
+    Args:
+        profile: The loops.
+        values: What the firmware is told.
+        machine: The machine that is there.
+        i_max: Current limit in A (peak of phase).
+        v_dc: Voltage of the dc link in V.
     """
     base = base_speed(profile, machine, i_max, v_dc)
     left_out: list[str] = []
@@ -97,16 +82,11 @@ def base_speed(profile: LoopProfile, machine: Machine, i_q: float, v_dc: float) 
     """Mechanical speed in rad/s at which a q current alone takes the whole voltage, at most the
     machine's largest; 0 where it does so at rest.
 
-    Parameters
-    ----------
-    profile:
-        Whose share of the voltage holds.
-    machine:
-        The machine.
-    i_q:
-        Current in A (peak of phase).
-    v_dc:
-        Voltage of the dc link in V.
+    Args:
+        profile: Whose share of the voltage holds.
+        machine: The machine.
+        i_q: Current in A (peak of phase).
+        v_dc: Voltage of the dc link in V.
     """
     v_max = profile.current.voltage_share * v_dc / math.sqrt(3.0)
     flux_d, flux_q = machine.flux(np.array([0.0]), np.array([i_q]))

@@ -13,19 +13,9 @@ if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray
 
 Outcome = Literal["settles", "limit cycle", "divergence", "steady error", "never reaches"]
-
-
-BAND = 0.05
-
-"""Share of a step within which an answer must lie over the last quarter of its time."""
-
-
+BAND = 0.05  # Share of a step within which an answer must lie over the last quarter of its time.
 _KEPT = 0.9  # of the swing from the last quarter but one to the last: what keeps more swings on
-
-
 _DRIFT = 0.1  # of the band, from quarter to quarter: what moves more has not come to rest
-
-
 _TURNS = 4  # through its mean in the last half: fewer are no oscillation
 
 
@@ -57,18 +47,12 @@ def step_answer(
 ) -> StepAnswer:
     """Read off what a value did after a step of its reference.
 
-    Parameters
-    ----------
-    time:
-        In s from the step on, shape (N,).
-    value:
-        What was to follow, shape (N,).
-    before, after:
-        The reference, in the unit of the value.
-    span:
-        Size of the step that the band is a share of, where it is not that of this reference.
-    bounded:
-        Whether the run came to its end.
+    Args:
+        time: In s from the step on, shape (N,).
+        value: What was to follow, shape (N,).
+        before, after: The reference, in the unit of the value.
+        span: Size of the step that the band is a share of, where it is not that of this reference.
+        bounded: Whether the run came to its end.
     """
     if not bounded or value.size < 8:
         return StepAnswer("divergence", *_ends(value), float("nan"), float("nan"))

@@ -29,28 +29,19 @@ class FileTitle:
 class Target:
     """One firmware: how its files are written, recognised and read.
 
-    Parameters
-    ----------
-    method:
-        Its gains and its loops.
-    title:
-        Its name as people write it, with the versions that the format is that of.
-    write:
-        Files by name from a configuration; the text of an existing file, where one is given, is
-        kept but for the values that the configuration decides.
-    recognise:
-        Whether a file, by its name and its text, is one of this firmware.
-    read:
-        The configuration in a text; the place (a path) is for messages. Raises InputError with
-        place and line where it is not what the firmware writes.
-    read_several:
-        The configuration that several files state together, from text and place of each; None
-        where each file is understood by itself.
-    of_project:
-        Own names of what a board or a project decides (scales of its sensing, thresholds of its
-        faults): an existing file keeps them, whatever a new one would say.
-    one_meaning:
-        Whether an own name stands for the same number in files of every version.
+    Args:
+        method: Its gains and its loops.
+        title: Its name as people write it, with the versions that the format is that of.
+        write: Files by name from a configuration; the text of an existing file, where one is given,
+            is kept but for the values that the configuration decides.
+        recognise: Whether a file, by its name and its text, is one of this firmware.
+        read: The configuration in a text; the place (a path) is for messages. Raises InputError
+            with place and line where it is not what the firmware writes.
+        read_several: The configuration that several files state together, from text and place of
+            each; None where each file is understood by itself.
+        of_project: Own names of what a board or a project decides (scales of its sensing,
+            thresholds of its faults): an existing file keeps them, whatever a new one would say.
+        one_meaning: Whether an own name stands for the same number in files of every version.
     """
 
     method: FirmwareMethod

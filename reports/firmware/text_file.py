@@ -15,43 +15,27 @@ from dqforge.machines.wording import shown
 if TYPE_CHECKING:
     from dqforge.optimizer.firmware.configuration import OwnValue
 
+# Size of the largest file that is read; a larger one is refused by its size. The largest real ones,
+# projects of a vendor's tool, have less than 1 MB.
 MOST_BYTES = 8_000_000
-
-"""Size of the largest file that is read; a larger one is refused by its size. The largest real
-ones, projects of a vendor's tool, have less than 1 MB."""
-
-
 _WIDE = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-
-
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
-
-
 _LONGEST_NUMBER = 60
-
-
 _LEAST, _MOST = 1e-30, 1e30
 
-
+# What to write for a number that `in_range` refuses.
 IN_RANGE = f"write one from {_LEAST:g} to {_MOST:g}"
-
-"""What to write for a number that `in_range` refuses."""
 
 
 @dataclass(frozen=True, slots=True)
 class TextFile:
     """A text of others.
 
-    Parameters
-    ----------
-    source:
-        File name as the user gave it.
-    text:
-        Its text with line feeds at the ends of lines, without byte order mark.
-    encoding:
-        Name of the encoding with which `encoded` gives it back.
-    crlf:
-        Whether its lines end in carriage return and line feed.
+    Args:
+        source: File name as the user gave it.
+        text: Its text with line feeds at the ends of lines, without byte order mark.
+        encoding: Name of the encoding with which `encoded` gives it back.
+        crlf: Whether its lines end in carriage return and line feed.
     """
 
     source: str
@@ -71,10 +55,8 @@ class TextFile:
 def read_text_file(place: str | Path) -> TextFile:
     """Text of a regular file of at most `MOST_BYTES`.
 
-    Raises
-    ------
-    InputError
-        There is no such file, it is too large, or no text.
+    Raises:
+        InputError: There is no such file, it is too large, or no text.
     """
     return decoded_file(read_regular_file(place, MOST_BYTES), str(place))
 
@@ -82,10 +64,8 @@ def read_text_file(place: str | Path) -> TextFile:
 def decoded_file(content: bytes, source: str) -> TextFile:
     """Text in UTF-8, UTF-16 with its mark, or latin-1.
 
-    Raises
-    ------
-    InputError
-        It is binary, damaged or empty; with the line.
+    Raises:
+        InputError: It is binary, damaged or empty; with the line.
     """
     encoding = _encoding(content)
     try:

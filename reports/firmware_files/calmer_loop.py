@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
     from dqforge.reports.simulation.compiled_plant import Simulator
 
-_BANDWIDTHS = (50.0, 20.0, 10.0, 5.0, 2.0)
-"""In Hz; those that are tried, fastest first."""
+_BANDWIDTHS = (50.0, 20.0, 10.0, 5.0, 2.0)  # In Hz; those that are tried, fastest first.
 
 
 def calmer_bandwidth(
@@ -25,16 +24,11 @@ def calmer_bandwidth(
     """Fastest of a few bandwidths in Hz with which the loops settle, where it is the speed that
     does not; None where none of them does, or something else is wrong.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    fit:
-        What the firmware is given of it.
-    verdict:
-        What came of its loops.
-    program:
-        A compiled one of the same modulation, where it is there already.
+    Args:
+        design: The design.
+        fit: What the firmware is given of it.
+        verdict: What came of its loops.
+        program: A compiled one of the same modulation, where it is there already.
     """
     settings = design.control.speed_loop
     failed = [step for step in verdict.tried if not step.settles]

@@ -37,17 +37,12 @@ def design_from_files(files: Sequence[Path], settings: Sequence[str] = ()) -> De
 
     Where it lacks nothing that a design needs, it has passed the checks of every design.
 
-    Parameters
-    ----------
-    files:
-        Of one firmware.
-    settings:
-        Keys that are set, such as ``inverter.v_dc=48 V``.
+    Args:
+        files: Of one firmware.
+        settings: Keys that are set, such as ``inverter.v_dc=48 V``.
 
-    Raises
-    ------
-    InputError
-        A file is of no known firmware, or a value in it is none that a design can have.
+    Raises:
+        InputError: A file is of no known firmware, or a value in it is none that a design can have.
     """
     configuration, read = read_configuration(files)
     names = [Path(file.source).name for file in read]

@@ -15,11 +15,7 @@ from dqforge.machines.units.quantities import parse_quantity
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 
 _LONGEST_NAME = 80
-
-
 _LONGEST_SOURCE = 300
-
-
 _PREFIXES = ((6, "M"), (3, "k"), (0, ""), (-3, "m"), (-6, "u"), (-9, "n"))
 
 
@@ -49,18 +45,13 @@ _MACHINE = (
     _Key("friction", "viscous", "N m s/rad", "friction", False, "the friction", "1e-4 N m s/rad"),
 )
 
-
 _INVERTER = (
     _Key("v_dc", "v_dc", "V", "voltage", True, "the voltage of the dc link", "48 V"),
     _Key("switching_frequency", "f_sw", "Hz", "frequency", True, "the carrier frequency", "20 kHz"),
     _Key("dead_time", "dead_time", "s", "time", False, "the dead time", "500 ns"),
 )
 
-
-_USUAL_REFERENCE = 3.3
-
-"""Reference of the converter in V where a file does not say it."""
-
+_USUAL_REFERENCE = 3.3  # Reference of the converter in V where a file does not say it.
 
 _KINDS = {
     "resistance": "phase",
@@ -70,12 +61,10 @@ _KINDS = {
     "max_current": "peak",
 }
 
-
 _GAIN_UNITS = {
     "current": (("V/A", "current-gain"), ("V/(A s)", "current-integral-gain")),
     "speed": (("N m s/rad", "speed-gain"), ("N m/rad", "speed-integral-gain")),
 }
-
 
 _JUDGED = "# the file's gains are judged, whatever they keep; 30 deg is usual"
 
@@ -84,16 +73,11 @@ _JUDGED = "# the file's gains are judged, whatever they keep; 30 deg is usual"
 class MadeDesign:
     """A design file that was made.
 
-    Parameters
-    ----------
-    text:
-        Its text.
-    missing:
-        Dotted keys that a design needs and the file does not say, each with an example.
-    wanted:
-        The same of keys without which a part of the file is left out.
-    origins:
-        By the dotted key, the name of the value in ``Configuration.origins``.
+    Args:
+        text: Its text.
+        missing: Dotted keys that a design needs and the file does not say, each with an example.
+        wanted: The same of keys without which a part of the file is left out.
+        origins: By the dotted key, the name of the value in ``Configuration.origins``.
     """
 
     text: str
@@ -112,18 +96,13 @@ def design_of(
 ) -> MadeDesign:
     """The design file of a configuration.
 
-    Parameters
-    ----------
-    found:
-        The configuration.
-    sources:
-        Names of the files that it was read from.
-    pll:
-        Gains of the phase-locked loop that makes the speed, in 1/s and 1/s^2; None without one.
-    prefix:
-        First part of the names in the C code.
-    given:
-        Dotted keys that are set from outside, and not asked for.
+    Args:
+        found: The configuration.
+        sources: Names of the files that it was read from.
+        pll: Gains of the phase-locked loop that makes the speed, in 1/s and 1/s^2; None without
+            one.
+        prefix: First part of the names in the C code.
+        given: Dotted keys that are set from outside, and not asked for.
     """
     return _Writer(found, sources, set(given)).made(pll, prefix)
 

@@ -48,24 +48,16 @@ def firmware_files(
 ) -> dict[str, bytes]:
     """Files of a firmware by name.
 
-    Parameters
-    ----------
-    design:
-        What was solved.
-    fit:
-        What the firmware is given of it.
-    existing:
-        A file of the firmware whose other fields are kept; it is then among the files under its
-        own name, in its own encoding.
-    targets:
-        Those of the package, or others.
+    Args:
+        design: What was solved.
+        fit: What the firmware is given of it.
+        existing: A file of the firmware whose other fields are kept; it is then among the files
+            under its own name, in its own encoding.
+        targets: Those of the package, or others.
 
-    Raises
-    ------
-    InputError
-        The existing file is not one of the firmware.
-    VerificationError
-        What was written does not read back as what was to be written.
+    Raises:
+        InputError: The existing file is not one of the firmware.
+        VerificationError: What was written does not read back as what was to be written.
     """
     target = target_named(fit, targets)
     if existing is None:
@@ -100,10 +92,8 @@ def _into(design: Design, fit: FirmwareFit, existing: TextFile, target: Target) 
 def check_existing(existing: TextFile, target: Target) -> None:
     """Refuse a file whose fields cannot be kept.
 
-    Raises
-    ------
-    InputError
-        It is not one of the firmware, or not what that writes; with the line.
+    Raises:
+        InputError: It is not one of the firmware, or not what that writes; with the line.
     """
     if not target.recognise(PurePath(existing.source).name, existing.text):
         raise InputError(
@@ -123,26 +113,17 @@ def read_back(
 ) -> tuple[str, ...]:
     """Read the files back and hold them against what they were made of.
 
-    Parameters
-    ----------
-    files:
-        By name.
-    configuration:
-        What they were made of.
-    target:
-        Whose they are.
-    whole:
-        Whether they may say nothing else; false for files with fields of others.
+    Args:
+        files: By name.
+        configuration: What they were made of.
+        target: Whose they are.
+        whole: Whether they may say nothing else; false for files with fields of others.
 
-    Returns
-    -------
-    tuple of str
+    Returns:
         Names of the files that a reader knows; others (a script beside the file) are not read.
 
-    Raises
-    ------
-    VerificationError
-        One of them says something else, or none is known.
+    Raises:
+        VerificationError: One of them says something else, or none is known.
     """
     known = _known(files, target)
     names, found = ", ".join(file.source for file in known), together(target, known)
@@ -166,9 +147,8 @@ def read_back(
     return tuple(file.source for file in known)
 
 
+# Relative difference of values that two ages of a format print with different digits.
 _OTHER_DIGITS = 1e-5
-
-"""Relative difference of values that two ages of a format print with different digits."""
 
 
 def _own(configuration: Configuration) -> Configuration:

@@ -18,19 +18,13 @@ _WRITTEN = "the folder that 'dqforge run' or 'dqforge export' wrote"
 def written_firmware(folder: Path, solution: Solution) -> dict[str, tuple[str, ...]]:
     """By firmware the files in a folder that read back as the configuration of the design.
 
-    Parameters
-    ----------
-    folder:
-        What 'dqforge run' or 'export' wrote.
-    solution:
-        What the design in the folder gives.
+    Args:
+        folder: What 'dqforge run' or 'export' wrote.
+        solution: What the design in the folder gives.
 
-    Raises
-    ------
-    InputError
-        A file cannot be read, or is not what its firmware writes.
-    VerificationError
-        A file says something else.
+    Raises:
+        InputError: A file cannot be read, or is not what its firmware writes.
+        VerificationError: A file says something else.
     """
     found: dict[str, tuple[str, ...]] = {}
     for fit in solution.firmware:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from dqforge.optimizer.firmware.solve import FirmwareFit
     from dqforge.reports.plain_data import PlainData
 
+# Keys of the fields of `DriveValues`, as under ``drive`` of ``result.json``.
 DRIVE_KEYS = {
     "pole_pairs": "pole_pairs",
     "r_s": "r_s_Ohm",
@@ -36,8 +37,6 @@ DRIVE_KEYS = {
     "sense_gain": "sense_gain",
     "sense_reference": "sense_reference_V",
 }
-
-"""Keys of the fields of `DriveValues`, as under ``drive`` of ``result.json``."""
 
 
 def plain_drive_values(drive: DriveValues) -> PlainData:

@@ -32,10 +32,8 @@ def recognised(file: TextFile, targets: Targets = TARGETS) -> Target | None:
 def target_of_file(file: TextFile, targets: Targets = TARGETS) -> Target:
     """The target whose file it is.
 
-    Raises
-    ------
-    InputError
-        It is of none; the message lists what is known.
+    Raises:
+        InputError: It is of none; the message lists what is known.
     """
     found = recognised(file, targets)
     if found is None:
@@ -49,11 +47,9 @@ def read_configuration(
 ) -> tuple[Configuration, list[TextFile]]:
     """The configuration in one file, or in several of one firmware, and those files.
 
-    Raises
-    ------
-    InputError
-        A file cannot be read, is of no known firmware, is not what that writes, or is of another
-        one than the first.
+    Raises:
+        InputError: A file cannot be read, is of no known firmware, is not what that writes, or is
+            of another one than the first.
     """
     files = [read_text_file(place) for place in places]
     target = target_of_file(files[0], targets)
@@ -71,10 +67,8 @@ def read_configuration(
 def together(target: Target, files: Sequence[TextFile]) -> Configuration:
     """The configuration that several files of one firmware state together.
 
-    Raises
-    ------
-    InputError
-        As `read_file`.
+    Raises:
+        InputError: As `read_file`.
     """
     if target.read_several is not None and len(files) > 1:
         with in_file(files[0].source):
@@ -88,10 +82,8 @@ def together(target: Target, files: Sequence[TextFile]) -> Configuration:
 def read_file(target: Target, file: TextFile) -> Configuration:
     """The configuration in one file.
 
-    Raises
-    ------
-    InputError
-        It is not what the firmware writes, or its numbers are beyond all bounds.
+    Raises:
+        InputError: It is not what the firmware writes, or its numbers are beyond all bounds.
     """
     with in_file(file.source):
         return target.read(file.text, file.source)

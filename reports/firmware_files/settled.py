@@ -25,19 +25,13 @@ def settling_verdicts(
 
     All that modulate alike run in one program, which is compiled once.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    fits:
-        What each firmware is given of it.
-    told:
-        Called with the name of each before it runs.
+    Args:
+        design: The design.
+        fits: What each firmware is given of it.
+        told: Called with the name of each before it runs.
 
-    Raises
-    ------
-    NoSolutionError, VerificationError
-        As `require_settling`.
+    Raises:
+        NoSolutionError, VerificationError: As `require_settling`.
     """
     with ExitStack() as stack:
         programs: dict[str, Simulator] = {}
@@ -53,21 +47,14 @@ def settling_verdicts(
 def require_settling(design: Design, fit: FirmwareFit, program: Simulator | None = None) -> Verdict:
     """Run the loops of a firmware on the design's machine.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    fit:
-        What the firmware is given of it.
-    program:
-        A compiled one of the same modulation, where it is there already.
+    Args:
+        design: The design.
+        fit: What the firmware is given of it.
+        program: A compiled one of the same modulation, where it is there already.
 
-    Raises
-    ------
-    NoSolutionError
-        They do not settle; says which step does not, and what the margins say.
-    VerificationError
-        There is no C compiler.
+    Raises:
+        NoSolutionError: They do not settle; says which step does not, and what the margins say.
+        VerificationError: There is no C compiler.
     """
     verdict = settles(fit.profile, design, fit.configuration.drive, program=program)
     if not verdict.settles:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from dqforge.optimizer.firmware.profile import LoopProfile
     from dqforge.optimizer.firmware.solve import FirmwareFit
 
+# Fields of `DriveValues` with their names and units.
 FIELDS = (
     ("pole_pairs", "pole pairs", ""),
     ("r_s", "phase resistance", "Ohm"),
@@ -43,18 +44,13 @@ FIELDS = (
     ("sense_reference", "reference of the converter", "V"),
 )
 
-"""Fields of `DriveValues` with their names and units."""
-
-
 _GAINS = (
     ("current_d", "d current controller", "V/A", "V/(A s)"),
     ("current_q", "q current controller", "V/A", "V/(A s)"),
     ("speed", "speed controller (q current)", "A s/rad", "A/rad"),
 )
 
-
 _LOOPS = (("current_d", "i_d"), ("current_q", "i_q"), ("speed", "speed"))
-
 
 _COLUMNS = (
     "",
@@ -67,7 +63,6 @@ _COLUMNS = (
     "damping",
     "",
 )
-
 
 _SHOWN = {"rad": "deg"}
 

@@ -27,10 +27,8 @@ def fixed_observer_from(plain: Mapping[str, Any], width: int) -> FixedPositionOb
     """Read an observer back behind a control of ``width`` bits, and prove again that nothing
     overflows.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_fixed_observer` makes.
+    Raises:
+        InputError: The data are not what `plain_fixed_observer` makes.
     """
     try:
         method = FIXED_METHODS[plain["method"]]

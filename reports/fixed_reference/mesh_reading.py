@@ -25,10 +25,8 @@ _FAULT = InputError(
 def mesh_from(plain: Mapping[str, Any], width: int) -> CurrentMesh:
     """Read a reference in words of ``width`` bits back.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_mesh` makes.
+    Raises:
+        InputError: The data are not what `plain_mesh` makes.
     """
     try:
         found = _mesh(plain, width)

@@ -25,17 +25,12 @@ _SAMPLES = 40
 def counted_rows(solution: Solution, found: FlashComparison) -> tuple[FlashRow, ...]:
     """Rows with the cycles of a sample; those without a control stay as they are.
 
-    Parameters
-    ----------
-    solution:
-        Of the design; its fit names the core.
-    found:
-        The comparison, with the control of each row.
+    Args:
+        solution: Of the design; its fit names the core.
+        found: The comparison, with the control of each row.
 
-    Raises
-    ------
-    VerificationError
-        A tool is missing, or the emulation failed.
+    Raises:
+        VerificationError: A tool is missing, or the emulation failed.
     """
 
     def count(row: FlashRow) -> FlashRow:

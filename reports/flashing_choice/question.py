@@ -32,19 +32,13 @@ def what_to_flash(
     What cannot be had here, for want of a compiler or because a control cannot be emitted, is left
     out, and the comparison says why.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    settings:
-        The operating point.
-    progress:
-        Called with the share of the simulation that is done.
+    Args:
+        design: The design.
+        settings: The operating point.
+        progress: Called with the share of the simulation that is done.
 
-    Raises
-    ------
-    InputError, NoSolutionError
-        As `compare_flashing`.
+    Raises:
+        InputError, NoSolutionError: As `compare_flashing`.
     """
     found = compare_flashing(design, settings)
     try:

@@ -16,13 +16,10 @@ from dqforge.reports.waveforms.header import waveform_files
 def files_with_control(solution: Solution, control: PhaseControl) -> dict[str, bytes]:
     """Headers of another control than that of a solution, on another topology maybe, complete.
 
-    Parameters
-    ----------
-    solution:
-        Of a design with a phase machine.
-    control:
-        The control; its references are solved for its own topology where it reads them from the
-        header of phase currents.
+    Args:
+        solution: Of a design with a phase machine.
+        control: The control; its references are solved for its own topology where it reads them
+            from the header of phase currents.
     """
     design = solution.design
     files = header_files(solution) | phase_control_files(solution, control)

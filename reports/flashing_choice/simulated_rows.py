@@ -33,17 +33,13 @@ from dqforge.reports.simulation.compiled_plant import simulate_many, simulator
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import Summary
 
+# Duration in s of a run with and without harmonic integrators, of which the last part counts.
 LEARNING, SETTLING = 0.4, 0.2
-"""Duration in s of a run with and without harmonic integrators, of which the last part counts."""
+_TAIL = 0.75  # Share of a run after which ripple counts.
+_PERIODS = 2.0  # Electrical periods that the rest of the run holds at least.
 
-_TAIL = 0.75
-"""Share of a run after which ripple counts."""
-
-_PERIODS = 2.0
-"""Electrical periods that the rest of the run holds at least."""
-
+# Relative error of the mean torque above which a row does not do what it is asked for.
 _MISSED = 0.05
-"""Relative error of the mean torque above which a row does not do what it is asked for."""
 
 
 def simulated_rows(
@@ -53,21 +49,14 @@ def simulated_rows(
 ) -> tuple[FlashRow, ...]:
     """Rows with the torque ripple of the emitted C; those with an obstacle stay as they are.
 
-    Parameters
-    ----------
-    solution:
-        Of the design; current references and speed loop are taken from it.
-    found:
-        The comparison, with the control of each row.
-    progress:
-        Called with the share that is done.
+    Args:
+        solution: Of the design; current references and speed loop are taken from it.
+        found: The comparison, with the control of each row.
+        progress: Called with the share that is done.
 
-    Raises
-    ------
-    VerificationError
-        There is no compiler, or a header does not compile.
-    InputError
-        The sampling does not fit the carrier, or a control cannot be emitted.
+    Raises:
+        VerificationError: There is no compiler, or a header does not compile.
+        InputError: The sampling does not fit the carrier, or a control cannot be emitted.
     """
     done = 0
 

@@ -17,11 +17,7 @@ from dqforge.reports.c_code.read_back import singles_from
 from dqforge.reports.plain_data import PlainData, shortest
 
 _MOST_ROWS = 1 << 17
-
-
-_INPUTS = 5
-
-"""Turn, electrical speed, and currents of dqy."""
+_INPUTS = 5  # Turn, electrical speed, and currents of dqy.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,10 +57,8 @@ def plain_frame_model(table: FrameTable) -> PlainData:
 def frame_model_from(plain: Mapping[str, Any]) -> FrameModel:
     """Read a table back.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_frame_model` makes.
+    Raises:
+        InputError: The data are not what `plain_frame_model` makes.
     """
     fault = InputError("frames_header is not what dqforge writes; run the design again")
     try:

@@ -14,6 +14,7 @@ from dqforge.reports.frame_tables.float32_model import FrameModel, model_results
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
 
+# What the members of the structure are, in the order of `COLUMNS`.
 MEANINGS = {
     "a_x": "sqrt(3/2) over the length of the alpha-beta vector of the shape: dqx is divided by it",
     "a_y": "sqrt(3/2) over the length of its alpha-beta-0 vector: dqy is divided by it",
@@ -30,8 +31,6 @@ MEANINGS = {
         for column in "dq0"
     },
 }
-
-"""What the members of the structure are, in the order of `COLUMNS`."""
 
 
 def _error_lines(found: FrameTables) -> list[str]:

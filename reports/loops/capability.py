@@ -187,7 +187,6 @@ _FIRMWARE_UNITS = {
     "speed": ("A s/rad", "A/rad"),
 }
 
-
 LOOPS = Capability(
     name="gains",
     title="control loops",
@@ -223,6 +222,7 @@ def _certified(outcome: Outcome) -> CurrentLoopProof | None:
     return None if proof is None or proof.certificate is None else proof
 
 
+# Its words and its JSON stand with those of the loops; a run stores its certificate.
 STABILITY = Capability(
     name="stability",
     title="proof of the current loops",
@@ -232,8 +232,6 @@ STABILITY = Capability(
         f"{solution.design.export.prefix}{CERTIFICATE}": certificate_bytes(proof)
     },
 )
-
-"""Its words and its JSON stand with those of the loops; a run stores its certificate."""
 
 
 def _left_out(outcome: Outcome) -> str | None:
@@ -256,6 +254,7 @@ def _gains_files(solution: Solution, schedule: GainSchedule) -> dict[str, bytes]
     return gains_files(solution.design, solution.loops, schedule)
 
 
+# Its table and its JSON stand with those of the loops.
 GAIN_SCHEDULE = Capability(
     name="gain_schedule",
     title="gains over the current",
@@ -270,5 +269,3 @@ GAIN_SCHEDULE = Capability(
         ),
     ),
 )
-
-"""Its table and its JSON stand with those of the loops."""

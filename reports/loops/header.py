@@ -57,10 +57,8 @@ def plain_evaluator(evaluator: GainEvaluator) -> PlainData:
 def evaluator_from(plain: Mapping[str, Any]) -> GainEvaluator:
     """Read an evaluator back.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_evaluator` makes.
+    Raises:
+        InputError: The data are not what `plain_evaluator` makes.
     """
     try:
         found = GainEvaluator(

@@ -21,12 +21,9 @@ _WIDTH = 100
 def margin_text(name: str, proven: ProvenMargins) -> str:
     """Bounds of one axis in words.
 
-    Parameters
-    ----------
-    name:
-        Of the loop.
-    proven:
-        What is proven.
+    Args:
+        name: Of the loop.
+        proven: What is proven.
     """
     if not proven.stable:
         return f"{name} alone: nothing is proven of its margins"
@@ -43,10 +40,8 @@ def margin_text(name: str, proven: ProvenMargins) -> str:
 def speed_text(proof: SpeedProof) -> str:
     """What is proven of the speed loop.
 
-    Parameters
-    ----------
-    proof:
-        The proof.
+    Args:
+        proof: The proof.
     """
     samples = "one matrix" if proof.ratio == 1 else f"a cycle of {proof.ratio} matrices"
     scope = (
@@ -81,10 +76,8 @@ def _range(axis: ChangingAxis) -> str:
 def changing_text(axis: ChangingAxis) -> str:
     """What is proven of an axis whose inductance changes with the current.
 
-    Parameters
-    ----------
-    axis:
-        The axis.
+    Args:
+        axis: The axis.
     """
     held = "one Lyapunov function" if axis.cells == 1 else f"{axis.cells} Lyapunov functions"
     if axis.any_current is None:
@@ -116,10 +109,8 @@ def changing_text(axis: ChangingAxis) -> str:
 def velocity_text(axis: ChangingAxis) -> str:
     """Why the velocity form is refused with scheduled gains; empty where it does not grow.
 
-    Parameters
-    ----------
-    axis:
-        The axis.
+    Args:
+        axis: The axis.
     """
     if axis.velocity is None:
         return ""

@@ -20,12 +20,10 @@ if TYPE_CHECKING:
     from dqforge.reports.plain_data import PlainData
 
 _PARAMETERS = ("b_d", "b_q", "s_Ohm", "x")
-
 _WIDTH = 100
 
+# How the file of a certificate ends, behind the prefix of the design.
 CERTIFICATE = "_stability.json"
-
-"""How the file of a certificate ends, behind the prefix of the design."""
 
 
 def _between(values: tuple[float, float], scale: float = 1.0) -> str:
@@ -40,12 +38,9 @@ def _rpm(omega_e: float, pole_pairs: int) -> float:
 def proof_text(proof: CurrentLoopProof, pole_pairs: int) -> str:
     """What is proven, of which drives, and what is not; one sentence or two.
 
-    Parameters
-    ----------
-    proof:
-        The proof.
-    pole_pairs:
-        Of the machine, for its speeds.
+    Args:
+        proof: The proof.
+        pole_pairs: Of the machine, for its speeds.
     """
     if not proof.proven:
         return f"both current loops together: {_open_text(proof, pole_pairs)}"

@@ -35,20 +35,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-POINTS_SHOWN = 8
-
-"""Operating points in the figure; a table has room for more."""
-
-
+POINTS_SHOWN = 8  # Operating points in the figure; a table has room for more.
 _ROW = 0.23
-
-
 _EDGE = 0.8
-
-
-_LONG_NAMES = 5
-
-"""Kinds of loss up to which their names have room for the word loss."""
+_LONG_NAMES = 5  # Kinds of loss up to which their names have room for the word loss.
 
 
 def _draw_parts(

@@ -10,11 +10,7 @@ from dqforge.reports.pages.labels import three_decimals
 from dqforge.reports.plain_data import PlainData
 
 Index = tuple[int, ...]
-
-
-_SAME = 5e-4
-
-"""Legs whose losses differ by less, relative, are named together."""
+_SAME = 5e-4  # Legs whose losses differ by less, relative, are named together.
 
 
 def legs_text(found: PhaseBudget, index: Index) -> str:

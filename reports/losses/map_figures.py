@@ -36,19 +36,9 @@ if TYPE_CHECKING:
 
 
 _RPM = 30.0 / math.pi
-
-
-BARS_SHOWN = 14
-
-"""Alternatives in a figure; a table has room for more."""
-
-
+BARS_SHOWN = 14  # Alternatives in a figure; a table has room for more.
 _ROW = 0.22
-
-
-_VISIBLE = 1e-4
-
-"""Share of the total from which a kind of loss is drawn."""
+_VISIBLE = 1e-4  # Share of the total from which a kind of loss is drawn.
 
 
 def _draw_bars(

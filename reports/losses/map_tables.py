@@ -22,13 +22,7 @@ if TYPE_CHECKING:
 
 
 _RPM = 30.0 / math.pi
-
-
-_GRID = (10, 12)
-
-"""Torques and speeds of the map in the terminal at most."""
-
-
+_GRID = (10, 12)  # Torques and speeds of the map in the terminal at most.
 _MOST_ROWS = 40
 
 

@@ -102,12 +102,9 @@ def _margin(text: str) -> float:
 def answer(design: Design, request: LossRequest) -> Answer:
     """Compare what the options ask for, over a map or a mission.
 
-    Raises
-    ------
-    InputError
-        An option or the mission file is not understood, or options exclude each other.
-    NoSolutionError
-        The limits leave no speed at all, or the winding has no steady temperature.
+    Raises:
+        InputError: An option or the mission file is not understood, or options exclude each other.
+        NoSolutionError: The limits leave no speed at all, or the winding has no steady temperature.
     """
     if request.chart is not None and request.mission is not None:
         raise InputError("--map and --mission are two questions; ask one at a time")

@@ -22,17 +22,13 @@ class Entry:
 class Dialect:
     """How one firmware writes the header.
 
-    Parameters
-    ----------
-    name:
-        That of its folder.
-    template:
-        The header (``main_header/dialects/<name>/<file>``, or the path of a file). It sees the
-        groups and includes ``main_header/evaluator.j2``.
-    entry:
-        A constant in its names and units; None where it has none of that kind. Names without the
-        prefix, which the template puts before them; the ends of the torque domain (``limit.``)
-        need one, because the evaluator compares with them.
+    Args:
+        name: That of its folder.
+        template: The header (``main_header/dialects/<name>/<file>``, or the path of a file). It
+            sees the groups and includes ``main_header/evaluator.j2``.
+        entry: A constant in its names and units; None where it has none of that kind. Names without
+            the prefix, which the template puts before them; the ends of the torque domain
+            (``limit.``) need one, because the evaluator compares with them.
     """
 
     name: str

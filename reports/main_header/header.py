@@ -70,12 +70,9 @@ def header_context(solution: Solution, dialect: Dialect = NEUTRAL) -> PlainData:
 def header_files(solution: Solution, dialect: Dialect = NEUTRAL) -> dict[str, bytes]:
     """Names and bytes of the emitted C files: the header and its test vectors.
 
-    Parameters
-    ----------
-    solution:
-        What was solved.
-    dialect:
-        Whose names the header takes.
+    Args:
+        solution: What was solved.
+        dialect: Whose names the header takes.
     """
     prefix = solution.design.export.prefix
     contents: dict[str, Any] = {

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 _RPM = 30.0 / math.pi
 
-
+# Colours of the switching frequency, low to high.
 _FREQUENCIES = (
     "#eef3f8",
     "#d5e3f0",
@@ -50,24 +50,11 @@ _FREQUENCIES = (
     "#123f6b",
 )
 
-"""Colours of the switching frequency, low to high."""
-
-
 _EXTRA = ("#8a6d9e", "#6fa8a0", "#cfa0a0", "#7f8c5a")
-
-
 _NOTHING = "#d9d9d9"
-
-
 _BARS = {"best": TEAL, "rule": BLUE, "other": SKY, "today": PALE}
-
-
 _BOX = {"boxstyle": "round,pad=0.2", "facecolor": PAPER, "edgecolor": "none", "alpha": 0.85}
-
-
 _ROW = 0.2
-
-
 Box = tuple[float, float, float, float]
 
 

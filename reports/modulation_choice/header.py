@@ -48,14 +48,11 @@ def rule_header(
 
     Only what the rule takes is in it.
 
-    Parameters
-    ----------
-    design, found, alternatives:
-        The rule with its price, and what its leaves number.
-    reach:
-        Largest torque in N m and mechanical speed in rad/s of the map that the rule was made for.
-    limits:
-        Lines on what was kept, for the comment.
+    Args:
+        design, found, alternatives: The rule with its price, and what its leaves number.
+        reach: Largest torque in N m and mechanical speed in rad/s of the map that the rule was made
+            for.
+        limits: Lines on what was kept, for the comment.
     """
     prefix = design.export.prefix
     model = emitted_rule(found.rule, alternatives, reach)

@@ -16,12 +16,9 @@ from dqforge.reports.pages.answer import Answer
 def answer_choice(design: Design) -> Answer:
     """Choose modulator and switching frequency as the design asks.
 
-    Raises
-    ------
-    InputError
-        The design has no section ``modulation_choice``.
-    NoSolutionError
-        Nothing keeps the limits anywhere.
+    Raises:
+        InputError: The design has no section ``modulation_choice``.
+        NoSolutionError: Nothing keeps the limits anywhere.
     """
     found = solve_choice(design)
     if found is None:

@@ -19,14 +19,9 @@ from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.modulation_choice.rule import Leaf, Question, Rule, decide
 from dqforge.reports.plain_data import PlainData, shortest
 
+# What the emitted rule may ask about: magnitudes of torque and mechanical speed.
 QUANTITIES = ("torque_Nm", "speed_rad_per_s")
-
-"""What the emitted rule may ask about: magnitudes of torque and mechanical speed."""
-
-
 _DEEPEST = 8
-
-
 _FAULT = InputError("modulation_header is not what dqforge writes; run the design again")
 
 
@@ -123,10 +118,8 @@ def plain_emitted(model: EmittedRule) -> PlainData:
 def emitted_from(plain: Mapping[str, Any]) -> EmittedRule:
     """Read a model back.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_emitted` makes.
+    Raises:
+        InputError: The data are not what `plain_emitted` makes.
     """
     try:
         alternatives = tuple(

@@ -22,11 +22,7 @@ from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
 
 _RPM = 30.0 / math.pi
-
-
-_GRID = (10, 12)
-
-"""Torques and speeds of the map in the terminal at most."""
+_GRID = (10, 12)  # Torques and speeds of the map in the terminal at most.
 
 
 def _row(choice: ModulationChoice, label: str, what: str, rule: PricedRule) -> tuple[str, ...]:

@@ -61,6 +61,7 @@ POSITION_OBSERVER: Capability[PositionObserver | TunedTracker] = Capability(
     ),
 )
 
+# Tables of the terminal and JSON of both stand with those of the loops.
 SPEED_OBSERVER = Capability(
     name="speed_observer",
     title="speed observer",
@@ -79,5 +80,3 @@ SPEED_OBSERVER = Capability(
         ),
     ),
 )
-
-"""Tables of the terminal and JSON of both stand with those of the loops."""

@@ -93,10 +93,8 @@ def plain_gains_of(gains: Any) -> dict[str, Any]:
 def gains_from(kind: type[Any], plain: Mapping[str, Any]) -> Any:
     """Read gains of a dataclass back.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_gains_of` makes.
+    Raises:
+        InputError: The data are not what `plain_gains_of` makes.
     """
     try:
         return _gains_from(kind, plain)

@@ -57,10 +57,8 @@ def plain_observer(observer: EmittedObserver) -> PlainData:
 def observer_from(plain: Mapping[str, Any]) -> EmittedObserver:
     """Read an observer back.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_observer` makes.
+    Raises:
+        InputError: The data are not what `plain_observer` makes.
     """
     from dqforge.optimizer.observers.methods.registry import METHODS
 

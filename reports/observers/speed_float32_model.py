@@ -61,10 +61,8 @@ def plain_speed_observer(
 def speed_observer_from(plain: Mapping[str, Any]) -> ReducedOrderGains:
     """Read gains back.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_speed_observer` makes.
+    Raises:
+        InputError: The data are not what `plain_speed_observer` makes.
     """
     message = "speed_observer_header is not what dqforge writes; run the design again"
     if not isinstance(plain.get("gains"), dict):
@@ -84,21 +82,15 @@ def observed_speeds(
 ) -> SingleArray:  # fmt: skip
     """What the C functions find over N sequences, operation by operation.
 
-    Parameters
-    ----------
-    gains:
-        Those of the header.
-    v, i:
-        Voltages in V over the periods that end at the samples, and currents in A, alpha and beta,
-        shape (N, steps).
-    theta_e:
-        Electrical angle at the samples in rad, shape (N, steps).
-    first:
-        Angle in rad and electrical speed in rad/s at the start, shape (N,).
+    Args:
+        gains: Those of the header.
+        v, i: Voltages in V over the periods that end at the samples, and currents in A, alpha and
+            beta, shape (N, steps).
+        theta_e: Electrical angle at the samples in rad, shape (N, steps).
+        first: Angle in rad and electrical speed in rad/s at the start, shape (N,).
 
-    Returns
-    -------
-    Mechanical and electrical speed in rad/s, float32, shape (N, steps, 2).
+    Returns:
+        Mechanical and electrical speed in rad/s, float32, shape (N, steps, 2).
     """
     own = cast(gains, SINGLE)
     found = np.empty((*theta_e.shape, 2), dtype=np.float32)

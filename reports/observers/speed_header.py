@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
     from dqforge.reports.plain_data import PlainData
 
-REDUCED_ORDER = "reduced_order"
-
-"""Part of the names of its C functions."""
+REDUCED_ORDER = "reduced_order"  # Part of the names of its C functions.
 
 
 def speed_observer_files(design: Design, observer: ReducedOrderObserver) -> dict[str, bytes]:

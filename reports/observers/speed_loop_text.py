@@ -137,12 +137,9 @@ _DIGEST = b" * Input file: SHA-256 "
 def with_promise(name: str, content: bytes, lines: list[str]) -> bytes:
     """A file of C with comment lines behind the checksum of its input; others as they are.
 
-    Parameters
-    ----------
-    name, content:
-        Of the file.
-    lines:
-        Of `promise_lines`.
+    Args:
+        name, content: Of the file.
+        lines: Of `promise_lines`.
     """
     place = content.find(_DIGEST)
     if not lines or place < 0 or not name.endswith((".h", ".c")) or name.endswith("_vectors.h"):

@@ -29,14 +29,9 @@ if TYPE_CHECKING:
     from dqforge.optimizer.observers.tuning_numbers import Disturbances
     from dqforge.reports.plain_data import PlainData
 
+# Title, columns, rows, notes.
 TextTable = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], tuple[str, ...]]
-
-"""Title, columns, rows, notes."""
-
-
 _SYMBOLS = {"r_s": "R", "l_d": "L_d", "l_q": "L_q", "psi_pm": "psi_pm"}
-
-
 _CAUSES = {DEAD_TIME: "dead time", EXACT_DATA: "exact data"}
 
 

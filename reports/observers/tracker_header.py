@@ -42,10 +42,8 @@ def plain_tracker_gains(found: EmittedTracker) -> PlainData:
 def tracker_from(plain: Mapping[str, Any]) -> EmittedTracker:
     """Read a tracker back.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_tracker_gains` makes.
+    Raises:
+        InputError: The data are not what `plain_tracker_gains` makes.
     """
     tracker = TRACKERS.get(str(plain.get("method")))
     if tracker is None or not isinstance(plain.get("gains"), dict):

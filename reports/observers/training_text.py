@@ -11,9 +11,8 @@ if TYPE_CHECKING:
     from dqforge.optimizer.observers.training import Limits, Training
     from dqforge.reports.plain_data import PlainData
 
+# Title, columns, rows, notes.
 TrainingTable = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], tuple[str, ...]]
-
-"""Title, columns, rows, notes."""
 
 
 def _hertz(omega: float) -> str:

@@ -37,21 +37,14 @@ if TYPE_CHECKING:
 
 _RPM = 30.0 / math.pi
 
-
+# Efficiencies in percent that a line may stand for.
 _LEVELS = np.array(
     [10, 20, 30, 40, 50, 60, 70, 75, 80, 82, 84, 86, 88, *range(90, 99), 98.5, 99, 99.5, 99.8]
 )
 
-"""Efficiencies in percent that a line may stand for."""
-
-
+# Shares of the map that lie below the lines, as nearly as the levels allow.
 _SHARES = (0.04, 0.12, 0.25, 0.42, 0.6, 0.78, 0.92)
-
-"""Shares of the map that lie below the lines, as nearly as the levels allow."""
-
-
 _SHADES = ("#f7f9fc", "#ebf1f8", "#dbe7f3", "#c7daed", "#aecae4", "#94b8da", "#78a4ce", "#5f91c1")
-
 
 _REGIONS = {
     Active.VOLTAGE: "field weakening",

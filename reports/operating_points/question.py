@@ -85,13 +85,10 @@ def _limit(design: Design, request: Request) -> VoltageLimit:
 def answer(design: Design, request: Request) -> Answer:
     """Solve what the options ask for.
 
-    Raises
-    ------
-    InputError
-        An option is not understood, options exclude each other, or the
-        design's strategy is not MTPA.
-    NoSolutionError
-        The limits leave no current at the speed, or no speed at all.
+    Raises:
+        InputError: An option is not understood, options exclude each other, or the design's
+            strategy is not MTPA.
+        NoSolutionError: The limits leave no current at the speed, or no speed at all.
     """
     if design.strategy != "mtpa":
         raise InputError(

@@ -28,17 +28,12 @@ def lock_folder(folder: Path) -> int:
 
     Where a file system knows no locks, nothing keeps two processes apart.
 
-    Parameters
-    ----------
-    folder:
-        It must exist.
+    Args:
+        folder: It must exist.
 
-    Raises
-    ------
-    FolderTakenError
-        Another process has it.
-    OSError
-        The folder cannot be opened.
+    Raises:
+        FolderTakenError: Another process has it.
+        OSError: The folder cannot be opened.
     """
     handle = _open_stand_in(folder) if system.WINDOWS else os.open(folder, os.O_RDONLY)
     try:

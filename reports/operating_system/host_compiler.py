@@ -23,8 +23,8 @@ from dqforge.reports.pages.templating import render
 
 Language = Literal["c", "c++"]
 
+# Environment variables that name a compiler, with flags if wanted.
 VARIABLES: Mapping[Language, str] = {"c": "DQFORGE_CC", "c++": "DQFORGE_CXX"}
-"""Environment variables that name a compiler, with flags if wanted."""
 
 _NAMES: Mapping[Language, tuple[str, ...]] = {
     "c": ("cc", "gcc", "clang"),
@@ -32,12 +32,8 @@ _NAMES: Mapping[Language, tuple[str, ...]] = {
 }
 
 NO_COMPILER = "no C compiler found: python -m pip install 'dqforge[cc]' brings one, or install gcc"
-
 _TIMEOUT_S = 60
-
-_ZIG_TIMEOUT_S = 300
-"""Its first call on a machine builds the libraries of C, for some ten seconds."""
-
+_ZIG_TIMEOUT_S = 300  # Its first call on a machine builds the libraries of C, for some ten seconds.
 _BINARY_STREAMS = "binary_streams.c"
 
 
@@ -45,16 +41,11 @@ _BINARY_STREAMS = "binary_streams.c"
 class HostCompiler:
     """A compiler that is there.
 
-    Parameters
-    ----------
-    language:
-        What it compiles.
-    name:
-        What messages call it.
-    command:
-        How it is started.
-    zig:
-        Whether it is clang as zig calls it.
+    Args:
+        language: What it compiles.
+        name: What messages call it.
+        command: How it is started.
+        zig: Whether it is clang as zig calls it.
     """
 
     language: Language
@@ -165,10 +156,8 @@ def _zig(language: Language) -> HostCompiler | None:
 def find_compiler(language: Language = "c") -> HostCompiler | None:
     """The compiler that is taken; None where there is none.
 
-    Raises
-    ------
-    VerificationError
-        The environment variable names one that is not there.
+    Raises:
+        VerificationError: The environment variable names one that is not there.
     """
     return _named(language) or _on_path(language) or _zig(language)
 
@@ -198,26 +187,18 @@ def compile_program(
 ) -> Path:
     """Compile one source file to a program.
 
-    Parameters
-    ----------
-    compiler:
-        Of `require_compiler`.
-    flags:
-        Standard, optimisation and warnings.
-    source:
-        Name of the file in the folder.
-    folder:
-        Where the program is written.
-    stem:
-        Name of the program, without suffix.
-    failed:
-        What the message says where the source does not compile, such as ``the header does not
-        compile as c99``.
+    Args:
+        compiler: Of `require_compiler`.
+        flags: Standard, optimisation and warnings.
+        source: Name of the file in the folder.
+        folder: Where the program is written.
+        stem: Name of the program, without suffix.
+        failed: What the message says where the source does not compile, such as ``the header does
+            not compile as c99``.
 
-    Raises
-    ------
-    VerificationError
-        The compiler cannot be started, does not end, or finds an error, the first of which is told.
+    Raises:
+        VerificationError: The compiler cannot be started, does not end, or finds an error, the
+            first of which is told.
     """
     program = program_path(folder, stem)
     sources = [source]

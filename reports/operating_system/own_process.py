@@ -10,19 +10,15 @@ import platform
 import sys
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+KERNEL = "OPENBLAS_CORETYPE"  # Environment variable that names the kernels of the linear algebra.
 
-KERNEL = "OPENBLAS_CORETYPE"
-"""Environment variable that names the kernels of the linear algebra."""
-
+# Those that every 64-bit processor of a kind can run. On matrices of this size they are as fast as
+# the widest ones.
 _KERNELS = {"x86_64": "Prescott", "amd64": "Prescott", "aarch64": "ARMV8", "arm64": "ARMV8"}
-"""Those that every 64-bit processor of a kind can run. On matrices of this size they are as fast as
-the widest ones."""
 
+# Instructions that some x86 processors have, by numpy's names.
 _WIDE = "X86_V3 X86_V4 AVX512_ICL AVX512_SPR"
-"""Instructions that some x86 processors have, by numpy's names."""
-
 _OBJECTS = 100_000
-
 _HELP = "_update_set_signature_and_docstring"
 
 

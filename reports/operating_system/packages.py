@@ -8,6 +8,7 @@ from importlib import metadata
 
 from dqforge.machines.errors import InputError
 
+# Packages of Python, and what they are for.
 PACKAGES = {
     "casadi": "phase currents of salient machines",
     "clarabel": "smoothing of flux maps, proofs of current loops over tolerances",
@@ -33,26 +34,20 @@ PACKAGES = {
     "xarray": "to_xarray of results, from Python",
     "ziglang": "a C and C++ compiler where none is installed",
 }
-"""Packages of Python, and what they are for."""
 
+# Optional parts that a user installs; the others are for work on dqforge itself.
 EXTRAS = ("h5", "explore", "cc")
-"""Optional parts that a user installs; the others are for work on dqforge itself."""
 
 
 @dataclass(frozen=True, slots=True)
 class Package:
     """A package of Python.
 
-    Parameters
-    ----------
-    name, use:
-        As the package index has it; what it is for.
-    version:
-        Empty where it is not installed.
-    needed:
-        Whether dqforge needs it for more than a part of its work.
-    get:
-        Command that installs it.
+    Args:
+        name, use: As the package index has it; what it is for.
+        version: Empty where it is not installed.
+        needed: Whether dqforge needs it for more than a part of its work.
+        get: Command that installs it.
     """
 
     name: str
@@ -85,6 +80,7 @@ def _installed(name: str) -> str:
         return ""
 
 
+# Packages whose modules are called otherwise.
 _OTHER_NAMES = {
     "dask": "distributed",
     "flint": "python-flint",
@@ -92,7 +88,6 @@ _OTHER_NAMES = {
     "python_calamine": "python-calamine",
     "yaml": "pyyaml",
 }
-"""Packages whose modules are called otherwise."""
 
 
 def without_package(error: ImportError) -> InputError | None:

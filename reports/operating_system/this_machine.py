@@ -20,11 +20,11 @@ from dqforge.reports.operating_system.ways_to_get import WAYS
 
 _TIMEOUT_S = 20
 
+# Bytes of temporary files below which a remark is worth it: zig's libraries take 50 MB, a large
+# study's keys some hundred.
 LEAST_FREE = 500_000_000
-"""Bytes of temporary files below which a remark is worth it: zig's libraries take 50 MB, a large
-study's keys some hundred.
-"""
 
+# Programs beside the compilers of the host, and what they are for.
 PROGRAMS = {
     "arm-none-eabi-gcc": "dqforge verify --target; cycles and bytes on Cortex-M",
     "arm-none-eabi-objdump": "cycles on Cortex-M",
@@ -32,7 +32,6 @@ PROGRAMS = {
     "qemu-system-arm": "dqforge verify --target; cycles on Cortex-M",
     "cppcheck": "static checks of the emitted C of your own; no command calls it",
 }
-"""Programs beside the compilers of the host, and what they are for."""
 
 COMPILERS = {
     "c": "run, export, verify (C99); simulate; estimators --starts",

@@ -30,14 +30,10 @@ _STANDARDS: dict[Language, str] = {"c": "c99", "c++": "c++11"}
 class Trial:
     """What came of it.
 
-    Parameters
-    ----------
-    language:
-        What was compiled.
-    compiler, path:
-        Name and place of the compiler; empty without one.
-    failure:
-        What went wrong, in one line; empty where nothing did.
+    Args:
+        language: What was compiled.
+        compiler, path: Name and place of the compiler; empty without one.
+        failure: What went wrong, in one line; empty where nothing did.
     """
 
     language: Language

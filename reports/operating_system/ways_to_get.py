@@ -14,18 +14,12 @@ EXTRA_CC = "python -m pip install 'dqforge[cc]'"
 class Ways:
     """Packages that bring a program.
 
-    Parameters
-    ----------
-    apt:
-        Of Debian and Ubuntu.
-    dnf:
-        Of Fedora.
-    brew:
-        Command on macOS.
-    winget:
-        Identifier on Windows.
-    pip:
-        Command for every system, empty where there is none.
+    Args:
+        apt: Of Debian and Ubuntu.
+        dnf: Of Fedora.
+        brew: Command on macOS.
+        winget: Identifier on Windows.
+        pip: Command for every system, empty where there is none.
     """
 
     apt: tuple[str, ...]
@@ -60,6 +54,7 @@ _ARM_TOOLS = Ways(
     ("binutils-arm-none-eabi",), ("arm-none-eabi-binutils-cs",), _ARM.brew, _ARM.winget
 )
 
+# By program; compilers of the host by their language.
 WAYS: dict[str, Ways] = {
     "c": Ways(("gcc",), ("gcc",), "xcode-select --install", _GCC_OF_WINDOWS, EXTRA_CC),
     "c++": Ways(("g++",), ("gcc-c++",), "xcode-select --install", _GCC_OF_WINDOWS, EXTRA_CC),
@@ -74,4 +69,3 @@ WAYS: dict[str, Ways] = {
     ),
     "cppcheck": Ways(("cppcheck",), ("cppcheck",), "brew install cppcheck", "Cppcheck.Cppcheck"),
 }
-"""By program; compilers of the host by their language."""

@@ -38,6 +38,7 @@ from dqforge.reports.run_folder import (
 RUN, SIMULATION, FIRMWARE = "run", "simulation", "firmware"
 ESTIMATORS, FIGURES = "estimators", "figures"
 
+# What writes each part of a folder.
 COMMANDS = {
     RUN: "run",
     SIMULATION: "simulate",
@@ -45,20 +46,15 @@ COMMANDS = {
     ESTIMATORS: "estimators",
     FIGURES: "reproduce",
 }
-"""What writes each part of a folder."""
 
-COMMAND = "command"
-"""Option of a part `RUN`: run or export."""
+COMMAND = "command"  # Option of a part `RUN`: run or export.
 
+# Option of a part `RUN`: the standards in which its headers were compiled and compared.
 VERIFIED = "verified"
-"""Option of a part `RUN`: the standards in which its headers were compiled and compared."""
 
+# Options of a part `FIRMWARE`: whose files, and the file whose other fields were kept.
 FIRMWARES, EXISTING = "for", "into"
-"""Options of a part `FIRMWARE`: whose files, and the file whose other fields were kept."""
-
-SWITCHED = "switched"
-"""Option of a part `SIMULATION` whose every switching instant was simulated."""
-
+SWITCHED = "switched"  # Option of a part `SIMULATION` whose every switching instant was simulated.
 _LONGEST_WAIT_S = 60.0
 
 
@@ -149,10 +145,8 @@ def _belongs(part: Part, digest: str) -> bool:
 def refuse_other_design(folder: Path, digest: str, prefix: str) -> None:
     """Refuse to put other files of one design beside the headers of another.
 
-    Raises
-    ------
-    InputError
-        The folder holds what a run of another design, or of another version, wrote.
+    Raises:
+        InputError: The folder holds what a run of another design, or of another version, wrote.
     """
     found = find_manifest(folder)
     if found is not None and RUN in found.parts and not _belongs(found.parts[RUN], digest):
@@ -204,24 +198,17 @@ def put_output(
     a new one. `dqforge run` and `export` are one command; what a run wrote stays behind an export
     of the same design.
 
-    Parameters
-    ----------
-    folder:
-        Made if missing.
-    part:
-        One of `dqforge.reports.run_folder`.
-    contents:
-        Files by name.
-    design:
-        What they were made from; it is put into the folder as well.
-    options, given:
-        As of `dqforge.reports.pages.answer.Files`; what was given lies beside the design.
+    Args:
+        folder: Made if missing.
+        part: One of `dqforge.reports.run_folder`.
+        contents: Files by name.
+        design: What they were made from; it is put into the folder as well.
+        options, given: As of `dqforge.reports.pages.answer.Files`; what was given lies beside the
+            design.
 
-    Raises
-    ------
-    InputError
-        The folder cannot be written, or holds what another design, or another command under the
-        same name, made; it is as it was.
+    Raises:
+        InputError: The folder cannot be written, or holds what another design, or another command
+            under the same name, made; it is as it was.
     """
     place = Path(os.path.realpath(folder))
     inputs = input_files(None if design is None else design.given, input_root(part))

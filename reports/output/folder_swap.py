@@ -21,17 +21,10 @@ from pathlib import Path
 from dqforge.reports.operating_system import system
 from dqforge.reports.operating_system.folder_lock import flush_folder
 
+# Folder inside an output folder while its files are moved into their places.
 PENDING = ".dqforge-swap"
-
-"""Folder inside an output folder while its files are moved into their places."""
-
-
 _STAGED = ".dqforge-new"
-
-
 _RENAME_EXCHANGE = 2
-
-
 _AT_FDCWD = -100
 
 
@@ -220,23 +213,15 @@ def replace_content(
 ) -> None:
     """Put files into a folder all at once; what others put there stays.
 
-    Parameters
-    ----------
-    folder:
-        Real path (no link); need not exist, its parent must.
-    contents:
-        Files by name relative to the folder, ``marker`` last.
-    own:
-        Names of dqforge's files that lie there now.
-    superseded:
-        Those of them that go away.
-    marker:
-        Name of the file by which a complete folder is known.
+    Args:
+        folder: Real path (no link); need not exist, its parent must.
+        contents: Files by name relative to the folder, ``marker`` last.
+        own: Names of dqforge's files that lie there now.
+        superseded: Those of them that go away.
+        marker: Name of the file by which a complete folder is known.
 
-    Raises
-    ------
-    OSError
-        The folder cannot be written; it is as it was.
+    Raises:
+        OSError: The folder cannot be written; it is as it was.
     """
     if not folder.is_dir():
         _swap(folder, contents, (), ())

@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 
 from dqforge.reports.output.line_comparison import Difference, difference_of_lines, tokens
 
+# Relative difference of numbers that counts as one of the last digits: eight units of float32.
 RELATIVE = 1e-6
-"""Relative difference of numbers that counts as one of the last digits: eight units of float32."""
-
-NOISE = 1e-12
-"""Magnitude below which a number is what rounding left of zero."""
-
+NOISE = 1e-12  # Magnitude below which a number is what rounding left of zero.
 BOUND = f"the last digits ({RELATIVE:g} of a number, {NOISE:g} of zero)"
 
+# What reading an archive raises that was tampered with.
 _DAMAGED = (
     ValueError,
     OSError,
@@ -35,7 +33,6 @@ _DAMAGED = (
     zipfile.BadZipFile,
     zlib.error,
 )
-"""What reading an archive raises that was tampered with."""
 
 _FRACTION = re.compile(r"[-+]?(?:\d+\.\d*|\.\d+|\d+(?=[eE]))(?:[eE][-+]?\d+)?(?=[Ff]?$)")
 _CODE = re.compile(r"[-+]?\d+$")
@@ -67,13 +64,10 @@ def _alike(have: str, want: str, *, vectors: bool) -> bool:
 def changed_value(have: str, want: str, name: str) -> Difference | None:
     """Where two texts first differ by more than last digits, None where they do not.
 
-    Parameters
-    ----------
-    have, want:
-        What lies there, and what was computed.
-    name:
-        Of the file: in test vectors, whole numbers are bits of float32 or codes, and may be off
-        by one.
+    Args:
+        have, want: What lies there, and what was computed.
+        name: Of the file: in test vectors, whole numbers are bits of float32 or codes, and may be
+            off by one.
     """
     vectors = name.endswith("_vectors.h")
     lines = zip_longest(have.split("\n"), want.split("\n"))

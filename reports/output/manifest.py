@@ -201,10 +201,8 @@ def _read_part(value: object) -> Part:
 def from_bytes(content: bytes) -> Manifest:
     """A list as `to_bytes` wrote it.
 
-    Raises
-    ------
-    ValueError
-        It is none, or it was changed.
+    Raises:
+        ValueError: It is none, or it was changed.
     """
     try:
         loaded = strict_json(content)
@@ -225,10 +223,8 @@ def from_bytes(content: bytes) -> Manifest:
 def read_manifest(folder: Path) -> Manifest:
     """The list of a folder.
 
-    Raises
-    ------
-    InputError
-        There is none, or it is not what dqforge wrote.
+    Raises:
+        InputError: There is none, or it is not what dqforge wrote.
     """
     path = folder / MANIFEST
     content = read_output(path, _WRITTEN, LARGEST_JSON)

@@ -44,11 +44,8 @@ from dqforge.reports.run_folder import INPUT, MANIFEST, REPORT, RESULT
 from dqforge.reports.simulation.design_run import simulation_files
 
 _AGAIN = "run the design again"
-
 _DESIGN = "design.yaml"
-
-_HEAD = 2048
-"""Bytes at the head of a text in which it says what made it."""
+_HEAD = 2048  # Bytes at the head of a text in which it says what made it.
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,10 +213,9 @@ class _Comparison:
 def read_listed(folder: Path) -> tuple[Manifest, dict[str, bytes]]:
     """The manifest of a folder and the contents of all files that it lists.
 
-    Raises
-    ------
-    InputError
-        There is no manifest, a file is missing, or a run was cut off while it moved its files.
+    Raises:
+        InputError: There is no manifest, a file is missing, or a run was cut off while it moved its
+            files.
     """
     if (folder / PENDING).exists():
         raise InputError(
@@ -316,12 +312,10 @@ def _claims(path: Path) -> bool:
 def recompute(folder: Path) -> Recomputation:
     """Compute everything in a folder again from the designs that lie in it, and compare.
 
-    Raises
-    ------
-    InputError
-        The folder is not what dqforge writes, or another version wrote it.
-    VerificationError
-        Something differs; the message names the first difference with both values.
+    Raises:
+        InputError: The folder is not what dqforge writes, or another version wrote it.
+        VerificationError: Something differs; the message names the first difference with both
+            values.
     """
     manifest, contents = read_listed(folder)
     done, solution, digest = _Comparison(folder, contents), None, ""

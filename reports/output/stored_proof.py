@@ -25,22 +25,16 @@ def check_stored_proof(
 
     None where the run stored no certificate, or the design asks for none.
 
-    Parameters
-    ----------
-    folder:
-        What 'dqforge run' wrote.
-    solution:
-        What the design in the folder gives; the certificate must have its inputs, to the bit.
-    own_inputs:
-        Whether the certificate is held against its own inputs instead: those of another processor,
-        which were compared within their last digits.
+    Args:
+        folder: What 'dqforge run' wrote.
+        solution: What the design in the folder gives; the certificate must have its inputs, to the
+            bit.
+        own_inputs: Whether the certificate is held against its own inputs instead: those of another
+            processor, which were compared within their last digits.
 
-    Raises
-    ------
-    VerificationError
-        The certificate proves something else, or nothing; says what is wrong.
-    InputError
-        The file cannot be read.
+    Raises:
+        VerificationError: The certificate proves something else, or nothing; says what is wrong.
+        InputError: The file cannot be read.
     """
     loops = solution.loops
     proof = None if loops is None or loops.robust is None else loops.robust.proof

@@ -14,24 +14,18 @@ from dqforge.reports.pages.html_text import count
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-SHORT = 12
-"""Digits of a SHA-256 that are shown."""
+SHORT = 12  # Digits of a SHA-256 that are shown.
 
 
 @dataclass(frozen=True, slots=True)
 class ListedFile:
     """A file beside a page.
 
-    Parameters
-    ----------
-    name:
-        Its path from the page, with ``/`` between folders; a folder ends with one.
-    what:
-        What it is, in a few words.
-    size:
-        Bytes, None where they are not known yet when the page is written.
-    digest:
-        SHA-256 in hexadecimal, empty where it is not known.
+    Args:
+        name: Its path from the page, with ``/`` between folders; a folder ends with one.
+        what: What it is, in a few words.
+        size: Bytes, None where they are not known yet when the page is written.
+        digest: SHA-256 in hexadecimal, empty where it is not known.
     """
 
     name: str
@@ -48,14 +42,10 @@ class ListedFile:
 def files_table(files: Iterable[ListedFile], caption: str, *notes: str) -> HtmlTable:
     """Files with links to them.
 
-    Parameters
-    ----------
-    files:
-        In the order of the table.
-    caption:
-        Of the table.
-    notes:
-        Sentences below it.
+    Args:
+        files: In the order of the table.
+        caption: Of the table.
+        notes: Sentences below it.
     """
     rows = tuple(Row(_cells(file)) for file in files)
     return HtmlTable(caption, ("File", "What it is", "Bytes", "SHA-256"), rows, 2, notes)

@@ -14,24 +14,20 @@ from dqforge.reports.pages.templating import render
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-FIGURES = "pages/figures.js.j2"
-"""Tells the values of figures under the pointer."""
+FIGURES = "pages/figures.js.j2"  # Tells the values of figures under the pointer.
+# Opens the folded part to which a link leads, marks in the contents where one is, opens all for
+# print.
 FOLDING = "pages/folding.js.j2"
-"""Opens the folded part to which a link leads, marks in the contents where one is, opens all for
-print."""
 
 
 @dataclass(frozen=True, slots=True)
 class PageScripts:
     """Scripts of one page.
 
-    Parameters
-    ----------
-    policy:
-        Content security policy of the page: nothing but its own styles, pictures within it, and
-        these scripts.
-    texts:
-        What stands between ``<script>`` and ``</script>``, byte for byte what was hashed.
+    Args:
+        policy: Content security policy of the page: nothing but its own styles, pictures within it,
+            and these scripts.
+        texts: What stands between ``<script>`` and ``</script>``, byte for byte what was hashed.
     """
 
     policy: str
@@ -41,10 +37,8 @@ class PageScripts:
 def page_scripts(*templates: str) -> PageScripts:
     """The scripts of a page, and the policy that admits them.
 
-    Parameters
-    ----------
-    templates:
-        Templates ``<room>/<file>.js.j2``; they take no values.
+    Args:
+        templates: Templates ``<room>/<file>.js.j2``; they take no values.
     """
     from markupsafe import Markup
 

@@ -22,23 +22,15 @@ if TYPE_CHECKING:
 class Files:
     """Files that a command writes.
 
-    Parameters
-    ----------
-    contents:
-        Bytes by name.
-    part:
-        The part of an output folder that they are (`dqforge.reports.output.folder`); empty for
-        files that are put into a folder without a list of hashes.
-    design:
-        What they were made from, None where that is no design.
-    named:
-        Whether their paths are printed behind the tables.
-    options:
-        Options of the command on which the files depend, for `dqforge verify`.
-    given:
-        Further files that they were made from, by name.
-    follow:
-        What to do next with them, ``{out}`` for their folder.
+    Args:
+        contents: Bytes by name.
+        part: The part of an output folder that they are (`dqforge.reports.output.folder`); empty
+            for files that are put into a folder without a list of hashes.
+        design: What they were made from, None where that is no design.
+        named: Whether their paths are printed behind the tables.
+        options: Options of the command on which the files depend, for `dqforge verify`.
+        given: Further files that they were made from, by name.
+        follow: What to do next with them, ``{out}`` for their folder.
     """
 
     contents: Mapping[str, bytes]
@@ -54,22 +46,14 @@ class Files:
 class Answer:
     """The answer of a command, not yet shown.
 
-    Parameters
-    ----------
-    name:
-        What was asked about: the design, a paper, a capture.
-    tables:
-        For the terminal.
-    plain:
-        For ``--json``, by the keys of docs/reference/json.md.
-    figure:
-        Draws the figure of ``--plot``; None where there is none.
-    files:
-        To be written; None where there are none.
-    notes:
-        Lines for the terminal, behind the tables.
-    exit_code:
-        With which the command ends.
+    Args:
+        name: What was asked about: the design, a paper, a capture.
+        tables: For the terminal.
+        plain: For ``--json``, by the keys of docs/reference/json.md.
+        figure: Draws the figure of ``--plot``; None where there is none.
+        files: To be written; None where there are none.
+        notes: Lines for the terminal, behind the tables.
+        exit_code: With which the command ends.
     """
 
     name: str

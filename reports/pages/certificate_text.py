@@ -10,19 +10,13 @@ from dqforge.optimizer.field_weakening.certificate import SurfaceCertificate
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.plain_data import PlainData
 
+# What the ``model`` of a certificate is called.
 AGAINST = {
     "equations": "the equations of the machine",
     "splines": "the splines through its flux map",
 }
 
-"""What the ``model`` of a certificate is called."""
-
-
-JSON_DIGITS = 9
-
-"""Significant digits of numbers in JSON documents."""
-
-
+JSON_DIGITS = 9  # Significant digits of numbers in JSON documents.
 _CURRENTS_AND_TORQUE = (("i_d", "A"), ("i_q", "A"), ("torque", "N m"))
 
 

@@ -9,15 +9,11 @@ from dqforge.machines.records import dataclass
 class Chapter:
     """A chapter of the report.
 
-    Parameters
-    ----------
-    id, title:
-        Its anchor, and its name in the contents.
-    opening:
-        Template of what stands before its parts, whoever writes them; empty where its only part
-        opens it.
-    folded:
-        Whether it is closed at first: what few readers want, or want last.
+    Args:
+        id, title: Its anchor, and its name in the contents.
+        opening: Template of what stands before its parts, whoever writes them; empty where its only
+            part opens it.
+        folded: Whether it is closed at first: what few readers want, or want last.
     """
 
     id: str
@@ -36,9 +32,8 @@ WAVEFORMS = Chapter("waveforms", "Phase currents")
 WEAKENING = Chapter("weakening", "Field weakening")
 SIMULATION = Chapter("simulation", "Simulation")
 
+# In the order of the report; a chapter that is not listed follows them.
 CHAPTERS = (
     *(REFERENCE, ERRORS, LOOPS, LOSSES, MODULATION),
     *(CURRENT_FEEDBACK, WAVEFORMS, WEAKENING, SIMULATION),
 )
-
-"""In the order of the report; a chapter that is not listed follows them."""

@@ -18,10 +18,8 @@ from dqforge import __version__
 class CompiledTemplates(BytecodeCache):
     """Where nothing can be read or written, a template is compiled in each process.
 
-    Parameters
-    ----------
-    place:
-        File of a template by its name; None for one whose byte code is not kept.
+    Args:
+        place: File of a template by its name; None for one whose byte code is not kept.
     """
 
     def __init__(self, place: Callable[[str], Path | None]) -> None:

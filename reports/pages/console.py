@@ -23,14 +23,10 @@ _PIPE_WIDTH = 160
 # Tables are fitted to the terminal before they are drawn; what no table can hold is left whole.
 _NEVER_FULL = 100_000
 _REFRESH_S = 0.1
-QUICK_S = 1.0
+QUICK_S = 1.0  # What takes no longer shows no sign of life.
 
-"""What takes no longer shows no sign of life."""
-
-
+# The stage that every command begins with: the import of its own modules.
 LOADING = "loading what the command needs"
-
-"""The stage that every command begins with: the import of its own modules."""
 
 
 def show(tables: Sequence[Table]) -> None:
@@ -69,9 +65,7 @@ def show(tables: Sequence[Table]) -> None:
         console.print()
 
 
-_moving = Lock()
-
-"""Held by what moves on the terminal, of which there is room for one."""
+_moving = Lock()  # Held by what moves on the terminal, of which there is room for one.
 
 
 class Display(Protocol):

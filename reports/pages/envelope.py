@@ -12,9 +12,7 @@ from dqforge import __version__
 from dqforge.reports.pages.certificate_text import JSON_DIGITS
 from dqforge.reports.plain_data import PlainData
 
-FORMAT = 1
-
-"""Version of the layout; it rises when a key is renamed or removed."""
+FORMAT = 1  # Version of the layout; it rises when a key is renamed or removed.
 
 
 def _clean(value: Any) -> Any:

@@ -31,76 +31,37 @@ if TYPE_CHECKING:
 # of a curve or a bar stands out from white and, as `DARK` has it, from the dark page by 3 to 1 at
 # least, every colour of text by 4.5 to 1.
 INK = "#1b2430"
-
-
 MUTED = "#5d6875"
 
-
+# Curves of the second row.
 PALE = "#87919d"
 
-"""Curves of the second row."""
-
-
+# Bands and borders behind the data.
 FAINT = "#c3cad3"
-
-"""Bands and borders behind the data."""
-
-
 GRID = "#e7eaee"
-
-
 PAPER = "#ffffff"
-
-
 BLUE = "#1f6fb2"
-
-
 ORANGE = "#bd540b"
-
-
 TEAL = "#00796b"
-
-
 PURPLE = "#8a3f9e"
-
-
 OLIVE = "#7a6a00"
-
-
 RED = "#b3263a"
-
-
 BROWN = "#7d5a3c"
-
-
 SKY = "#5b93cc"
 
-
+# Colours of curves in their order.
 SERIES = (BLUE, ORANGE, TEAL, PURPLE, OLIVE, RED, BROWN, MUTED, SKY)
 
-"""Colours of curves in their order."""
-
-
+# What is written and drawn upon a coloured map, on a dark page too.
 MAP_INK = "#1b2431"
 
-"""What is written and drawn upon a coloured map, on a dark page too."""
-
-
+# Thin lines upon a coloured map.
 MAP_MUTED = "#5d6876"
 
-"""Thin lines upon a coloured map."""
-
-
+# Curves upon a coloured map.
 MAP_ORANGE = "#bd540c"
-
-"""Curves upon a coloured map."""
-
-
 AXIS_COLOURS = {"d": BLUE, "q": ORANGE}
-
-
 LOOP_COLOURS = {"i_d": BLUE, "i_q": ORANGE, "i_0": MUTED, "speed": TEAL}
-
 
 PART_COLOURS = {
     "copper": "#b5651d",
@@ -114,7 +75,7 @@ PART_COLOURS = {
     "capacitor": "#7d838d",
 }
 
-
+# Colours on a dark page; one that is not named stays as it is.
 DARK = {
     INK: "#e3e8ee",
     MUTED: "#a3afbb",
@@ -139,19 +100,12 @@ DARK = {
     "#1d4e89": "#3f7fc4",
 }
 
-"""Colours on a dark page; one that is not named stays as it is."""
-
-
-WIDTH = 7.0
-
-"""Width of every figure in inches."""
-
+WIDTH = 7.0  # Width of every figure in inches.
 
 FONT_STACK = (
     "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, 'Liberation Sans', "
     "sans-serif"
 )
-
 
 _STYLE: Any = {
     "font.family": "DejaVu Sans",
@@ -192,13 +146,11 @@ _STYLE: Any = {
     "svg.hashsalt": "dqforge",
 }
 
-
 _METADATA: dict[str, dict[str, Any]] = {
     "svg": {"Date": None, "Creator": None, "Format": None, "Type": None},
     "png": {"Software": None},
     "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
 }
-
 
 _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "\u00b5"), (1e-9, "n"), (1e-12, "p"))
 
@@ -399,10 +351,8 @@ def _of_the_page(match: re.Match[str]) -> str:
 def page_colour(colour: str) -> str:
     """A colour as the style of a page has it, light or dark.
 
-    Parameters
-    ----------
-    colour:
-        As ``#rrggbb``.
+    Args:
+        colour: As ``#rrggbb``.
     """
     return f"var(--fig-{colour[1:]},{colour})" if colour in DARK else colour
 
@@ -411,10 +361,8 @@ def save(figure: Figure, path: Path) -> None:
     """Write a figure in the format that the suffix of ``path`` names, whole or not at all,
     without a date; .csv has the data that it shows.
 
-    Raises
-    ------
-    InputError
-        The suffix is not .svg, .png, .pdf or .csv, or the file cannot be written.
+    Raises:
+        InputError: The suffix is not .svg, .png, .pdf or .csv, or the file cannot be written.
     """
     formats: dict[str, Callable[[], bytes]] = {
         ".svg": lambda: b'<?xml version="1.0" encoding="utf-8"?>\n' + _svg(figure).encode(),

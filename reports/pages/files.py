@@ -10,20 +10,11 @@ from pathlib import Path
 from dqforge.machines.errors import InputError, WritingError
 from dqforge.machines.files.input_files import read_regular_file
 
-OUT = "out"
+OUT = "out"  # Folder in which those of designs and studies are made where none is named.
+LARGEST_FILE = 64_000_000  # Bytes of the largest file that dqforge writes, many times over.
 
-"""Folder in which those of designs and studies are made where none is named."""
-
-
-LARGEST_FILE = 64_000_000
-
-"""Bytes of the largest file that dqforge writes, many times over."""
-
-
+# Bytes of the largest JSON that is read: once decoded it takes some twenty times as much memory.
 LARGEST_JSON = 16_000_000
-
-"""Bytes of the largest JSON that is read: once decoded it takes some
-twenty times as much memory."""
 
 
 def read_output(path: Path, wanted: str, most_bytes: int = LARGEST_FILE) -> bytes:
@@ -31,11 +22,9 @@ def read_output(path: Path, wanted: str, most_bytes: int = LARGEST_FILE) -> byte
 
     ``wanted`` says in the message what to give instead of one that cannot be read.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, is no regular file, or is far larger than
-        anything that dqforge writes.
+    Raises:
+        InputError: The file cannot be read, is no regular file, or is far larger than anything that
+            dqforge writes.
     """
     try:
         return read_regular_file(path, most_bytes)
@@ -48,10 +37,8 @@ def write_atomically(path: Path, content: bytes) -> None:
     """Write a file through a temporary one beside it: flushed to disk, then renamed over the
     target.
 
-    Raises
-    ------
-    InputError
-        The folder cannot be written.
+    Raises:
+        InputError: The folder cannot be written.
     """
     temporary = _beside(path, content)
     try:
@@ -92,17 +79,12 @@ FIGURE_SUFFIXES = (".svg", ".png", ".pdf", ".csv")
 def check_figure_path(path: Path, made: Path | None = None) -> None:
     """Refuse a figure's file name before anything is computed for it.
 
-    Parameters
-    ----------
-    path:
-        The file.
-    made:
-        A folder that will be there by the time the figure is written.
+    Args:
+        path: The file.
+        made: A folder that will be there by the time the figure is written.
 
-    Raises
-    ------
-    InputError
-        The suffix is not .svg, .png, .pdf or .csv, or the folder is not there.
+    Raises:
+        InputError: The suffix is not .svg, .png, .pdf or .csv, or the folder is not there.
     """
     if path.suffix.lower() not in FIGURE_SUFFIXES:
         got = f"the suffix {path.suffix!r}" if path.suffix else "no suffix"
@@ -121,10 +103,8 @@ def write_all(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
 
     Nothing is replaced before all of them lie beside their places, flushed to disk.
 
-    Raises
-    ------
-    InputError
-        The folder cannot be made or written.
+    Raises:
+        InputError: The folder cannot be made or written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 
-MOST_OPEN_ROWS = 24
-"""A table with more rows is folded, so that the page stays readable."""
+MOST_OPEN_ROWS = 24  # A table with more rows is folded, so that the page stays readable.
 
 
 @dataclass(frozen=True, slots=True)

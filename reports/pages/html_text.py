@@ -15,15 +15,11 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 
-NARROW = "\u202f"
-
-"""Narrow space that does not break, between a number and its unit."""
-
+NARROW = "\u202f"  # Narrow space that does not break, between a number and its unit.
 
 _RAISED = str.maketrans(
     "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
 )
-
 
 _UNITS = (
     ("Ohm", "\u03a9"),
@@ -33,15 +29,11 @@ _UNITS = (
     ("^3", "\u00b3"),
 )
 
-
 _SYMBOL = re.compile(
     r"(?<![\w.])(i|k|B|L|M|R|T|t|u|v|\u03c8|\u03c9)_(d|q|s|p|i|e|m|PM|dc|sw|u)(?!\w)"
 )
 
-
 _SHARES = ((1e-4, 1e2, "%"), (1e-6, 1e6, "ppm"), (0.0, 1e9, "ppb"))
-
-
 _SMALLEST_SHARE = 1e-11
 
 

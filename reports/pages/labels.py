@@ -18,11 +18,7 @@ if TYPE_CHECKING:
 
 
 _SPACE = "\u00a0"  # does not break
-
-
 _PHASES = {"dq": "dq", "dqx": "dqx", "dqy": "dqy", "limited": "limited"}
-
-
 STRATEGY_LABELS = {"mtpa": "MTPA", "id0": "$i_d$ = 0", "least-loss": "least loss"} | _PHASES
 
 
@@ -50,10 +46,7 @@ _SHORT = {
     "capacitor": "dc link",
 }
 
-
 _ALWAYS = ("copper", "conduction", "switching")
-
-
 _VISIBLE = 1e-4
 
 
@@ -96,12 +89,11 @@ def obstacle(comparison: LossComparison, index: tuple[int, int, int]) -> str:
     return "" if budget.cool_enough[index] else "junction too hot"
 
 
+# What is said where the switch is unknown.
 WITHOUT_BRIDGE = (
     "the design has no inverter.device: the total is without the bridge, of which conduction, "
     "switching and junctions are unknown"
 )
-
-"""What is said where the switch is unknown."""
 
 
 def friction_text(comparison: LossComparison, point: int) -> str:
@@ -131,7 +123,6 @@ def operation_text(speed: SpeedPoint | None) -> str:
 
 FORMAT_TEXT: dict[NumberFormat, str] = {"float32": "single precision", "q15": "Q15", "q31": "Q31"}
 
-
 _CORES: dict[Core, str] = {
     "cortex-m0plus": "a Cortex-M0+",
     "cortex-m3": "a Cortex-M3",
@@ -153,11 +144,7 @@ def letter(index: int) -> str:
 
 
 STRATEGY_TEXT = {"mtpa": "MTPA", "id0": "i_d = 0", "least-loss": "least loss"} | _PHASES
-
-
-NEGLIGIBLE = 1e-9
-
-"""Relative speed error that is nothing but rounding."""
+NEGLIGIBLE = 1e-9  # Relative speed error that is nothing but rounding.
 
 
 def significant(value: float, digits: int = 4) -> str:

@@ -18,25 +18,20 @@ if TYPE_CHECKING:
     from markupsafe import Markup
     from matplotlib.figure import Figure
 
+# Signs that may stand as they are in the data of a link, beside letters and digits.
 _PLAIN = ",.;:!*()/-_+="
-"""Signs that may stand as they are in the data of a link, beside letters and digits."""
 
 
 @dataclass(frozen=True, slots=True)
 class PageFigure:
     """What the template of a figure is given.
 
-    Attributes
-    ----------
-    svg:
-        The drawing.
-    about:
-        One sentence on it.
-    panels:
-        Where its panels lie and which columns of the data each thing in them has, as JSON for an
-        attribute in single quotes.
-    data:
-        Its data.
+    Attributes:
+        svg: The drawing.
+        about: One sentence on it.
+        panels: Where its panels lie and which columns of the data each thing in them has, as JSON
+            for an attribute in single quotes.
+        data: Its data.
     """
 
     svg: Markup
@@ -49,12 +44,9 @@ class PageFigure:
 class DataFile:
     """A table that lies in the link to it.
 
-    Attributes
-    ----------
-    name:
-        Its file name.
-    link:
-        The table in the link.
+    Attributes:
+        name: Its file name.
+        link: The table in the link.
     """
 
     name: str
@@ -64,12 +56,9 @@ class DataFile:
 def page_figure(figure: Figure, name: str) -> PageFigure:
     """A figure for a page.
 
-    Parameters
-    ----------
-    figure:
-        As it was drawn by `dqforge.reports.pages.figures_style.new_figure`.
-    name:
-        Of the file of its data, without the ending.
+    Args:
+        figure: As it was drawn by `dqforge.reports.pages.figures_style.new_figure`.
+        name: Of the file of its data, without the ending.
     """
     from markupsafe import Markup
 
@@ -84,10 +73,8 @@ def page_figure(figure: Figure, name: str) -> PageFigure:
 def panels_text(panels: Any) -> Markup:
     """Plain data for an attribute in single quotes.
 
-    Parameters
-    ----------
-    panels:
-        Numbers, texts, lists and mappings.
+    Args:
+        panels: Numbers, texts, lists and mappings.
     """
     from markupsafe import Markup
 
@@ -98,12 +85,9 @@ def panels_text(panels: Any) -> Markup:
 def data_file(name: str, text: str) -> DataFile:
     """A table in a link, in the shorter of the two ways to write it.
 
-    Parameters
-    ----------
-    name:
-        Its file name.
-    text:
-        Comma-separated.
+    Args:
+        name: Its file name.
+        text: Comma-separated.
     """
     content = text.encode("utf-8")
     percent = f"data:text/csv;charset=utf-8,{quote(content, safe=_PLAIN)}"

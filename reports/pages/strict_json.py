@@ -20,11 +20,8 @@ def _constant(name: str) -> Any:
 def strict_json(content: str | bytes) -> Any:
     """Plain data of a document.
 
-    Raises
-    ------
-    ValueError
-        It is no JSON, a key stands twice in one object, or a number is not finite.
-    RecursionError
-        It is nested too deeply.
+    Raises:
+        ValueError: It is no JSON, a key stands twice in one object, or a number is not finite.
+        RecursionError: It is nested too deeply.
     """
     return json.loads(content, object_pairs_hook=_unique, parse_constant=_constant)

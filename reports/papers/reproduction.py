@@ -83,12 +83,9 @@ def reproduce(paper: str, *, figures: bool) -> Reproduced:
     """Recompute a paper by its number; with ``figures`` also what is only drawn,
     and simulated for that.
 
-    Raises
-    ------
-    InputError
-        There is no such paper.
-    VerificationError
-        A simulation needs a compiler that is not there.
+    Raises:
+        InputError: There is no such paper.
+        VerificationError: A simulation needs a compiler that is not there.
     """
     made = dict(zip(PAPERS, (_paper000, _paper001, _paper002), strict=True))
     if paper not in made:

@@ -53,10 +53,8 @@ class Bench:
 def bench(design: Design) -> Iterator[Bench]:
     """A bench that lasts as long as the block.
 
-    Raises
-    ------
-    VerificationError
-        There is no compiler.
+    Raises:
+        VerificationError: There is no compiler.
     """
     solution = solve(design)
     with simulator(
@@ -69,10 +67,8 @@ def settling_time(found: Simulation, start: float, end: float, target: float, ba
     """Time in s from ``start`` after which the speed stays within ``band``
     (relative) of the target in rad/s.
 
-    Raises
-    ------
-    NoSolutionError
-        The speed is outside at ``end``, in s.
+    Raises:
+        NoSolutionError: The speed is outside at ``end``, in s.
     """
     chosen = (found.t >= start) & (found.t < end)
     outside = np.flatnonzero(np.abs(found.omega_m[chosen] - target) > band * abs(target))

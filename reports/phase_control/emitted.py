@@ -43,10 +43,8 @@ def emitted_control_files(solution: Solution) -> dict[str, bytes]:
 def emitted_control_plain(solution: Solution) -> PlainData:
     """What ``result.json`` says of the emitted control.
 
-    Raises
-    ------
-    InputError
-        It cannot be emitted; the message says what is instead.
+    Raises:
+        InputError: It cannot be emitted; the message says what is instead.
     """
     control = phase_control_of(solution)
     if control is None:
@@ -57,10 +55,8 @@ def emitted_control_plain(solution: Solution) -> PlainData:
 def emitted_control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> EmittedModel:
     """Read the control functions back from a result and its part that describes them.
 
-    Raises
-    ------
-    InputError
-        The data are not what `emitted_control_plain` makes.
+    Raises:
+        InputError: The data are not what `emitted_control_plain` makes.
     """
     read = phase_control_from if "frame" in described else control_from
     return read(described, whole)

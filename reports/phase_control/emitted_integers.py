@@ -64,10 +64,8 @@ def integers_from(plain: Mapping[str, Any], width: int, result: Mapping[str, Any
     """Read the control in words of ``width`` bits back, with the references of the ``result`` that
     it is part of.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_integers` makes.
+    Raises:
+        InputError: The data are not what `plain_integers` makes.
     """
     if "shape" in plain:
         return phase_integers_from(plain, width)

@@ -56,10 +56,8 @@ def _shape(plain: Any, width: int) -> tuple[tuple[int, ...], ...]:
 def phase_integers_from(plain: Mapping[str, Any], width: int) -> FixedPhaseControl:
     """Read the control in words of ``width`` bits back, and prove again that nothing overflows.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_phase_integers` makes.
+    Raises:
+        InputError: The data are not what `plain_phase_integers` makes.
     """
     code = 2 ** (width - 1)
     gains = ("fade", "unit", "sample", "electrical", "rate")

@@ -86,16 +86,11 @@ def voltage_share(
 ) -> SingleArray:
     """Share of a voltage that the DC link can make, up to 1; -1 where its samples make no sense.
 
-    Parameters
-    ----------
-    voltage:
-        In V.
-    part:
-        Share of the link that may be used.
-    v_dc, v_m:
-        DC-link voltage and midpoint above the negative rail in V, shape (N,).
-    topology, modulation:
-        How the phases are fed.
+    Args:
+        voltage: In V.
+        part: Share of the link that may be used.
+        v_dc, v_m: DC-link voltage and midpoint above the negative rail in V, shape (N,).
+        topology, modulation: How the phases are fed.
     """
     if v_m is None:
         most, need = part * v_dc, _need(voltage, topology, modulation)
@@ -121,14 +116,10 @@ def topology_duties(
 ) -> tuple[SingleArray, ...]:
     """Duty cycles of all legs in the order of their topology.
 
-    Parameters
-    ----------
-    voltage:
-        In V.
-    v_dc, v_m:
-        DC-link voltage and midpoint above the negative rail in V, shape (N,).
-    topology:
-        One with a neutral of its own, or with six legs.
+    Args:
+        voltage: In V.
+        v_dc, v_m: DC-link voltage and midpoint above the negative rail in V, shape (N,).
+        topology: One with a neutral of its own, or with six legs.
     """
     v = phases(voltage)
     powered = v_dc > _ZERO

@@ -58,14 +58,10 @@ def harmonic_gain(
 ) -> tuple[SingleArray, SingleArray]:
     """What turns an integral into its voltage, real and imaginary part in V/A.
 
-    Parameters
-    ----------
-    kp:
-        Of the controller in V/A.
-    r_s, reactance:
-        Of the machine at the harmonic, in Ohm.
-    now, acting:
-        Multiples of the angles of the sample and of the voltage.
+    Args:
+        kp: Of the controller in V/A.
+        r_s, reactance: Of the machine at the harmonic, in Ohm.
+        now, acting: Multiples of the angles of the sample and of the voltage.
     """
     return (
         (kp * now[0]) + ((r_s * acting[0]) - (reactance * acting[1])),
@@ -77,14 +73,10 @@ def harmonic_gain(
 class Turning:
     """The integrators at one sample of N drives.
 
-    Parameters
-    ----------
-    gains, made:
-        As of the model.
-    omega_e:
-        Electrical speed in rad/s, shape (N,).
-    now, acting:
-        Angles of the sample and of the voltage.
+    Args:
+        gains, made: As of the model.
+        omega_e: Electrical speed in rad/s, shape (N,).
+        now, acting: Angles of the sample and of the voltage.
     """
 
     gains: Gains

@@ -124,25 +124,18 @@ class _Sample:
 class PhaseControlModel:
     """The control functions of one header.
 
-    Parameters
-    ----------
-    structure:
-        What its code is made of.
-    gains:
-        Members of ``<prefix>_control_gains_t`` by name, float32: ``d``, ``q``, ``zero`` and
-        ``speed`` are (kp, ki_ts, tracking); numbers, or arrays of shape (N,) where drives differ.
-    shape:
-        Back-EMF over electrical speed in Wb, shape (1 or 3, nodes + 1).
-    reference:
-        Current references of the torque in the frame dq, else None.
-    limit:
-        Electrical speeds in rad/s, voltages in V and torques in N m; None without a table.
-    v_nominal:
-        Link voltage in V at which those speeds are the drive's; None where they are at any.
-    limited:
-        Currents beyond those in proportion to the torque, None without.
-    waveform:
-        Currents over torque and angle, None where they are in proportion to the torque.
+    Args:
+        structure: What its code is made of.
+        gains: Members of ``<prefix>_control_gains_t`` by name, float32: ``d``, ``q``, ``zero`` and
+            ``speed`` are (kp, ki_ts, tracking); numbers, or arrays of shape (N,) where drives
+            differ.
+        shape: Back-EMF over electrical speed in Wb, shape (1 or 3, nodes + 1).
+        reference: Current references of the torque in the frame dq, else None.
+        limit: Electrical speeds in rad/s, voltages in V and torques in N m; None without a table.
+        v_nominal: Link voltage in V at which those speeds are the drive's; None where they are at
+            any.
+        limited: Currents beyond those in proportion to the torque, None without.
+        waveform: Currents over torque and angle, None where they are in proportion to the torque.
     """
 
     structure: Structure

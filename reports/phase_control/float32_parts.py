@@ -35,14 +35,10 @@ def shape_at(
 ) -> Stationary:
     """Back-EMF over electrical speed in Wb.
 
-    Parameters
-    ----------
-    shape:
-        Table, shape (1 or 3, N + 1), the last column as the first.
-    place:
-        Where to read, in lengths of the table, shape (M,).
-    opened:
-        Phase without current, 1 to 3, 0 for none; None where no phase can be open.
+    Args:
+        shape: Table, shape (1 or 3, N + 1), the last column as the first.
+        place: Where to read, in lengths of the table, shape (M,).
+        opened: Phase without current, 1 to 3, 0 for none; None where no phase can be open.
     """
     k, share = node_of(shape.shape[1] - 1, place)
     rows = rows_of(shape, k)
@@ -86,12 +82,9 @@ def node_of(nodes: int, place: SingleArray) -> tuple[NDArray[np.int64], SingleAr
 def rows_of(table: SingleArray, k: NDArray[np.int64]) -> list[tuple[SingleArray, SingleArray]]:
     """Both ends of an interval for the phases a, b, c.
 
-    Parameters
-    ----------
-    table:
-        Shape (1 or 3, nodes + 1), or (1 or 3, N, nodes + 1) with a table for each place.
-    k:
-        Intervals, shape (N,).
+    Args:
+        table: Shape (1 or 3, nodes + 1), or (1 or 3, N, nodes + 1) with a table for each place.
+        k: Intervals, shape (N,).
     """
     nodes, equal = table.shape[-1] - 1, table.shape[0] == 1
     found = []
@@ -130,20 +123,13 @@ def reference_at(
 ) -> Stationary:
     """Currents in A that make a torque.
 
-    Parameters
-    ----------
-    gains:
-        With ``pole_pairs`` and ``psi_pm``.
-    f:
-        Shape in Wb.
-    turn:
-        Cosine and sine of the angle.
-    torque:
-        In N m.
-    d:
-        Constant current of the d axis in A.
-    fade, zero:
-        Shares of the shape beside its fundamental, and of its zero sequence.
+    Args:
+        gains: With ``pole_pairs`` and ``psi_pm``.
+        f: Shape in Wb.
+        turn: Cosine and sine of the angle.
+        torque: In N m.
+        d: Constant current of the d axis in A.
+        fade, zero: Shares of the shape beside its fundamental, and of its zero sequence.
     """
     fading, rest = fade < _ONE, (_ONE - fade) * gains["psi_pm"]
     alpha = np.where(fading, (fade * f.alpha) - (rest * turn[1]), f.alpha)
@@ -165,16 +151,12 @@ def balanced(
 ) -> Stationary:
     """Currents less a zero sequence that balances the midpoint, at the same torque.
 
-    Parameters
-    ----------
-    i:
-        Currents in A.
-    f:
-        Shape in Wb.
-    balance:
-        What the zero sequence is lowered by, in A.
-    opened:
-        Phase without current, 1 to 3, 0 for none; two phases take the balance where one is open.
+    Args:
+        i: Currents in A.
+        f: Shape in Wb.
+        balance: What the zero sequence is lowered by, in A.
+        opened: Phase without current, 1 to 3, 0 for none; two phases take the balance where one is
+            open.
     """
     plane, triple = np.float32(1.5), np.float32(3.0)
     square = (plane * ((f.alpha * f.alpha) + (f.beta * f.beta))) + (triple * (f.zero * f.zero))
@@ -199,14 +181,10 @@ def largest_torque(
 ) -> SingleArray:  # fmt: skip
     """Largest torque in N m between the nodes of a table.
 
-    Parameters
-    ----------
-    nodes:
-        Electrical speeds in rad/s and DC-link voltages in V, at least two each.
-    torque:
-        In N m, shape (speeds, voltages).
-    omega_e, v_dc:
-        Where, shape (N,).
+    Args:
+        nodes: Electrical speeds in rad/s and DC-link voltages in V, at least two each.
+        torque: In N m, shape (speeds, voltages).
+        omega_e, v_dc: Where, shape (N,).
     """
     places = []
     for axis, value in zip(nodes, (omega_e, v_dc), strict=True):
@@ -227,14 +205,10 @@ def equal_load(
     """Electrical speeds in rad/s that load the nominal link as much as these do the link there is,
     shape (N,).
 
-    Parameters
-    ----------
-    omega_e, v_dc:
-        Speeds in rad/s, positive, and voltages in V.
-    v_nominal:
-        Nominal link voltage in V.
-    last:
-        The speed in rad/s where there is no link.
+    Args:
+        omega_e, v_dc: Speeds in rad/s, positive, and voltages in V.
+        v_nominal: Nominal link voltage in V.
+        last: The speed in rad/s where there is no link.
     """
     there = v_dc > _ZERO
     with np.errstate(over="ignore", invalid="ignore"):
@@ -245,16 +219,11 @@ def equal_load(
 def to_frame(frame: str, f: Stationary, x: Stationary, psi_pm: Any) -> Stationary:
     """Coordinates d, q and 0 of dqx or dqy, over its amplitude factor.
 
-    Parameters
-    ----------
-    frame:
-        ``dqx`` or ``dqy``.
-    f:
-        Shape in Wb.
-    x:
-        What is seen, in any unit.
-    psi_pm:
-        Flux of the fundamental in Wb.
+    Args:
+        frame: ``dqx`` or ``dqy``.
+        f: Shape in Wb.
+        x: What is seen, in any unit.
+        psi_pm: Flux of the fundamental in Wb.
     """
     scale = _ONE / psi_pm
     along = (f.alpha * x.alpha) + (f.beta * x.beta)
@@ -304,18 +273,12 @@ def coupling(
 ) -> Stationary:
     """Voltage in V of currents that are constant in dqx or dqy, as these turn and change.
 
-    Parameters
-    ----------
-    frame:
-        ``dqx`` or ``dqy``.
-    gains:
-        With ``psi_pm``, ``l_q`` and ``l_0``.
-    f, slope:
-        Shape in Wb and its derivative by the angle.
-    x:
-        Currents d, q and 0 over the amplitude factor, in A.
-    omega_e:
-        Electrical speed in rad/s.
+    Args:
+        frame: ``dqx`` or ``dqy``.
+        gains: With ``psi_pm``, ``l_q`` and ``l_0``.
+        f, slope: Shape in Wb and its derivative by the angle.
+        x: Currents d, q and 0 over the amplitude factor, in A.
+        omega_e: Electrical speed in rad/s.
     """
     two, half = np.float32(2.0), np.float32(0.5)
     square, side, inverse = _side(f)

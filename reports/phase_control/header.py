@@ -78,10 +78,8 @@ def surroundings(solution: Solution) -> Surroundings:
 def plain_solution_control(solution: Solution, control: PhaseControl) -> PlainData:
     """The emitted control of a solution as plain data.
 
-    Raises
-    ------
-    InputError
-        As `plain_phase_control`; or the current reference is in fixed point.
+    Raises:
+        InputError: As `plain_phase_control`; or the current reference is in fixed point.
     """
     if control.frame == "dq" and isinstance(solution.fit.reference, FixedReference):
         raise InputError(
@@ -202,10 +200,8 @@ def preamble(plain: Mapping[str, Any]) -> list[str]:
 def phase_control_files(solution: Solution, control: PhaseControl) -> dict[str, bytes]:
     """Name and bytes of ``<prefix>_control.h``.
 
-    Raises
-    ------
-    InputError
-        As `plain_solution_control`.
+    Raises:
+        InputError: As `plain_solution_control`.
     """
     plain = plain_solution_control(solution, control)
     context = {

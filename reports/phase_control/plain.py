@@ -50,18 +50,12 @@ _FADE_SHARE = 5.0  # over the last fifth of the frequencies
 class Surroundings:
     """What the emitted control takes from the design beside its current control.
 
-    Parameters
-    ----------
-    modulation:
-        Modulator of three legs without a neutral.
-    voltage_margin:
-        Share of the DC link that stays unused.
-    speed:
-        Gains of the speed loop, None without one.
-    ratio:
-        Current samples per speed sample.
-    speed_filter:
-        Share of a new speed sample, 1 without filter.
+    Args:
+        modulation: Modulator of three legs without a neutral.
+        voltage_margin: Share of the DC link that stays unused.
+        speed: Gains of the speed loop, None without one.
+        ratio: Current samples per speed sample.
+        speed_filter: Share of a new speed sample, 1 without filter.
     """
 
     modulation: ModulationName
@@ -172,10 +166,8 @@ def plain_phase_control(
     ``by_waveform`` says that the references are those of the header of phase currents, ``start_up``
     that a start without encoder adds currents to them.
 
-    Raises
-    ------
-    InputError
-        It is not emitted; the message says what is instead.
+    Raises:
+        InputError: It is not emitted; the message says what is instead.
     """
     _require(control)
     flux: FloatArray = np.concatenate([control.shape.flux, control.shape.flux[:, :1]], axis=1)
@@ -213,10 +205,8 @@ def plain_phase_control(
 def structure_of(plain: Mapping[str, Any]) -> Structure:
     """What the code is made of, from data as `plain_phase_control` makes them.
 
-    Raises
-    ------
-    KeyError, TypeError, ValueError
-        They are not.
+    Raises:
+        KeyError, TypeError, ValueError: They are not.
     """
     whole = {name: plain[name] for name in ("turns", "ratio")}
     orders = {name: tuple(plain[name]) for name in ("plane", "zero_orders")}
@@ -258,10 +248,8 @@ def _array(rows: Any) -> SingleArray:
 def phase_control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> PhaseControlModel:
     """Read the control functions back from a result and its part that describes them.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_phase_control` makes.
+    Raises:
+        InputError: The data are not what `plain_phase_control` makes.
     """
     try:
         structure = structure_of(described)

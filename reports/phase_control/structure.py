@@ -15,24 +15,18 @@ if TYPE_CHECKING:
 class Structure:
     """What stands in the code, beside the numbers that can be changed at run time.
 
-    Parameters
-    ----------
-    frame, feedforward, topology, modulation:
-        As their words say; only topologies with three legs and no neutral use the modulator.
-    turns:
-        Electrical periods in the table of the back-EMF.
-    ratio:
-        Current samples per speed sample.
-    plane, zero:
-        Orders of the harmonic integrators in alpha and beta, signed, and of the zero sequence.
-    torque_limit:
-        Whether the torque is limited by a table.
-    salient:
-        Whether the inductances of d and q differ.
-    by_waveform:
-        Whether the references are those of the header of phase currents, over torque and angle.
-    start_up:
-        Whether a start without encoder adds currents to the references of a torque.
+    Args:
+        frame, feedforward, topology, modulation: As their words say; only topologies with three
+            legs and no neutral use the modulator.
+        turns: Electrical periods in the table of the back-EMF.
+        ratio: Current samples per speed sample.
+        plane, zero: Orders of the harmonic integrators in alpha and beta, signed, and of the zero
+            sequence.
+        torque_limit: Whether the torque is limited by a table.
+        salient: Whether the inductances of d and q differ.
+        by_waveform: Whether the references are those of the header of phase currents, over torque
+            and angle.
+        start_up: Whether a start without encoder adds currents to the references of a torque.
     """
 
     frame: CurrentFrame

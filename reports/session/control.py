@@ -81,16 +81,12 @@ def tune(design: Design) -> Tuning:
     """Tune the loops and the observer of a design, each checked as it is sampled,
     and over its tolerances.
 
-    Parameters
-    ----------
-    design:
-        Its section ``control`` names methods, bandwidths in rad/s and tolerances.
+    Args:
+        design: Its section ``control`` names methods, bandwidths in rad/s and tolerances.
 
-    Raises
-    ------
-    NoSolutionError
-        A loop is unstable or has less margin than required, nominally or at a corner of
-        the tolerances; says where. On a position observer as `require_observed`.
+    Raises:
+        NoSolutionError: A loop is unstable or has less margin than required, nominally or at a
+            corner of the tolerances; says where. On a position observer as `require_observed`.
     """
     gains = solve_gains(design)
     require_observed(design, gains)
@@ -178,21 +174,14 @@ def simulate(
 ) -> SimulatedDrive:
     """Emit the controller of a design, compile it with the plant, and run the design's scenario.
 
-    Parameters
-    ----------
-    design:
-        With a section ``simulation``.
-    switched:
-        Whether every switching instant is simulated, whatever the section says.
-    progress:
-        Called with the share that is done, 0 to 1.
+    Args:
+        design: With a section ``simulation``.
+        switched: Whether every switching instant is simulated, whatever the section says.
+        progress: Called with the share that is done, 0 to 1.
 
-    Raises
-    ------
-    InputError
-        There is no such section, or it does not fit the design.
-    VerificationError
-        There is no C compiler.
+    Raises:
+        InputError: There is no such section, or it does not fit the design.
+        VerificationError: There is no C compiler.
     """
     from dqforge.reports.firmware.design_simulation import simulate_with_firmware
 

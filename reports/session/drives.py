@@ -29,38 +29,26 @@ from dqforge.machines.names import ModulationName
 from dqforge.optimizer.operating_points.drive_points import LimitedDrive, limited_drive
 from dqforge.optimizer.operating_points.operating_map import voltage_limit
 
+# Switching frequency in Hz of an inverter of which only the voltage counts; nothing depends on it.
 DqMachine = LinearMachine | SaturatedMachine
-
-
 _NO_CARRIER = 10e3
 
-"""Switching frequency in Hz of an inverter of which only the voltage counts;
-nothing depends on it."""
-
-
+# What a flux map may say that no machine has; all else is checked where a machine is made.
 _MOST_MARGIN = 0.9
-
-
 _OF_A_MAP = ("l_d", "l_q", "psi_pm")
-
-"""What a flux map may say that no machine has; all else is checked where a machine is made."""
 
 
 def load_design(source: str | Path, changes: Mapping[str, Any] | None = None) -> Design:
     """The design in a file, or that of a library drive by its name.
 
-    Parameters
-    ----------
-    source:
-        Path of a design file, or one of `library`; a file of that name comes first.
-    changes:
-        Keys that are set instead of what the file says, as by ``--set``: dotted keys with numbers
-        in SI units, names, lists or mappings, such as ``{"fit.degree": 3, "inverter.v_dc": 48.0}``.
+    Args:
+        source: Path of a design file, or one of `library`; a file of that name comes first.
+        changes: Keys that are set instead of what the file says, as by ``--set``: dotted keys with
+            numbers in SI units, names, lists or mappings, such as ``{"fit.degree": 3,
+            "inverter.v_dc": 48.0}``.
 
-    Raises
-    ------
-    InputError
-        There is neither, or the content is wrong, with file, line and column.
+    Raises:
+        InputError: There is neither, or the content is wrong, with file, line and column.
     """
     name = str(source)
     given = {} if changes is None else changes
@@ -87,10 +75,8 @@ def limited(
 
     Limits that are given count in place of the design's.
 
-    Raises
-    ------
-    InputError
-        A limit is missing, or is no number that can be one.
+    Raises:
+        InputError: A limit is missing, or is no number that can be one.
     """
     names = tuple(MODULATORS)
     if modulation not in names:
@@ -146,10 +132,8 @@ def asked_of(drive: Design | DqMachine, section: str) -> Iterator[None]:
 def numbers(values: ArrayLike, name: str, unit: str) -> FloatArray:
     """An array of finite numbers, any shape.
 
-    Raises
-    ------
-    InputError
-        It holds texts, or what is not finite.
+    Raises:
+        InputError: It holds texts, or what is not finite.
     """
     try:
         array = np.asarray(values, dtype=np.float64)
@@ -169,10 +153,8 @@ def _said(values: object) -> str:
 def together(values: Mapping[str, FloatArray]) -> tuple[int, ...]:
     """The common shape of arrays by their names.
 
-    Raises
-    ------
-    InputError
-        They have none.
+    Raises:
+        InputError: They have none.
     """
     try:
         return np.broadcast_shapes(*(array.shape for array in values.values()))

@@ -61,15 +61,12 @@ class Solution(Result):
 def solve(design: Design) -> Solution:
     """Solve everything that a design asks for, as `dqforge run` does before it emits.
 
-    Parameters
-    ----------
-    design:
-        A design file, a library drive, or one made of a machine.
+    Args:
+        design: A design file, a library drive, or one made of a machine.
 
-    Raises
-    ------
-    InputError, NoSolutionError
-        What it asks for is contradictory, or cannot be had; the message names the section.
+    Raises:
+        InputError, NoSolutionError: What it asks for is contradictory, or cannot be had; the
+            message names the section.
     """
     return Solution(solved.solve(design))
 
@@ -96,10 +93,8 @@ class Emission(Result):
     def write(self, folder: str | Path) -> list[Path]:
         """Put all files into a folder at once, with the design that they come from, for `verify`.
 
-        Raises
-        ------
-        InputError
-            The folder cannot be written; it is as it was.
+        Raises:
+            InputError: The folder cannot be written; it is as it was.
         """
         contents = {name: text.encode("utf-8") for name, text in self.files.items()}
         return write_output(Path(folder), RUN, contents, self.design)
@@ -114,22 +109,15 @@ class Emission(Result):
 def emit(design: Design, folder: str | Path | None = None) -> Emission:
     """The C headers of a design, their test vectors, and the result that describes them.
 
-    Parameters
-    ----------
-    design:
-        A design file, a library drive, or one made of a machine.
-    folder:
-        Where to put them as well; None for texts alone.
+    Args:
+        design: A design file, a library drive, or one made of a machine.
+        folder: Where to put them as well; None for texts alone.
 
-    Returns
-    -------
-    Emission
+    Returns:
         The same texts every time; `verify` proves them.
 
-    Raises
-    ------
-    InputError, NoSolutionError
-        As `solve`.
+    Raises:
+        InputError, NoSolutionError: As `solve`.
     """
     files = export_design(design, verify=False).files
     made = Emission(design, {name: content.decode("utf-8") for name, content in files.items()})
@@ -173,17 +161,13 @@ def verify(emitted: Emission | str | Path) -> Verified:
     """Compute what was emitted again from its design, compile the C, run it,
     and compare every value and every bit.
 
-    Parameters
-    ----------
-    emitted:
-        What `emit` gave, or a folder that it or ``dqforge run`` wrote.
+    Args:
+        emitted: What `emit` gave, or a folder that it or ``dqforge run`` wrote.
 
-    Raises
-    ------
-    InputError
-        The folder is not what dqforge writes.
-    VerificationError
-        Something differs, or no C compiler is there; the message names the first difference.
+    Raises:
+        InputError: The folder is not what dqforge writes.
+        VerificationError: Something differs, or no C compiler is there; the message names the first
+            difference.
     """
     if isinstance(emitted, Emission):
         return Verified(_verified(emitted.design, emitted.files), None)

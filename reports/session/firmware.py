@@ -32,10 +32,8 @@ Places = str | Path | Sequence[str | Path]
 def _paths(files: Places) -> list[Path]:
     """One file, or several, as paths.
 
-    Raises
-    ------
-    InputError
-        There is none.
+    Raises:
+        InputError: There is none.
     """
     found = [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]
     if not found:
@@ -72,17 +70,12 @@ class FirmwareFile(Result):
 def read_firmware(files: Places, *, machine: Design | None = None) -> FirmwareFile:
     """The configuration in a file of another firmware, or in several of one.
 
-    Parameters
-    ----------
-    files:
-        One file, or several of one firmware.
-    machine:
-        A design whose machine it runs on, in place of the one that it tells of.
+    Args:
+        files: One file, or several of one firmware.
+        machine: A design whose machine it runs on, in place of the one that it tells of.
 
-    Raises
-    ------
-    InputError
-        A file is of no known firmware, or not what that writes; with the line.
+    Raises:
+        InputError: A file is of no known firmware, or not what that writes; with the line.
     """
     configuration, _ = read_configuration(_paths(files))
     return FirmwareFile(explain(configuration, None if machine is None else drive_values(machine)))
@@ -91,17 +84,14 @@ def read_firmware(files: Places, *, machine: Design | None = None) -> FirmwareFi
 def design_from_firmware(files: Places, changes: Mapping[str, str] | None = None) -> Design:
     """A design of what files of another firmware say, its gains kept, judged as that firmware.
 
-    Parameters
-    ----------
-    files:
-        One file, or several of one firmware.
-    changes:
-        Keys that they do not say, with texts as by ``--set``: ``{"inverter.v_dc": "48 V"}``.
+    Args:
+        files: One file, or several of one firmware.
+        changes: Keys that they do not say, with texts as by ``--set``: ``{"inverter.v_dc": "48
+            V"}``.
 
-    Raises
-    ------
-    InputError
-        As `read_firmware`; or they do not say all that a design needs, and ``changes`` neither.
+    Raises:
+        InputError: As `read_firmware`; or they do not say all that a design needs, and ``changes``
+            neither.
     """
     paths = _paths(files)
     settings = [f"{key}={value}" for key, value in (changes or {}).items()]
@@ -153,24 +143,17 @@ def export_for(
 ) -> FirmwareExport:
     """A design as the files of another firmware, each read back before it is given out.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    firmware:
-        Whose files: ``vesc``, ``simplefoc``, ``moteus``, ``odrive``, ``nxp``, ``st``, ``ti`` or
-        ``infineon``.
-    into:
-        An existing file whose other fields are kept.
-    settle:
-        Whether the loops are simulated, and refused where they do not settle.
+    Args:
+        design: The design.
+        firmware: Whose files: ``vesc``, ``simplefoc``, ``moteus``, ``odrive``, ``nxp``, ``st``,
+            ``ti`` or ``infineon``.
+        into: An existing file whose other fields are kept.
+        settle: Whether the loops are simulated, and refused where they do not settle.
 
-    Raises
-    ------
-    InputError
-        There is no such firmware, it needs what the design does not say, or the file is not its.
-    NoSolutionError
-        Its loops do not settle on this drive; says why.
+    Raises:
+        InputError: There is no such firmware, it needs what the design does not say, or the file is
+            not its.
+        NoSolutionError: Its loops do not settle on this drive; says why.
     """
     name = method_of(firmware, option="firmware").name
     existing = None if into is None else read_text_file(into)

@@ -227,27 +227,21 @@ def losses(
     """Complete loss budgets of strategies and modulators, at points or at
     those that the design names.
 
-    Parameters
-    ----------
-    design:
-        With a device in its inverter the bridge counts, too.
-    torque, omega_m:
-        Torques in N m and mechanical speeds in rad/s, broadcast together to P points; None for
-        those of the section ``losses`` of the design.
-    strategies:
-        Some of ``mtpa``, ``id0``, ``least-loss``; None for the design's, else ``mtpa``. Machines
-        with any back-EMF are compared by the rules ``dq``, ``dqx``, ``dqy`` and ``limited``.
-    modulations:
-        Modulators by name; None for the design's, else spwm, svpwm, dpwm1 and ddt-gdpwm.
-    f_sw:
-        Switching frequency in Hz; None for the design's.
-    margin:
-        Share of the voltage that is kept for control; None for the design's.
+    Args:
+        design: With a device in its inverter the bridge counts, too.
+        torque, omega_m: Torques in N m and mechanical speeds in rad/s, broadcast together to P
+            points; None for those of the section ``losses`` of the design.
+        strategies: Some of ``mtpa``, ``id0``, ``least-loss``; None for the design's, else ``mtpa``.
+            Machines with any back-EMF are compared by the rules ``dq``, ``dqx``, ``dqy`` and
+            ``limited``.
+        modulations: Modulators by name; None for the design's, else spwm, svpwm, dpwm1 and
+            ddt-gdpwm.
+        f_sw: Switching frequency in Hz; None for the design's.
+        margin: Share of the voltage that is kept for control; None for the design's.
 
-    Raises
-    ------
-    InputError
-        A name is unknown, a number is not finite, or the design names no points and none are given.
+    Raises:
+        InputError: A name is unknown, a number is not finite, or the design names no points and
+            none are given.
     """
     settings = design.losses
     if (torque is None) != (omega_m is None):
@@ -302,23 +296,16 @@ def loss_map(
 ) -> LossMap:
     """Losses of all alternatives over the motoring quadrant, and who loses least where.
 
-    Parameters
-    ----------
-    design, strategies, modulations:
-        As for `losses`.
-    torques, speeds:
-        Numbers of grid points, 2 to 2000; the map ends at the most torque and the largest speed.
-    f_sw:
-        Switching frequencies in Hz, each an alternative; None for the design's.
-    margin:
-        Share of the voltage that is kept for control.
+    Args:
+        design, strategies, modulations: As for `losses`.
+        torques, speeds: Numbers of grid points, 2 to 2000; the map ends at the most torque and the
+            largest speed.
+        f_sw: Switching frequencies in Hz, each an alternative; None for the design's.
+        margin: Share of the voltage that is kept for control.
 
-    Raises
-    ------
-    InputError
-        A name is unknown, or more than 4 million budgets are asked for.
-    NoSolutionError
-        The limits leave no speed at all.
+    Raises:
+        InputError: A name is unknown, or more than 4 million budgets are asked for.
+        NoSolutionError: The limits leave no speed at all.
     """
     sizes = whole(torques, "torques", 2, _MOST_CELLS), whole(speeds, "speeds", 2, _MOST_CELLS)
     settings = design.losses

@@ -111,10 +111,8 @@ class OperatingPoints(Result):
         """An xarray.Dataset over torque and omega_m, of points that were asked for on a grid,
         shape (N, M).
 
-        Raises
-        ------
-        InputError
-            xarray is not installed, or the points are no grid of torques by speeds.
+        Raises:
+            InputError: xarray is not installed, or the points are no grid of torques by speeds.
         """
         wanted, speed = self.torque_request, self.omega_m
         if wanted.ndim != 2 or np.any(wanted != wanted[:, :1]) or np.any(speed != speed[:1]):
@@ -256,36 +254,25 @@ def operating_points(
 
     MTPA where nothing limits, field weakening and MTPV where the voltage does.
 
-    Parameters
-    ----------
-    drive:
-        A design, or a machine alone.
-    torque:
-        In N m, any sign and shape.
-    omega_m:
-        Mechanical speed in rad/s, any sign; broadcast with the torque, so that ``torque[:, None]``
-        and ``omega_m[None, :]`` make a grid.
-    v_dc:
-        Voltage of the dc link in V; None takes the design's.
-    i_max:
-        Current limit in A (peak of phase); None takes the design's or the machine's.
-    modulation:
-        Modulator whose linear range limits the voltage: ``spwm``, ``svpwm``, ``dpwm1``, ...
-    margin:
-        Share of that voltage, 0 to below 0.9, that is kept for control.
-    objective:
-        ``copper``, or ``total`` for the loss of machine and inverter together.
+    Args:
+        drive: A design, or a machine alone.
+        torque: In N m, any sign and shape.
+        omega_m: Mechanical speed in rad/s, any sign; broadcast with the torque, so that ``torque[:,
+            None]`` and ``omega_m[None, :]`` make a grid.
+        v_dc: Voltage of the dc link in V; None takes the design's.
+        i_max: Current limit in A (peak of phase); None takes the design's or the machine's.
+        modulation: Modulator whose linear range limits the voltage: ``spwm``, ``svpwm``, ``dpwm1``,
+            ...
+        margin: Share of that voltage, 0 to below 0.9, that is kept for control.
+        objective: ``copper``, or ``total`` for the loss of machine and inverter together.
 
-    Returns
-    -------
-    OperatingPoints
+    Returns:
         Arrays of the common shape. Where the torque cannot be had, the nearest that can,
         with ``reached`` false.
 
-    Raises
-    ------
-    InputError
-        A number is not finite, shapes do not fit, or a machine alone comes without v_dc.
+    Raises:
+        InputError: A number is not finite, shapes do not fit, or a machine alone comes without
+            v_dc.
     """
     wanted, speed = numbers(torque, "torque", "N m"), numbers(omega_m, "omega_m", "rad/s")
     shape, minimised = together({"torque": wanted, "omega_m": speed}), _objective(objective)
@@ -309,20 +296,14 @@ def operating_map(
     """Operating points from standstill to the largest speed and from no torque to the most,
     with the limits.
 
-    Parameters
-    ----------
-    drive, v_dc, i_max, modulation, margin, objective:
-        As for `operating_points`.
-    torques, speeds:
-        Numbers of grid points, 2 to 2000. The largest speed is the machine's,
-        or three times the base speed.
+    Args:
+        drive, v_dc, i_max, modulation, margin, objective: As for `operating_points`.
+        torques, speeds: Numbers of grid points, 2 to 2000. The largest speed is the machine's, or
+            three times the base speed.
 
-    Raises
-    ------
-    InputError
-        As `operating_points`.
-    NoSolutionError
-        The resistance drop takes the whole voltage even at standstill.
+    Raises:
+        InputError: As `operating_points`.
+        NoSolutionError: The resistance drop takes the whole voltage even at standstill.
     """
     sizes = whole(torques, "torques", 2, _MOST_CELLS), whole(speeds, "speeds", 2, _MOST_CELLS)
     minimised = _objective(objective)
@@ -346,15 +327,11 @@ def characteristics(
 ) -> Characteristics:
     """Most torque, base speed, most power, characteristic current and largest speed of a drive.
 
-    Parameters
-    ----------
-    drive, v_dc, i_max, modulation, margin:
-        As for `operating_points`.
+    Args:
+        drive, v_dc, i_max, modulation, margin: As for `operating_points`.
 
-    Raises
-    ------
-    InputError
-        As `operating_points`.
+    Raises:
+        InputError: As `operating_points`.
     """
     bounded = limited(drive, v_dc=v_dc, i_max=i_max, modulation=modulation, margin=margin)
     with asked_of(drive, "operation"):

@@ -106,15 +106,12 @@ class Fit(DrawnResult):
 def fit(design: Design) -> Fit:
     """Fit the current references of a design as its section ``fit`` asks.
 
-    Parameters
-    ----------
-    design:
-        With the form, or the budget that the cheapest one must keep.
+    Args:
+        design: With the form, or the budget that the cheapest one must keep.
 
-    Raises
-    ------
-    InputError, NoSolutionError
-        The form does not suit the machine, or no form keeps the budget.
+    Raises:
+        InputError, NoSolutionError: The form does not suit the machine, or no form keeps the
+            budget.
     """
     positive = signed_designs(design)[0]
     chosen = solve_fit(positive)
@@ -126,20 +123,14 @@ def certify(asked: Design | Fit) -> Fit:
     """Bounds of the errors of a current reference, proven for every torque of its domain,
     rounding included.
 
-    Parameters
-    ----------
-    asked:
-        A design, or the fit of one.
+    Args:
+        asked: A design, or the fit of one.
 
-    Returns
-    -------
-    Fit
+    Returns:
         The fit with its ``certificate``.
 
-    Raises
-    ------
-    NoSolutionError
-        No bounds could be proven.
+    Raises:
+        NoSolutionError: No bounds could be proven.
     """
     found = fit(asked) if isinstance(asked, Design) else asked
     proof = _proof(found.design, found)

@@ -23,11 +23,9 @@ if TYPE_CHECKING:
 
 
 _MOST_ROWS = 40
-
-
 _MOST_LINES, _WIDEST = 9, 100
 
-
+# Units by the end of a key, the longer ends first; docs/reference/json.md says how keys are named.
 _UNITS = {
     "_rad_per_s": "rad/s",
     "_Nms_per_rad": "N m s/rad",
@@ -50,10 +48,6 @@ _UNITS = {
     "_W": "W",
     "_s": "s",
 }
-
-"""Units by the end of a key, the longer ends first; docs/reference/json.md says how keys are
-named.
-"""
 
 
 class Result(ABC):
@@ -102,10 +96,8 @@ class DrawnResult(Result):
 
         The same result gives the same bytes.
 
-        Raises
-        ------
-        InputError
-            The file has another ending, or cannot be written.
+        Raises:
+            InputError: The file has another ending, or cannot be written.
         """
         from dqforge.reports.pages.figures_style import save
         from dqforge.reports.pages.files import check_figure_path
@@ -194,10 +186,8 @@ def dataset(
 
     The values run over all of them.
 
-    Raises
-    ------
-    InputError
-        xarray is not installed.
+    Raises:
+        InputError: xarray is not installed.
     """
     try:
         import xarray

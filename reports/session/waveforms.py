@@ -91,19 +91,13 @@ class BackEmf(DrawnResult):
     ) -> PhaseMachine:
         """A machine with this back-EMF, the mean of its phases and half waves.
 
-        Parameters
-        ----------
-        pole_pairs:
-            Number of pole pairs.
-        r_s:
-            Phase resistance in Ohm.
-        l_s, m_s:
-            Self inductance of a phase and mutual inductance between two in H
-            (``m_s`` usually negative).
-        i_max:
-            Largest phase current in A, peak.
-        harmonics:
-            Highest order that is taken.
+        Args:
+            pole_pairs: Number of pole pairs.
+            r_s: Phase resistance in Ohm.
+            l_s, m_s: Self inductance of a phase and mutual inductance between two in H (``m_s``
+                usually negative).
+            i_max: Largest phase current in A, peak.
+            harmonics: Highest order that is taken.
         """
         found = self.reading.result
         taken = found.orders <= whole(harmonics, "harmonics", 1, _MOST_HARMONICS)
@@ -142,31 +136,20 @@ def read_back_emf(
 ) -> BackEmf:
     """Read a capture of the back-EMF of three phases: one file, or one for each channel.
 
-    Parameters
-    ----------
-    files:
-        Text of any layout, .mat, or one of these with .gz behind it.
-    pole_pairs:
-        Needed for constants per mechanical speed, and for mechanical angles.
-    omega_m:
-        Mechanical speed in rad/s; needed where the capture is over an angle in V.
-    line_to_line:
-        Whether the channels are ab, bc and ca instead of a, b, c.
-    columns:
-        Headings or one-based numbers of the time (or angle) and the three voltages,
-        where they are unusual.
-    scale:
-        Factors of the three channels, for probes.
-    interval:
-        Time between two samples in s, for files that do not say it.
-    harmonics:
-        Highest order, 1 to 200.
+    Args:
+        files: Text of any layout, .mat, or one of these with .gz behind it.
+        pole_pairs: Needed for constants per mechanical speed, and for mechanical angles.
+        omega_m: Mechanical speed in rad/s; needed where the capture is over an angle in V.
+        line_to_line: Whether the channels are ab, bc and ca instead of a, b, c.
+        columns: Headings or one-based numbers of the time (or angle) and the three voltages, where
+            they are unusual.
+        scale: Factors of the three channels, for probes.
+        interval: Time between two samples in s, for files that do not say it.
+        harmonics: Highest order, 1 to 200.
 
-    Raises
-    ------
-    InputError
-        A file is not what it claims to be, with the line where that begins,
-        or no three-phase back-EMF.
+    Raises:
+        InputError: A file is not what it claims to be, with the line where that begins, or no
+            three-phase back-EMF.
     """
     paths = [Path(files)] if isinstance(files, str | Path) else [Path(name) for name in files]
     if interval is not None and not (np.isfinite(interval) and interval > 0.0):
@@ -236,25 +219,17 @@ def waveforms(
 ) -> Waveforms:
     """Shape the phase currents of a machine whose back-EMF is not sinusoidal.
 
-    Parameters
-    ----------
-    design:
-        With a machine of the model ``waveform``.
-    torque, omega_m:
-        Operating point in N m and rad/s (mechanical); None for those of the design, else the
-        largest torque of the closed forms and the base speed.
-    ripple:
-        Permitted deviation of the torque from its mean, relative, 0 to below 1;
-        None for the design's.
-    open_phase:
-        A phase without current: ``a``, ``b`` or ``c``; None for the design's.
+    Args:
+        design: With a machine of the model ``waveform``.
+        torque, omega_m: Operating point in N m and rad/s (mechanical); None for those of the
+            design, else the largest torque of the closed forms and the base speed.
+        ripple: Permitted deviation of the torque from its mean, relative, 0 to below 1; None for
+            the design's.
+        open_phase: A phase without current: ``a``, ``b`` or ``c``; None for the design's.
 
-    Raises
-    ------
-    InputError
-        The back-EMF of the machine is sinusoidal, or an argument is none that can be.
-    NoSolutionError
-        No currents keep the limits; says what would have to give.
+    Raises:
+        InputError: The back-EMF of the machine is sinusoidal, or an argument is none that can be.
+        NoSolutionError: No currents keep the limits; says what would have to give.
     """
     changes: dict[str, Any] = {}
     for name, value, unit in (

@@ -43,10 +43,8 @@ from dqforge.reports.simulation.recorded_run import (
     Summary,
 )
 
+# Of every program with a plant in it, which more optimisation makes no faster.
 PLANT_FLAGS = ("-std=c99", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
-
-"""Of every program with a plant in it, which more optimisation makes no faster."""
-
 
 _HEARD = {
     "sum-voltage": "heard[0] + heard[1] + heard[2]",
@@ -55,7 +53,6 @@ _HEARD = {
     "voltage-c": "heard[2]",
 }
 
-
 _EXITS = {
     2: "its input is too short",
     3: "the gains are not those of its header",
@@ -63,7 +60,6 @@ _EXITS = {
     6: "the back-EMF given is not that of its header",
     7: "the gains of the observer are not those of its header",
 }
-
 
 Progress = Callable[[float], None]
 
@@ -107,30 +103,22 @@ def compile_simulator(
 ) -> Simulator:
     """Compile the plant around a controller.
 
-    Parameters
-    ----------
-    folder:
-        Where sources and program are written; it must exist, and programs
-        must be allowed to run there.
-    files:
-        Emitted headers by name, that of the control functions in ``number_format`` among them; None
-        for a plant without controller, which runs scenarios of the mode ``open-loop`` only.
-    prefix:
-        That of the headers.
-    observers:
-        Names in C of the observers to run: ``reduced_order`` of ``<prefix>_speed_observer.h``, any
-        other of ``<prefix>_observer.h``.
-    topology:
-        That of the header where it controls a phase machine (duty cycles by the names of legs, a
-        back-EMF to swap); None for the control of machines with a sinusoidal back-EMF.
-    number_format:
-        Whose control functions (and observers) run: those of ``<prefix>_control.h``, or those in
-        integers of ``<prefix>_control_q15.h`` and the like.
+    Args:
+        folder: Where sources and program are written; it must exist, and programs must be allowed
+            to run there.
+        files: Emitted headers by name, that of the control functions in ``number_format`` among
+            them; None for a plant without controller, which runs scenarios of the mode
+            ``open-loop`` only.
+        prefix: That of the headers.
+        observers: Names in C of the observers to run: ``reduced_order`` of
+            ``<prefix>_speed_observer.h``, any other of ``<prefix>_observer.h``.
+        topology: That of the header where it controls a phase machine (duty cycles by the names of
+            legs, a back-EMF to swap); None for the control of machines with a sinusoidal back-EMF.
+        number_format: Whose control functions (and observers) run: those of ``<prefix>_control.h``,
+            or those in integers of ``<prefix>_control_q15.h`` and the like.
 
-    Raises
-    ------
-    VerificationError
-        There is no compiler, or the header does not compile.
+    Raises:
+        VerificationError: There is no compiler, or the header does not compile.
     """
     controller = prefix if files else ""
     sources = simulation_sources(files, prefix, observers, topology, number_format)
@@ -208,19 +196,13 @@ def compiled(
 ) -> Path:
     """The program of sources and headers.
 
-    Parameters
-    ----------
-    folder:
-        Where they and the program are written.
-    files, sources:
-        Emitted headers, and C code, by name.
-    main:
-        The source that is compiled.
+    Args:
+        folder: Where they and the program are written.
+        files, sources: Emitted headers, and C code, by name.
+        main: The source that is compiled.
 
-    Raises
-    ------
-    VerificationError
-        There is no compiler, or the sources do not compile.
+    Raises:
+        VerificationError: There is no compiler, or the sources do not compile.
     """
     compiler = require_compiler()
     for name, content in files.items():
@@ -304,12 +286,9 @@ def _runs(
 def records_of(written: bytes, runs: int) -> list[tuple[FloatArray, FloatArray]]:
     """(figures, rows of shape (N, columns)) of each run that a program wrote.
 
-    Parameters
-    ----------
-    written:
-        Its output.
-    runs:
-        How many it ran.
+    Args:
+        written: Its output.
+        runs: How many it ran.
     """
     numbers = np.frombuffer(written, dtype=np.float64)
     found, place = [], 0
@@ -344,33 +323,21 @@ def simulate(
 ) -> Simulation:
     """Run one drive through a scenario.
 
-    Parameters
-    ----------
-    simulator:
-        The compiled program.
-    drive, scenario:
-        What is simulated.
-    stride:
-        Samples per recorded row.
-    tail:
-        Share of the duration from which `Summary.tail_error` counts.
-    gains:
-        Bytes of the controller's C structure of gains; empty for those in its header. Where it
-        ends with a pointer to the back-EMF, the program fills that in.
-    shape:
-        Bytes of its C structure of the back-EMF; empty for that in its header.
-    progress:
-        Called with the share that is done.
-    observer:
-        Bytes of the C structure of the position observer's gains, in float32; empty for those in
-        its header.
+    Args:
+        simulator: The compiled program.
+        drive, scenario: What is simulated.
+        stride: Samples per recorded row.
+        tail: Share of the duration from which `Summary.tail_error` counts.
+        gains: Bytes of the controller's C structure of gains; empty for those in its header. Where
+            it ends with a pointer to the back-EMF, the program fills that in.
+        shape: Bytes of its C structure of the back-EMF; empty for that in its header.
+        progress: Called with the share that is done.
+        observer: Bytes of the C structure of the position observer's gains, in float32; empty for
+            those in its header.
 
-    Raises
-    ------
-    InputError
-        As `dqforge.reports.simulation.compiled_plant.plant_input.run_input`.
-    VerificationError
-        The program cannot be run.
+    Raises:
+        InputError: As `dqforge.reports.simulation.compiled_plant.plant_input.run_input`.
+        VerificationError: The program cannot be run.
     """
     _require_controller(simulator, scenario)
     topology = _topology(simulator, drive, scenario)
@@ -404,18 +371,12 @@ def as_recorded(
 ) -> Simulation:
     """A run from the numbers that a program wrote.
 
-    Parameters
-    ----------
-    scenario:
-        What was simulated.
-    figures:
-        In the order of `SUMMARY`.
-    rows:
-        In the order of `COLUMNS`, shape (N, columns); further columns are left aside.
-    topology:
-        Of a phase machine, None for others.
-    applied:
-        Whether the program around the functions ran.
+    Args:
+        scenario: What was simulated.
+        figures: In the order of `SUMMARY`.
+        rows: In the order of `COLUMNS`, shape (N, columns); further columns are left aside.
+        topology: Of a phase machine, None for others.
+        applied: Whether the program around the functions ran.
     """
     columns = {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(COLUMNS)}
     duty = np.stack([columns.pop(f"duty_{phase}") for phase in "abc"], axis=1)

@@ -54,17 +54,9 @@ from dqforge.reports.speed_measurement.header import measurement_files
 from dqforge.reports.start_up.header import every_start_file
 from dqforge.reports.waveforms.header import waveform_files
 
-SETTLED = 0.02
-
-"""Share of a step within which the answer counts as settled."""
-
-
+SETTLED = 0.02  # Share of a step within which the answer counts as settled.
 _LAST = 0.1  # share of an interval over which its final error is averaged
-
-
 _MOST_STEPS = 12
-
-
 _MOST_ROWS = 2_000_000
 
 
@@ -189,10 +181,8 @@ def drive_of(design: Design) -> Drive:
 def emitted_files(solution: Solution, number_format: NumberFormat) -> dict[str, bytes]:
     """The headers that the controller in a format consists of.
 
-    Raises
-    ------
-    ValueError
-        The design does not emit that format.
+    Raises:
+        ValueError: The design does not emit that format.
     """
     measured = measurement_of_design(solution)
     if number_format == "float32":
@@ -218,10 +208,8 @@ def emitted_files(solution: Solution, number_format: NumberFormat) -> dict[str, 
 def controller_files(solution: Solution) -> dict[str, bytes]:
     """The headers that the controller in float32 consists of.
 
-    Raises
-    ------
-    InputError
-        The current references are in fixed point.
+    Raises:
+        InputError: The current references are in fixed point.
     """
     files = header_files(solution) | emitted_control_files(solution) | observers_of(solution)[0]
     if solution.start_up is not None:
@@ -267,10 +255,8 @@ def observers_of(solution: Solution) -> tuple[dict[str, bytes], tuple[str, ...]]
 def require_scenario(design: Design, *, switched: bool = False) -> Scenario:
     """The simulation that a design asks for.
 
-    Raises
-    ------
-    InputError
-        It asks for none.
+    Raises:
+        InputError: It asks for none.
     """
     if design.simulation is None:
         raise InputError(
@@ -313,23 +299,15 @@ def simulate_design(
     """Solve a design, emit its controller in every format that it asks for, compile each with the
     plant, and run the scenario.
 
-    Parameters
-    ----------
-    design:
-        With a section ``simulation``.
-    switched:
-        Whether every switching instant is simulated, whatever the section says.
-    solution:
-        That of the design, where it is there already.
-    progress:
-        Called with the share that is done.
+    Args:
+        design: With a section ``simulation``.
+        switched: Whether every switching instant is simulated, whatever the section says.
+        solution: That of the design, where it is there already.
+        progress: Called with the share that is done.
 
-    Raises
-    ------
-    InputError
-        There is no such section, or it does not fit the design.
-    VerificationError
-        There is no C compiler, or the header does not compile.
+    Raises:
+        InputError: There is no such section, or it does not fit the design.
+        VerificationError: There is no C compiler, or the header does not compile.
     """
     scenario = require_scenario(design, switched=switched)
     require_compiler()
@@ -459,12 +437,9 @@ def step_figures(
 ) -> tuple[StepFigures, ...]:
     """Answers to the steps of a held reference; none for lines and sines.
 
-    Parameters
-    ----------
-    time, value:
-        Samples in s, and of the controlled value, shape (N,).
-    reference:
-        What it follows.
+    Args:
+        time, value: Samples in s, and of the controlled value, shape (N,).
+        reference: What it follows.
     """
     if reference.shape != "hold" or reference.amplitude != 0.0:
         return ()

@@ -19,22 +19,13 @@ from dqforge.machines.phase_machines.salient_phase_machine import (
 from dqforge.machines.plants.scenario import Scenario
 from dqforge.machines.topologies.topology import TOPOLOGIES
 
+# Where the neutral ends, as the C code numbers it.
 _FLOATING, _LEG, _DIODES, _MIDPOINT, _LINK = range(5)
 
-"""Where the neutral ends, as the C code numbers it."""
-
-
+# Rows and columns of the six entries of a symmetric matrix, in the order of the C code.
 _ENTRIES = ((0, 0), (1, 1), (2, 2), (1, 2), (2, 0), (0, 1))
-
-"""Rows and columns of the six entries of a symmetric matrix, in the order of the C code."""
-
-
 _NEGLIGIBLE = 1e-13
-
-
-_NOTHING = 1e-12
-
-"""Share of the current limit below which a conductor has no current."""
+_NOTHING = 1e-12  # Share of the current limit below which a conductor has no current.
 
 
 def harmonics_table(waveforms: FloatArray) -> FloatArray:
@@ -42,10 +33,8 @@ def harmonics_table(waveforms: FloatArray) -> FloatArray:
 
     They are those of the interpolating trigonometric polynomial, without what is rounding.
 
-    Parameters
-    ----------
-    waveforms:
-        Values in any unit on an even grid over their period, shape (K, N).
+    Args:
+        waveforms: Values in any unit on an even grid over their period, shape (K, N).
     """
     count = waveforms.shape[1]
     spectrum = np.fft.rfft(waveforms, axis=1) * (2.0 / count)

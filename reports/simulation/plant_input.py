@@ -34,27 +34,14 @@ from dqforge.reports.simulation.phase_plant_input import (
 from dqforge.reports.simulation.plant_layout import PARAMETERS
 
 _MODES: dict[ControlMode, float] = {"speed": 0.0, "torque": 1.0, "current": 2.0, "open-loop": 3.0}
-
-
 _RELATIVE_STEP = 0.05
-
-
 _LEAST_STEPS = 2
-
 
 # the averaged dead time is a damping of up to four times the carrier frequency around zero current
 _DEAD_STEPS = 4
-
-
 _MOST_STEPS = 200
-
-
 _STOP = 100.0
-
-
-LONGEST_DELAY = 3.0
-
-"""Most sampling periods that the program keeps duty cycles waiting."""
+LONGEST_DELAY = 3.0  # Most sampling periods that the program keeps duty cycles waiting.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,22 +49,15 @@ class Drive:
     """What is simulated: a machine or a phase machine, its inverter, and the
     periods of the controllers.
 
-    Parameters
-    ----------
-    machine:
-        Machine in dq coordinates: constant inductances or a flux map.
-        Its mechanics hold for the phase machine, too.
-    inverter:
-        DC link, carrier and dead time.
-    t_s:
-        Sampling period in s.
-    ratio:
-        Current samples per sample of the speed controller.
-    phases:
-        Machine with another back-EMF than a sine, None for others.
-    delay:
-        Sampling periods from a sample until the duty cycles made of it begin to act, 0 to
-        `LONGEST_DELAY`; with a switched inverter a whole number of half carrier periods.
+    Args:
+        machine: Machine in dq coordinates: constant inductances or a flux map. Its mechanics hold
+            for the phase machine, too.
+        inverter: DC link, carrier and dead time.
+        t_s: Sampling period in s.
+        ratio: Current samples per sample of the speed controller.
+        phases: Machine with another back-EMF than a sine, None for others.
+        delay: Sampling periods from a sample until the duty cycles made of it begin to act, 0 to
+            `LONGEST_DELAY`; with a switched inverter a whole number of half carrier periods.
     """
 
     machine: Machine
@@ -189,10 +169,9 @@ def fits_carrier(drive: Drive) -> bool:
 def carrier_halves(drive: Drive, scenario: Scenario) -> int:
     """Half carrier periods per control period.
 
-    Raises
-    ------
-    InputError
-        The sampling and the carrier of a switched inverter do not fit, or the delay does not.
+    Raises:
+        InputError: The sampling and the carrier of a switched inverter do not fit, or the delay
+            does not.
     """
     exact = 2.0 * drive.inverter.f_sw * drive.t_s
     halves = max(1, round(exact))
@@ -277,29 +256,20 @@ def run_input(
 ) -> RunInput:
     """Numbers of one run.
 
-    Parameters
-    ----------
-    drive, scenario:
-        What is simulated.
-    stride:
-        Samples per recorded row; 0 for no record.
-    tail:
-        Share of the duration from which the largest error and current are kept.
-    gains:
-        Bytes of the C structure of gains; empty for those of the header.
-    shape:
-        Bytes of the C structure of the back-EMF that the controller knows; empty for that of the
-        header.
-    topology:
-        How the phases are fed; None for that of the inverter.
-    observer:
-        Bytes of the C structure of the position observer's gains; empty for those of its header.
+    Args:
+        drive, scenario: What is simulated.
+        stride: Samples per recorded row; 0 for no record.
+        tail: Share of the duration from which the largest error and current are kept.
+        gains: Bytes of the C structure of gains; empty for those of the header.
+        shape: Bytes of the C structure of the back-EMF that the controller knows; empty for that of
+            the header.
+        topology: How the phases are fed; None for that of the inverter.
+        observer: Bytes of the C structure of the position observer's gains; empty for those of its
+            header.
 
-    Raises
-    ------
-    InputError
-        The machine has no inertia and the shaft is free, the delay does not fit the inverter, or
-        what `carrier_halves` refuses.
+    Raises:
+        InputError: The machine has no inertia and the shaft is free, the delay does not fit the
+            inverter, or what `carrier_halves` refuses.
     """
     machine, errors, sensor = drive.machine, scenario.errors, scenario.sensor
     if machine.inertia is None and scenario.shaft is None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+# States of the plant; those from ``torque`` on serve phase machines, ``torque`` being the integral
+# of the torque and ``v_midpoint`` the voltage of a split link's midpoint above its half.
 STATES = (
     "i_x",
     "i_y",
@@ -22,15 +24,10 @@ STATES = (
     "e_copper_c",
 )
 
-"""States of the plant; those from ``torque`` on serve phase machines, ``torque`` being the integral
-of the torque and ``v_midpoint`` the voltage of a split link's midpoint above its half."""
-
-
+# Further states, where a tracker is told the voltages of the phases: their integrals, in V s.
 HEARD = ("v_a", "v_b", "v_c")
 
-"""Further states, where a tracker is told the voltages of the phases: their integrals, in V s."""
-
-
+# Fields of the C structure ``parameters_t``, all doubles, in this order.
 PARAMETERS = (
     *("mode", "t_s", "samples", "stride", "sub_steps", "tail", "progress", "seed", "i_stop"),
     *(
@@ -68,9 +65,7 @@ PARAMETERS = (
     *("edges", "clock", "measured_ratio"),
 )
 
-"""Fields of the C structure ``parameters_t``, all doubles, in this order."""
-
-
+# What is recorded at a sampling instant, in this order.
 COLUMNS = (
     *(
         "t",
@@ -93,9 +88,7 @@ COLUMNS = (
     *("duty_n", "duty_a2", "duty_b2", "duty_c2", "i_a", "i_b", "i_c", "i_n", "v_m", "torque_mean"),
 )
 
-"""What is recorded at a sampling instant, in this order."""
-
-
+# Figures of a run, in this order.
 SUMMARY = (
     *(
         "status",
@@ -113,5 +106,3 @@ SUMMARY = (
     *("e_magnetic", "e_midpoint", "tail_torque", "tail_ripple_means", "tail_ripple"),
     *("tail_neutral_rms", "tail_copper_a", "tail_copper_b", "tail_copper_c", "tail_midpoint"),
 )
-
-"""Figures of a run, in this order."""

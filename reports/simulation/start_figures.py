@@ -51,10 +51,8 @@ def _turned(run: Simulation) -> FloatArray:
 def start_figures(run: Simulation, record: StartRecord) -> StartFigures:
     """Figures of a start.
 
-    Parameters
-    ----------
-    run, record:
-        What was recorded.
+    Args:
+        run, record: What was recorded.
     """
     state, fault = record.start_state.astype(int), record.start_fault.astype(int)
     running = state == State.RUN
@@ -87,10 +85,8 @@ def start_figures(run: Simulation, record: StartRecord) -> StartFigures:
 def estimated(run: Simulation, record: StartRecord) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Samples at which the observer ruled, shape (N,).
 
-    Parameters
-    ----------
-    run, record:
-        What was recorded.
+    Args:
+        run, record: What was recorded.
     """
     ruled = (record.start_state == State.RUN) & np.isfinite(run.omega_m_observed)
     return np.asarray(ruled)
@@ -99,10 +95,8 @@ def estimated(run: Simulation, record: StartRecord) -> np.ndarray[tuple[int], np
 def spans(record: StartRecord) -> list[tuple[str, int, int]]:
     """States in turn: name, first sample, first sample of the next.
 
-    Parameters
-    ----------
-    record:
-        What was recorded.
+    Args:
+        record: What was recorded.
     """
     state = record.start_state.astype(int)
     edges = [0, *(np.flatnonzero(np.diff(state)) + 1).tolist(), state.size]

@@ -55,12 +55,9 @@ _SETTLING = 20  # commutations after a hand-over that do not count
 def drive_of_blocks(design: Design, found: SixStepDesign) -> Drive:
     """What is simulated: the machine in phase quantities, sampled once per carrier period.
 
-    Parameters
-    ----------
-    design:
-        Machine and inverter.
-    found:
-        Its six-step drive.
+    Args:
+        design: Machine and inverter.
+        found: Its six-step drive.
     """
     return Drive(design.machine, design.inverter, design.control.t_s, 1, found.phases)
 
@@ -86,23 +83,15 @@ def run_blocks(
 ) -> Simulation:
     """Compile plant and emitted control, and run a scenario.
 
-    Parameters
-    ----------
-    design:
-        Machine and inverter.
-    found:
-        Its six-step drive.
-    scenario:
-        Of the modes ``speed`` or ``torque``; every switching instant is simulated.
-    stride:
-        Periods per recorded row.
-    progress:
-        Called with the share that is done.
+    Args:
+        design: Machine and inverter.
+        found: Its six-step drive.
+        scenario: Of the modes ``speed`` or ``torque``; every switching instant is simulated.
+        stride: Periods per recorded row.
+        progress: Called with the share that is done.
 
-    Raises
-    ------
-    VerificationError
-        There is no compiler, or the program cannot be run.
+    Raises:
+        VerificationError: There is no compiler, or the program cannot be run.
     """
     prefix = design.export.prefix
     switched = replace(scenario, inverter="switched")
@@ -128,12 +117,9 @@ def commutations(found: SixStepDesign, run: Simulation) -> tuple[NDArray[np.intp
     """Rows at which the estimator handed the current on, from the twentieth on after each
     hand-over, and by how much they are late in rad (electrical).
 
-    Parameters
-    ----------
-    found:
-        The six-step drive.
-    run:
-        Its run, every period recorded.
+    Args:
+        found: The six-step drive.
+        run: Its run, every period recorded.
     """
     blocks = run.blocks
     assert blocks is not None
@@ -155,12 +141,9 @@ def commutations(found: SixStepDesign, run: Simulation) -> tuple[NDArray[np.intp
 def block_figures(found: SixStepDesign, run: Simulation) -> BlockFigures:
     """What is read off a run.
 
-    Parameters
-    ----------
-    found:
-        The six-step drive.
-    run:
-        Its run, every period recorded.
+    Args:
+        found: The six-step drive.
+        run: Its run, every period recorded.
     """
     blocks = run.blocks
     assert blocks is not None
@@ -222,23 +205,15 @@ def simulate_six_step(
 ) -> DriveSimulation:
     """Run the scenario of a six-step drive with its emitted control.
 
-    Parameters
-    ----------
-    design:
-        With a section ``simulation``.
-    found:
-        Its six-step drive, where it is there already.
-    progress:
-        Called with the share that is done.
+    Args:
+        design: With a section ``simulation``.
+        found: Its six-step drive, where it is there already.
+        progress: Called with the share that is done.
 
-    Raises
-    ------
-    InputError
-        The design asks for no simulation.
-    NoSolutionError
-        It has no six-step drive.
-    VerificationError
-        There is no compiler, or the header does not compile.
+    Raises:
+        InputError: The design asks for no simulation.
+        NoSolutionError: It has no six-step drive.
+        VerificationError: There is no compiler, or the header does not compile.
     """
     scenario = require_scenario(design)
     made = solve_six_step(design) if found is None else found

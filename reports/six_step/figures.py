@@ -26,10 +26,8 @@ if TYPE_CHECKING:
 def plot_blocks(found: SixStepDesign) -> Figure:
     """Parts of the error of a commutation over the electrical frequency, and their sum.
 
-    Parameters
-    ----------
-    found:
-        The six-step drive.
+    Args:
+        found: The six-step drive.
     """
     errors, limits = found.curve, found.limits
     hertz = errors.omega / (2.0 * math.pi)

@@ -21,23 +21,14 @@ if TYPE_CHECKING:
     from dqforge.optimizer.curves.single_precision import SingleArray
 
 _LENGTH = 250  # rows of a short sequence
-
-
 _LONGEST = 12_000  # rows of the sequence that goes through alignment and ramp
-
-
 _FACTOR = 1.6539866862653762  # of a sine: emf over the amplitude of the flux
 
-
+# Columns of the inputs: reset, torque mode, v_a, v_b, v_c, i_a, i_b, i_c, v_dc, reference.
 COLUMNS = 10
 
-"""Columns of the inputs: reset, torque mode, v_a, v_b, v_c, i_a, i_b, i_c, v_dc, reference."""
-
-
+# Columns of the results: stage, fault, sector, high, low, duty, angle, speed, torque, chopped leg.
 RESULTS = 10
-
-"""Columns of the results: stage, fault, sector, high, low, duty, angle, speed, torque,
-chopped leg."""
 
 
 def _sequence(
@@ -72,14 +63,10 @@ def six_step_inputs(gains: SixStepGains, count: int, seed: int) -> SingleArray:
     """Rows for the harness, shape (rows, `COLUMNS`): many short sequences at all speeds of both
     directions, and one through alignment and ramp.
 
-    Parameters
-    ----------
-    gains:
-        Of the control.
-    count:
-        Rows of the short sequences, about.
-    seed:
-        Of the draws.
+    Args:
+        gains: Of the control.
+        count: Rows of the short sequences, about.
+        seed: Of the draws.
     """
     generator = np.random.default_rng(seed)
     whole = 2 * gains.align + round(gains.rate / gains.rise) + 6 * (gains.settle + gains.gap)
@@ -118,12 +105,9 @@ def _row(state: SixStepState, gains: SixStepGains, given: SingleArray) -> list[f
 def six_step_outputs(gains: SixStepGains, inputs: SingleArray) -> SingleArray:
     """What the compiled control must return for rows of inputs, shape (rows, `RESULTS`).
 
-    Parameters
-    ----------
-    gains:
-        Of the control, float32 values.
-    inputs:
-        Of `six_step_inputs`.
+    Args:
+        gains: Of the control, float32 values.
+        inputs: Of `six_step_inputs`.
     """
     found = np.empty((len(inputs), RESULTS), dtype=np.float32)
     state = reset(gains, np.float32)

@@ -40,10 +40,8 @@ class EmittedSixStep:
 def code_of(method: str) -> str:
     """Part of C names of a method.
 
-    Parameters
-    ----------
-    method:
-        As in the design file.
+    Args:
+        method: As in the design file.
     """
     return method.replace("-", "_")
 
@@ -57,10 +55,8 @@ def _single(value: Any) -> Any:
 def plain_six_step(design: SixStepDesign) -> PlainData:
     """Method and gains as plain data; every number but the whole ones is a float32 value.
 
-    Parameters
-    ----------
-    design:
-        The six-step drive.
+    Args:
+        design: The six-step drive.
     """
     gains: dict[str, Any] = {
         "observer": {
@@ -101,15 +97,11 @@ def _finite(value: Any) -> float:
 def six_step_from(plain: Mapping[str, Any]) -> EmittedSixStep:
     """Read a header back.
 
-    Parameters
-    ----------
-    plain:
-        What `plain_six_step` makes.
+    Args:
+        plain: What `plain_six_step` makes.
 
-    Raises
-    ------
-    InputError
-        It is something else.
+    Raises:
+        InputError: It is something else.
     """
     foreign = "six_step_header is not what dqforge writes; run the design again"
     try:
@@ -126,10 +118,8 @@ def six_step_from(plain: Mapping[str, Any]) -> EmittedSixStep:
 def range_text(found: SixStepDesign) -> str:
     """The speeds at which it holds, in words.
 
-    Parameters
-    ----------
-    found:
-        The six-step drive.
+    Args:
+        found: The six-step drive.
     """
     low, high = found.limits.low, found.limits.high
     return (
@@ -167,12 +157,9 @@ def _preamble(design: Design, found: SixStepDesign) -> list[str]:
 def six_step_files(design: Design, found: SixStepDesign) -> dict[str, bytes]:
     """Name and bytes of the header.
 
-    Parameters
-    ----------
-    design:
-        What it is of.
-    found:
-        Its six-step drive.
+    Args:
+        design: What it is of.
+        found: Its six-step drive.
     """
     prefix = design.export.prefix
     context: PlainData = {
@@ -192,10 +179,8 @@ def six_step_files(design: Design, found: SixStepDesign) -> dict[str, bytes]:
 def six_step_programme(emitted: EmittedSixStep) -> Programme:
     """The harness of a six-step drive, with what its model answers.
 
-    Parameters
-    ----------
-    emitted:
-        Its method and gains.
+    Args:
+        emitted: Its method and gains.
     """
     inputs = six_step_inputs(emitted.gains, SWEEP_POINTS, SWEEP_SEED)
     outputs = six_step_outputs(emitted.gains, inputs)

@@ -36,10 +36,8 @@ def range_words(found: SixStepDesign) -> str:
 def block_rows(found: SixStepDesign) -> list[tuple[str, str]]:
     """Label and text of what was designed.
 
-    Parameters
-    ----------
-    found:
-        The six-step drive.
+    Args:
+        found: The six-step drive.
     """
     shape, limits, start = found.shape, found.limits, found.start
     rows = [
@@ -92,10 +90,8 @@ def _error_lines(found: SixStepDesign) -> list[tuple[str, ...]]:
 def block_tables(found: SixStepDesign) -> list[Table]:
     """Tables for the terminal.
 
-    Parameters
-    ----------
-    found:
-        The six-step drive.
+    Args:
+        found: The six-step drive.
     """
     return [
         Table("Six-step drive", ("", ""), tuple(block_rows(found))),
@@ -106,10 +102,8 @@ def block_tables(found: SixStepDesign) -> list[Table]:
 def block_html(found: SixStepDesign) -> list[HtmlTable]:
     """The same for the report.
 
-    Parameters
-    ----------
-    found:
-        The six-step drive.
+    Args:
+        found: The six-step drive.
     """
     rows = tuple(Row((symbols(name), symbols(text))) for name, text in block_rows(found))
     lines = tuple(Row(line) for line in _error_lines(found))
@@ -122,10 +116,8 @@ def block_html(found: SixStepDesign) -> list[HtmlTable]:
 def block_summary(found: SixStepDesign) -> list[tuple[str, str]]:
     """Rows of the summary of a run.
 
-    Parameters
-    ----------
-    found:
-        The six-step drive.
+    Args:
+        found: The six-step drive.
     """
     limits = found.limits
     return [
@@ -139,10 +131,8 @@ def block_summary(found: SixStepDesign) -> list[tuple[str, str]]:
 def plain_blocks(found: SixStepDesign) -> PlainData:
     """As plain data, in SI units.
 
-    Parameters
-    ----------
-    found:
-        The six-step drive.
+    Args:
+        found: The six-step drive.
     """
     shape, limits, start, errors = found.shape, found.limits, found.start, found.errors
     return {

@@ -23,16 +23,8 @@ if TYPE_CHECKING:
     from dqforge.optimizer.control_design.measured_speed_loop import MeasuredSpeed
 
 METHODS: tuple[SpeedMeasurementName, ...] = ("counts", "capture", "mixed")
-
-
-EDGE, SAMPLE, START = 0, 1, 2
-
-"""Events of the harness."""
-
-
+EDGE, SAMPLE, START = 0, 1, 2  # Events of the harness.
 _WORD = 1 << 32
-
-
 EVENTS = 20_000
 
 
@@ -56,14 +48,10 @@ class EdgeNumbers:
 def edge_numbers(found: MeasuredSpeed, base: float, formats: tuple[str, ...]) -> EdgeNumbers:
     """Numbers for the firmware.
 
-    Parameters
-    ----------
-    found:
-        The measurement.
-    base:
-        Mechanical speed in rad/s that is one per unit.
-    formats:
-        Fixed-point formats of the control functions.
+    Args:
+        found: The measurement.
+        base: Mechanical speed in rad/s that is one per unit.
+        formats: Fixed-point formats of the control functions.
     """
     own = found.settings
     rate = 1.0 / found.edges.period if own.method == "counts" else own.clock
@@ -89,10 +77,8 @@ def plain_numbers(numbers: EdgeNumbers) -> PlainData:
 def numbers_from(plain: Mapping[str, Any]) -> EdgeNumbers:
     """Read numbers back.
 
-    Raises
-    ------
-    InputError
-        They are not what `plain_numbers` makes.
+    Raises:
+        InputError: They are not what `plain_numbers` makes.
     """
     fault = InputError("speed_measurement_header is not what dqforge writes; run the design again")
     try:

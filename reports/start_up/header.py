@@ -25,10 +25,7 @@ if TYPE_CHECKING:
     from dqforge.optimizer.solution import Solution
     from dqforge.optimizer.start_up.solve import StartUp
 
-LOW_FILE = "start_observer"
-
-"""End of the file name of the estimator from standstill on."""
-
+LOW_FILE = "start_observer"  # End of the file name of the estimator from standstill on.
 
 _WORDS = {
     "i-f": "a current that turns, at the angle of the ramp",
@@ -48,10 +45,8 @@ _ALIGNMENT_WORDS = {
 def method_words(found: StartUp) -> str:
     """How the drive starts, in words.
 
-    Parameters
-    ----------
-    found:
-        The start.
+    Args:
+        found: The start.
     """
     plan = found.plan
     flying = "; a rotor that turns already is caught" if plan.flying else ""
@@ -61,10 +56,8 @@ def method_words(found: StartUp) -> str:
 def load_words(found: StartUp) -> str:
     """Largest load torques, in words.
 
-    Parameters
-    ----------
-    found:
-        The start.
+    Args:
+        found: The start.
     """
     others = ", ".join(f"{name} {torque:.4g} N m" for name, torque in found.largest_loads.items())
     return (
@@ -102,10 +95,8 @@ def estimator_at_speed(gains: GainSet) -> tuple[str, bool]:
     """Part of C names of the estimator that a drive runs on after its start, and whether it is told
     the sum of the phase voltages.
 
-    Parameters
-    ----------
-    gains:
-        Of the design.
+    Args:
+        gains: Of the design.
     """
     if gains.tracker is not None:
         return gains.tracker.tracker.code, bool(gains.tracker.tracker.hears)
@@ -116,10 +107,8 @@ def estimator_at_speed(gains: GainSet) -> tuple[str, bool]:
 def phase_parts(solution: Solution) -> PlainData | None:
     """What of the control over the angle the start-up must know, None for other control.
 
-    Parameters
-    ----------
-    solution:
-        The solved design.
+    Args:
+        solution: The solved design.
     """
     control = phase_control_of(solution)
     if control is None:
@@ -130,12 +119,9 @@ def phase_parts(solution: Solution) -> PlainData | None:
 def start_up_files(solution: Solution, found: StartUp) -> dict[str, bytes]:
     """Name and bytes of ``<prefix>_startup.h``.
 
-    Parameters
-    ----------
-    solution:
-        The solved design.
-    found:
-        Its start.
+    Args:
+        solution: The solved design.
+        found: Its start.
     """
     design, gains = solution.design, solution.gains
     prefix = design.export.prefix
@@ -167,12 +153,9 @@ def start_up_files(solution: Solution, found: StartUp) -> dict[str, bytes]:
 def start_observer_files(solution: Solution, found: StartUp) -> dict[str, bytes]:
     """Name and bytes of ``<prefix>_start_observer.h``; none without an estimator from standstill.
 
-    Parameters
-    ----------
-    solution:
-        The solved design.
-    found:
-        Its start.
+    Args:
+        solution: The solved design.
+        found: Its start.
     """
     return {} if found.low is None else tracker_files(solution.design, found.low, LOW_FILE)
 
@@ -180,12 +163,9 @@ def start_observer_files(solution: Solution, found: StartUp) -> dict[str, bytes]
 def every_start_file(solution: Solution, found: StartUp) -> dict[str, bytes]:
     """Names and bytes of the headers of a start.
 
-    Parameters
-    ----------
-    solution:
-        The solved design.
-    found:
-        Its start.
+    Args:
+        solution: The solved design.
+        found: Its start.
     """
     return start_up_files(solution, found) | start_observer_files(solution, found)
 
@@ -193,12 +173,9 @@ def every_start_file(solution: Solution, found: StartUp) -> dict[str, bytes]:
 def plain_start_up(solution: Solution, found: StartUp) -> PlainData:
     """The settings, and what the state machine is tried with, as plain data of float32 values.
 
-    Parameters
-    ----------
-    solution:
-        The solved design.
-    found:
-        Its start.
+    Args:
+        solution: The solved design.
+        found: Its start.
     """
     return {
         "v_dc": solution.design.inverter.v_dc,
@@ -212,10 +189,8 @@ def plain_start_up(solution: Solution, found: StartUp) -> PlainData:
 def plain_start_observer(found: StartUp) -> PlainData | None:
     """The estimator from standstill on as plain data, None without one.
 
-    Parameters
-    ----------
-    found:
-        The start.
+    Args:
+        found: The start.
     """
     low = found.low
     return None if low is None else plain_tracker_gains(EmittedTracker(low.tracker, low.gains))

@@ -14,14 +14,10 @@ from dqforge.machines.records import dataclass
 if TYPE_CHECKING:
     from dqforge.optimizer.start_up.plan import StartUpPlan
 
-METHODS = ("i-f", "v-f", "direct", "saliency")
+METHODS = ("i-f", "v-f", "direct", "saliency")  # In the order of their numbers in the C code.
 
-"""In the order of their numbers in the C code."""
-
-
+# In the order of their numbers in the C code.
 ALIGNMENTS = ("none", "one-step", "two-step", "voltage")
-
-"""In the order of their numbers in the C code."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +48,7 @@ def _count(name: str, comment: str, time: Callable[[StartUpPlan], float]) -> Mem
     return Member(name, comment, lambda plan: _samples(time(plan), plan), whole=True)
 
 
+# The members in the order of the C structure.
 MEMBERS: tuple[Member, ...] = (
     Member("method", "0 I-f, 1 V/f, 2 direct, 3 saliency", lambda p: METHODS.index(p.method), True),
     Member(
@@ -133,16 +130,12 @@ MEMBERS: tuple[Member, ...] = (
     Member("polarity_A", "current of the test of the polarity", lambda p: p.polarity_current),
 )
 
-"""The members in the order of the C structure."""
-
 
 def settings_of(plan: StartUpPlan) -> dict[str, float]:
     """Values of all members by name, whole numbers as int.
 
-    Parameters
-    ----------
-    plan:
-        What the start needs.
+    Args:
+        plan: What the start needs.
     """
     return {
         member.name: int(member.value(plan)) if member.whole else float(member.value(plan))
@@ -153,10 +146,8 @@ def settings_of(plan: StartUpPlan) -> dict[str, float]:
 def settings_bytes(plan: StartUpPlan) -> bytes:
     """Bytes of ``<prefix>_startup_settings_t`` on this machine.
 
-    Parameters
-    ----------
-    plan:
-        What the start needs.
+    Args:
+        plan: What the start needs.
     """
     values = settings_of(plan)
     form = "".join("I" if member.whole else "f" for member in MEMBERS)

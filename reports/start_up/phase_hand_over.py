@@ -34,10 +34,8 @@ _ALONG, _ACROSS = F(0.90630779), F(0.42261826)  # cosine and sine of 25 degrees
 def follow_ramp(model: StartUpModel, s: Any, drive: Drive) -> None:
     """As ``<prefix>_startup_follow_ramp``: the tracker starts behind the current of the ramp.
 
-    Parameters
-    ----------
-    model, s, drive:
-        What the machine is made of, its settings and its state.
+    Args:
+        model, s, drive: What the machine is made of, its settings and its state.
     """
     emf = s.psi_pm_Wb * abs(drive.omega_e)
     left = drive.power - (s.r_s_Ohm * drive.current)
@@ -52,14 +50,10 @@ def follow_ramp(model: StartUpModel, s: Any, drive: Drive) -> None:
 def sees_current_ahead(i: Vector, omega_e: Any, size: Any) -> bool:
     """Whether a current in A lies 35 degrees behind to 85 degrees ahead of the tracker's d axis.
 
-    Parameters
-    ----------
-    i:
-        The current in the tracker's frame.
-    omega_e:
-        Speed of the ramp in rad/s, whose sign says what ahead is.
-    size:
-        Of the current of the ramp.
+    Args:
+        i: The current in the tracker's frame.
+        omega_e: Speed of the ramp in rad/s, whose sign says what ahead is.
+        size: Of the current of the ramp.
     """
     across = -i[1] if omega_e < _ZERO else i[1]
     return bool((_ALONG * i[0]) + (_ACROSS * across) > _HALF * size)
@@ -68,12 +62,9 @@ def sees_current_ahead(i: Vector, omega_e: Any, size: Any) -> bool:
 def usual_currents(control: PhaseControlModel, torque: Any) -> tuple[Any, Any]:
     """Current references of a torque in N m, arrays of shape (1,).
 
-    Parameters
-    ----------
-    control:
-        The control over the angle.
-    torque:
-        In N m.
+    Args:
+        control: The control over the angle.
+        torque: In N m.
     """
     if control.reference is not None:
         d, q = control.reference.currents(array(torque))
@@ -87,14 +78,10 @@ def turned_integrals(
 ) -> None:
     """The integrals of the control over the angle in a new frame; those of the harmonics go.
 
-    Parameters
-    ----------
-    control, state:
-        The control and its state.
-    omega:
-        Electrical speed in rad/s.
-    i, v:
-        Current in A and voltage in V in that frame.
+    Args:
+        control, state: The control and its state.
+        omega: Electrical speed in rad/s.
+        i, v: Current in A and voltage in V in that frame.
     """
     gains, fed = control.gains, control.structure.feedforward
     for order in state.harmonic:

@@ -22,30 +22,13 @@ from dqforge.reports.start_up.model_step import StartUpRun
 if TYPE_CHECKING:
     from dqforge.optimizer.curves.single_precision import SingleArray
 
-SEEN = 7
-
-"""Columns before the settings: start flag, i_a, i_b, i_c, v_dc, reference, command."""
-
-
+SEEN = 7  # Columns before the settings: start flag, i_a, i_b, i_c, v_dc, reference, command.
 OUTPUTS = 13
-
-
-HEARING = SEEN + 1
-
-"""The same with the mean sum of the phase voltages behind them."""
-
-
+HEARING = SEEN + 1  # The same with the mean sum of the phase voltages behind them.
 _LENGTH = 440
-
-
 _ZERO = F(0.0)
-
-
 _REST, _OVER = 8, (State.IDLE, State.FAULT)  # samples at rest after which nothing follows
-
-
 _QUICK = 3.0  # samples in which the whole torque reaches the hand-over
-
 
 _SHORT = {
     "flying": 0, "retries": 1, "align_samples": 50, "agree_samples": 4, "patience_samples": 60,
@@ -132,10 +115,8 @@ def _hearing() -> tuple[Sequence, ...]:
 def sequences(model: StartUpModel) -> tuple[Sequence, ...]:
     """What is tried of a machine; starts by saliency where it has an estimator for them.
 
-    Parameters
-    ----------
-    model:
-        The machine.
+    Args:
+        model: The machine.
     """
     if model.hears:
         return _common() + _hearing()
@@ -145,12 +126,9 @@ def sequences(model: StartUpModel) -> tuple[Sequence, ...]:
 def shortened(model: StartUpModel, sequence: Sequence) -> dict[str, float]:
     """Settings of a sequence, numbers of single precision.
 
-    Parameters
-    ----------
-    model:
-        The machine.
-    sequence:
-        What differs.
+    Args:
+        model: The machine.
+        sequence: What differs.
     """
     own = dict(model.settings)
     hand_over, most = own["hand_over"], max(own["align_A"], own["ramp_A"])
@@ -271,12 +249,9 @@ def _outputs(run: StartUpRun, duty: tuple[float, ...], gate: int) -> list[float]
 def recorded(model: StartUpModel, v_dc: float) -> tuple[SingleArray, SingleArray]:
     """What the C code is given, (N, 7 or 8 + settings), and what it must answer, shape (N, 13).
 
-    Parameters
-    ----------
-    model:
-        The machine.
-    v_dc:
-        Voltage of the dc link in V.
+    Args:
+        model: The machine.
+        v_dc: Voltage of the dc link in V.
     """
     pole_pairs = float(model.control.gains["pole_pairs"])
     inputs, outputs = [], []

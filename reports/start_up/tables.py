@@ -60,10 +60,8 @@ def _first_rows(found: StartUp) -> list[tuple[str, str]]:
 def start_rows(found: StartUp) -> list[tuple[str, str]]:
     """Label and text of everything that is known of a start.
 
-    Parameters
-    ----------
-    found:
-        The start.
+    Args:
+        found: The start.
     """
     plan = found.plan
     band = f"back below {_rpm(found, plan.back_below)}"
@@ -86,10 +84,8 @@ def start_rows(found: StartUp) -> list[tuple[str, str]]:
 def start_summary(found: StartUp) -> list[tuple[str, str]]:
     """Row for the summary of a run.
 
-    Parameters
-    ----------
-    found:
-        The start.
+    Args:
+        found: The start.
     """
     plan = found.plan
     text = (
@@ -102,10 +98,8 @@ def start_summary(found: StartUp) -> list[tuple[str, str]]:
 def start_tables(found: StartUp) -> list[Table]:
     """For the terminal.
 
-    Parameters
-    ----------
-    found:
-        The start.
+    Args:
+        found: The start.
     """
     return [Table(TITLE, ("", ""), tuple(start_rows(found)))]
 
@@ -113,10 +107,8 @@ def start_tables(found: StartUp) -> list[Table]:
 def start_html(found: StartUp) -> list[HtmlTable]:
     """For the report.
 
-    Parameters
-    ----------
-    found:
-        The start.
+    Args:
+        found: The start.
     """
     rows = tuple(Row((symbols(label), symbols(text))) for label, text in start_rows(found))
     return [HtmlTable(TITLE, ("", "value"), rows, text_columns=2)]
@@ -125,10 +117,8 @@ def start_html(found: StartUp) -> list[HtmlTable]:
 def plain_start(found: StartUp) -> PlainData:
     """As plain data: the plan in SI units, angles and speeds electrical, and what it lifts.
 
-    Parameters
-    ----------
-    found:
-        The start.
+    Args:
+        found: The start.
     """
     low = found.low
     return {

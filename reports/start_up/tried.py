@@ -43,17 +43,12 @@ class TriedStart:
 def start_up_from(own: Mapping[str, Any], whole: Mapping[str, Any]) -> TriedStart:
     """Read a state machine back from its part of a result and the whole of it.
 
-    Parameters
-    ----------
-    own:
-        As `plain_start_up` makes it.
-    whole:
-        The result, with the headers of control and observers.
+    Args:
+        own: As `plain_start_up` makes it.
+        whole: The result, with the headers of control and observers.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_start_up` makes.
+    Raises:
+        InputError: The data are not what `plain_start_up` makes.
     """
     try:
         method, gains = _at_speed(whole["observer_header"])
@@ -99,10 +94,8 @@ def _whole(value: Any) -> int:
 def start_up_programme(tried: TriedStart) -> Programme:
     """The harness of the state machine, with what its model answers.
 
-    Parameters
-    ----------
-    tried:
-        The machine, and the dc link that it is tried on.
+    Args:
+        tried: The machine, and the dc link that it is tried on.
     """
     model = tried.model
     inputs, outputs = recorded(model, tried.v_dc)
@@ -125,10 +118,8 @@ def start_up_programme(tried: TriedStart) -> Programme:
 def start_observer_programme(tracker: EmittedTracker) -> Programme:
     """The harness of the estimator from standstill on.
 
-    Parameters
-    ----------
-    tracker:
-        The estimator.
+    Args:
+        tracker: The estimator.
     """
     found = tracker_programme(tracker)
     context = {**found.context, "file": LOW_FILE}

@@ -20,17 +20,14 @@ from dqforge.reports.simulation.compiled_plant import PLANT_FLAGS
 from dqforge.reports.simulation.plant_input import RunInput, share_tables
 from dqforge.reports.simulation.plant_layout import PARAMETERS, STATES
 
+# What is recorded at a sampling instant, in this order; ``fault`` is the last one there was.
 COLUMNS = (
     *("t", "omega_m", "theta_e", "theta_e_observed", "omega_e_observed"),
     *("theta_e_used", "omega_e_used", "state", "fault", "tries"),
     *("reference", "current", "peak", "broken"),
 )
 
-"""What is recorded at a sampling instant, in this order; ``fault`` is the last one there was."""
-
-
-RUN_STATE = 7.0
-"""Number of the state in which the observer at speed rules."""
+RUN_STATE = 7.0  # Number of the state in which the observer at speed rules.
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,15 +42,11 @@ class BenchProgram:
 class StartInput:
     """One start: the plant as the simulation reads it, and the numbers of the controller.
 
-    Parameters
-    ----------
-    plant:
-        Parameters and tables of the plant, its gains those of the control functions.
-    settings, low:
-        Bytes of the structures of the start-up and of the gains of the estimator from standstill
-        on; empty for those of the headers.
-    torque_per_ampere:
-        In N m/A, where the program's current references are data.
+    Args:
+        plant: Parameters and tables of the plant, its gains those of the control functions.
+        settings, low: Bytes of the structures of the start-up and of the gains of the estimator
+            from standstill on; empty for those of the headers.
+        torque_per_ampere: In N m/A, where the program's current references are data.
     """
 
     plant: RunInput
@@ -103,24 +96,16 @@ def bench_program(
 ) -> Iterator[BenchProgram]:
     """A compiled program in a folder that goes with the block.
 
-    Parameters
-    ----------
-    files:
-        Emitted headers by name, that of the start-up among them.
-    prefix:
-        That of the headers.
-    code:
-        Name in C of the observer at speed.
-    low:
-        That of the estimator from standstill on, empty for none.
-    shared:
-        Whether the current references are those of any machine without d current, with the torque
-        per ampere as data, in place of the design's header.
+    Args:
+        files: Emitted headers by name, that of the start-up among them.
+        prefix: That of the headers.
+        code: Name in C of the observer at speed.
+        low: That of the estimator from standstill on, empty for none.
+        shared: Whether the current references are those of any machine without d current, with the
+            torque per ampere as data, in place of the design's header.
 
-    Raises
-    ------
-    VerificationError
-        There is no compiler, or the headers do not compile.
+    Raises:
+        VerificationError: There is no compiler, or the headers do not compile.
     """
     compiler = require_compiler()
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
@@ -137,17 +122,12 @@ def bench_program(
 def run_starts(program: BenchProgram, starts: Sequence[StartInput]) -> list[dict[str, FloatArray]]:
     """What was recorded of each start, by the names of `COLUMNS`.
 
-    Parameters
-    ----------
-    program:
-        The compiled program.
-    starts:
-        What it runs.
+    Args:
+        program: The compiled program.
+        starts: What it runs.
 
-    Raises
-    ------
-    VerificationError
-        The program cannot be run, or the numbers are not those of its headers.
+    Raises:
+        VerificationError: The program cannot be run, or the numbers are not those of its headers.
     """
     runs = share_tables([start.run() for start in starts])
     content = np.array([float(len(runs))]).tobytes() + b"".join(run.content() for run in runs)
@@ -167,10 +147,8 @@ def run_starts(program: BenchProgram, starts: Sequence[StartInput]) -> list[dict
 def start_record(rows: dict[str, FloatArray]) -> StartRecord:
     """A recorded start as it is judged.
 
-    Parameters
-    ----------
-    rows:
-        Of `run_starts`.
+    Args:
+        rows: Of `run_starts`.
     """
     gap = rows["theta_e_observed"] - rows["theta_e"]
     return StartRecord(

@@ -38,8 +38,6 @@ from dqforge.reports.start_up_bench.random_starts import (
 )
 
 _INJECTION = ObserverSettings(method="injection")
-
-
 _OBSERVER = "flux"
 
 
@@ -47,18 +45,13 @@ _OBSERVER = "flux"
 class RandomBench:
     """Drives with their designs, and the program that starts them.
 
-    Parameters
-    ----------
-    drives, designs:
-        As many.
-    low:
-        Bytes of the gains of the estimator from standstill on, empty for none.
-    refused:
-        Drives whose start by saliency the tool refuses, with the reason: among ``drives`` no more.
-    template:
-        Gains of the control functions that all drives share.
-    program:
-        The compiled program.
+    Args:
+        drives, designs: As many.
+        low: Bytes of the gains of the estimator from standstill on, empty for none.
+        refused: Drives whose start by saliency the tool refuses, with the reason: among ``drives``
+            no more.
+        template: Gains of the control functions that all drives share.
+        program: The compiled program.
     """
 
     drives: tuple[RandomDrive, ...]
@@ -74,8 +67,8 @@ class RandomBench:
         return any(self.low)
 
 
+# (drive, its plan) -> the plan that is used, and what the start meets.
 Adjust = Callable[[RandomDrive, StartUpPlan], tuple[StartUpPlan, Conditions]]
-"""(drive, its plan) -> the plan that is used, and what the start meets."""
 
 
 def _as_planned(_: RandomDrive, plan: StartUpPlan) -> tuple[StartUpPlan, Conditions]:
@@ -104,19 +97,13 @@ def _trackers(
 def random_bench(count: int, *, seed: int = 1, saliency: bool = False) -> Iterator[RandomBench]:
     """The first drives of a series with their compiled program.
 
-    Parameters
-    ----------
-    count:
-        How many are drawn.
-    seed:
-        Of the series.
-    saliency:
-        Whether they start by their saliency: only the salient ones are then there.
+    Args:
+        count: How many are drawn.
+        seed: Of the series.
+        saliency: Whether they start by their saliency: only the salient ones are then there.
 
-    Raises
-    ------
-    VerificationError
-        There is no compiler, or the headers do not compile.
+    Raises:
+        VerificationError: There is no compiler, or the headers do not compile.
     """
     drawn = random_drives(count, seed)
     refused: list[tuple[RandomDrive, str]] = []
@@ -141,12 +128,9 @@ def random_bench(count: int, *, seed: int = 1, saliency: bool = False) -> Iterat
 def settings_for(method: StartUpMethodName, load: float) -> StartUpSettings:
     """How the bench starts: what the design leaves open is computed, and no start is tried again.
 
-    Parameters
-    ----------
-    method:
-        The method.
-    load:
-        Largest load torque in N m.
+    Args:
+        method: The method.
+        load: Largest load torque in N m.
     """
     if method == "saliency":
         return StartUpSettings(
@@ -160,16 +144,11 @@ def planned_starts(
 ) -> list[tuple[StartUpPlan, StartInput]]:
     """The starts of all drives with their plans.
 
-    Parameters
-    ----------
-    bench:
-        The drives.
-    method:
-        The method.
-    load:
-        Friction over the rated torque, known to the plan.
-    adjust:
-        What is otherwise in a start.
+    Args:
+        bench: The drives.
+        method: The method.
+        load: Friction over the rated torque, known to the plan.
+        adjust: What is otherwise in a start.
     """
     starts = []
     for drive, design, low in zip(bench.drives, bench.designs, bench.low, strict=True):
@@ -186,10 +165,8 @@ def recorded_starts(
 ) -> list[dict[str, FloatArray]]:
     """What was recorded of the start of each drive.
 
-    Parameters
-    ----------
-    bench, method, load, adjust:
-        As `planned_starts`.
+    Args:
+        bench, method, load, adjust: As `planned_starts`.
     """
     starts = planned_starts(bench, method, load, adjust)
     return run_starts(bench.program, [start for _, start in starts])
@@ -200,10 +177,8 @@ def start_rate(
 ) -> StartRate:
     """How often the drives start against a load.
 
-    Parameters
-    ----------
-    bench, method, load, adjust:
-        As `planned_starts`.
+    Args:
+        bench, method, load, adjust: As `planned_starts`.
     """
     rows = recorded_starts(bench, method, load, adjust)
     return StartRate(load, tuple(judge_start(start_record(row), SETTLED) for row in rows))

@@ -35,38 +35,18 @@ from dqforge.reports.start_up.members import settings_bytes
 from dqforge.reports.start_up_bench.bench_program import StartInput
 from dqforge.reports.steps.observer_text import gains_bytes
 
+# Noise of each current over the rated one, how resistance and flux differ from the data, and the
+# share of the dead time that nothing compensates.
 PREFIX = "bench"
-
-
 NOISE, R_ERROR, PSI_ERROR, DEAD_TIME_LEFT = 5e-3, 0.3, -0.04, 0.5
-"""Noise of each current over the rated one, how resistance and flux differ from the data, and the
-share of the dead time that nothing compensates."""
-
-
-RATIO = 10
-"""Current samples per sample of the speed controller."""
-
-
+RATIO = 10  # Current samples per sample of the speed controller.
 _SPREAD = 3.0
-
-
 _LOOP = 0.05  # bandwidth of the phase-locked loop times the sampling period
-
-
 _CROSSOVER = 1.0 / 3.0  # of a current loop by the magnitude optimum, times the sampling period
-
-
 _SPEED_GAIN, _FASTER = 0.7, 5.0
-
-
 _LEAST_SPEED = 0.4  # of the rated speed, at which a drive has to be held
-
-
 _ROWS = 1500
-
-
-SETTLED = 0.3
-"""Length in s of the last part of a start, in which everything must hold."""
+SETTLED = 0.3  # Length in s of the last part of a start, in which everything must hold.
 
 
 def usual_errors() -> PlantErrors:
@@ -86,18 +66,12 @@ class Blocked:
 class Conditions:
     """What a start meets.
 
-    Parameters
-    ----------
-    blocked, brake:
-        What stops the shaft during the run, None for nothing.
-    duration:
-        In s; None for that of the start.
-    errors:
-        How the plant differs from the data.
-    dead_time_left:
-        Share of the dead time that nothing compensates.
-    turning:
-        Mechanical speed in rad/s that the shaft has at the beginning.
+    Args:
+        blocked, brake: What stops the shaft during the run, None for nothing.
+        duration: In s; None for that of the start.
+        errors: How the plant differs from the data.
+        dead_time_left: Share of the dead time that nothing compensates.
+        turning: Mechanical speed in rad/s that the shaft has at the beginning.
     """
 
     blocked: Blocked | None = None
@@ -112,10 +86,8 @@ def speed_gains(drive: RandomDrive) -> tuple[float, float]:
     """Gains of the speed controller in N m s/rad and N m/rad by the symmetrical optimum, the lag of
     the observer's loop among the delays.
 
-    Parameters
-    ----------
-    drive:
-        What is driven.
+    Args:
+        drive: What is driven.
     """
     t_s, inertia = 1.0 / drive.f_s, drive.machine.inertia or 0.0
     delay = t_s / _CROSSOVER + 0.5 * RATIO * t_s + 2.0 * t_s / _LOOP
@@ -126,10 +98,8 @@ def speed_gains(drive: RandomDrive) -> tuple[float, float]:
 def observer_tuning(drive: RandomDrive) -> ObserverTuning:
     """Numbers of the flux observer, five times the usual correction at rest.
 
-    Parameters
-    ----------
-    drive:
-        What is driven.
+    Args:
+        drive: What is driven.
     """
     machine = drive.machine
     usual = 0.25 * machine.r_s * (1.0 / machine.l_d + 1.0 / machine.l_q)
@@ -140,10 +110,8 @@ def observer_tuning(drive: RandomDrive) -> ObserverTuning:
 def random_design(drive: RandomDrive) -> Design:
     """The design of a random drive; the dead time is what is left of it.
 
-    Parameters
-    ----------
-    drive:
-        What is driven.
+    Args:
+        drive: What is driven.
     """
     kp, ki = speed_gains(drive)
     tuning = observer_tuning(drive)
@@ -183,12 +151,9 @@ def control_gains(drive: RandomDrive, template: Mapping[str, object]) -> PlainDa
     """Gains of the control functions: current loops by the magnitude optimum, the speed loop by
     `speed_gains`.
 
-    Parameters
-    ----------
-    drive:
-        What is driven.
-    template:
-        Gains of a design of the same controller, for what all drives share.
+    Args:
+        drive: What is driven.
+        template: Gains of a design of the same controller, for what all drives share.
     """
     machine, t_s = drive.machine, 1.0 / drive.f_s
     kp, ki = speed_gains(drive)
@@ -214,10 +179,8 @@ def control_gains(drive: RandomDrive, template: Mapping[str, object]) -> PlainDa
 def flux_bytes_of(drive: RandomDrive) -> bytes:
     """Bytes of the gains of a drive's flux observer.
 
-    Parameters
-    ----------
-    drive:
-        What is driven.
+    Args:
+        drive: What is driven.
     """
     t_s = 1.0 / drive.f_s
     top = min(1.2 * drive.omega_rated, LARGEST_TURN / t_s)
@@ -228,10 +191,8 @@ def saturation_table(drive: RandomDrive) -> FloatArray:
     """Flux map of one cell: psi_d = psi + L_d (i_d - s i_d^2/(2 I)), psi_q = L_q i_q, as the plant
     reads it.
 
-    Parameters
-    ----------
-    drive:
-        What is driven.
+    Args:
+        drive: What is driven.
     """
     machine = drive.machine
     cell = np.zeros((4, 4, 2))  # power of i_q, of i_d, flux (d, q)
@@ -245,12 +206,9 @@ def saturation_table(drive: RandomDrive) -> FloatArray:
 def plan_for(design: Design, settings: StartUpSettings) -> StartUpPlan:
     """The plan of a design with other settings of its start.
 
-    Parameters
-    ----------
-    design:
-        Of `random_design`.
-    settings:
-        Of the start.
+    Args:
+        design: Of `random_design`.
+        settings: Of the start.
     """
     plan = start_up_plan(replace(design, control=replace(design.control, start_up=settings)))
     assert plan is not None
@@ -261,12 +219,9 @@ def speed_wanted(drive: RandomDrive, plan: StartUpPlan) -> float:
     """Mechanical speed in rad/s to which a drive is started: 40 % of the rated one, or a quarter
     above the hand-over where that is more.
 
-    Parameters
-    ----------
-    drive:
-        What is driven.
-    plan:
-        Of its start.
+    Args:
+        drive: What is driven.
+        plan: Of its start.
     """
     least = max(_LEAST_SPEED * drive.omega_rated, 1.25 * plan.hand_over)
     return least / drive.machine.pole_pairs
@@ -275,14 +230,10 @@ def speed_wanted(drive: RandomDrive, plan: StartUpPlan) -> float:
 def duration_of(plan: StartUpPlan, omega_e: float, load: float) -> float:
     """Time in s in which a start to ``omega_e`` rad/s must have ended, its settling among it.
 
-    Parameters
-    ----------
-    plan:
-        Of the start.
-    omega_e:
-        Electrical speed in rad/s.
-    load:
-        Load torque in N m.
+    Args:
+        plan: Of the start.
+        omega_e: Electrical speed in rad/s.
+        load: Load torque in N m.
     """
     left = max(plan.rated_torque - load, 0.05 * plan.rated_torque) * plan.pole_pairs / plan.inertia
     ramp = plan.ramp_end / plan.ramp_acceleration + plan.ramp_rise
@@ -300,20 +251,13 @@ def random_start(
 ) -> StartInput:
     """One start of a random drive against a friction of ``load`` N m.
 
-    Parameters
-    ----------
-    drive:
-        What is driven.
-    plan:
-        Of its start.
-    load:
-        In N m.
-    template:
-        Gains of a design of the same controller.
-    conditions:
-        What it meets.
-    low:
-        Bytes of the gains of the estimator from standstill on.
+    Args:
+        drive: What is driven.
+        plan: Of its start.
+        load: In N m.
+        template: Gains of a design of the same controller.
+        conditions: What it meets.
+        low: Bytes of the gains of the estimator from standstill on.
     """
     t_s, machine = 1.0 / drive.f_s, drive.machine
     wanted = speed_wanted(drive, plan)
@@ -360,10 +304,8 @@ _SQUARE_WAVE = (
 def square_wave_bytes(gains: WaveGains) -> bytes:
     """Bytes of ``<prefix>_injection_gains_t`` of a square wave on this machine.
 
-    Parameters
-    ----------
-    gains:
-        Of the injection.
+    Args:
+        gains: Of the injection.
     """
     assert {one.name for one in fields(gains)} == {*_SQUARE_WAVE, "carrier_beta", "reference_beta"}
     values = np.concatenate([np.atleast_1d(getattr(gains, name)) for name in _SQUARE_WAVE])

@@ -31,23 +31,14 @@ from dqforge.reports.start_up_bench.bench_program import (
 )
 from dqforge.reports.start_up_bench.random_starts import SETTLED, duration_of
 
+# Relative deviations, to either side, of a design that names no tolerances.
 USUAL_BOX = {"r_s": 0.3, "psi_pm": 0.04}
-"""Relative deviations, to either side, of a design that names no tolerances."""
 
-
+# Noise of each current over the current limit, r.m.s., where the design's scenario has none.
 NOISE = 5e-3
-"""Noise of each current over the current limit, r.m.s., where the design's scenario has none."""
-
-
 _RELATIVE: tuple[ToleranceName, ...] = ("r_s", "l_d", "l_q", "psi_pm", "inertia", "v_dc")
-
-
 _LEAST_SPEED, _ABOVE = 0.4, 1.25  # of the base speed, and over the hand-over
-
-
 _FUNDAMENTAL = 4.0 / math.pi
-
-
 _ROWS = 1000
 
 
@@ -66,14 +57,10 @@ class DrawnPlant:
 def drawn_plants(design: Design, count: int, seed: int) -> tuple[DrawnPlant, ...]:
     """Drives drawn evenly from the tolerances of a design, at any angle.
 
-    Parameters
-    ----------
-    design:
-        The design; the dead time is what its tolerances leave, or the whole of it.
-    count:
-        How many.
-    seed:
-        Of the draws.
+    Args:
+        design: The design; the dead time is what its tolerances leave, or the whole of it.
+        count: How many.
+        seed: Of the draws.
     """
     rng = np.random.default_rng(seed)
     tolerances, inverter = design.control.tolerances, design.inverter
@@ -101,17 +88,12 @@ def drawn_plants(design: Design, count: int, seed: int) -> tuple[DrawnPlant, ...
 def with_method(design: Design, method: StartUpMethodName | None) -> Design:
     """The design with a start by another method; its own for None.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    method:
-        The method.
+    Args:
+        design: The design.
+        method: The method.
 
-    Raises
-    ------
-    InputError
-        It has no start, and no method is named.
+    Raises:
+        InputError: It has no start, and no method is named.
     """
     settings = design.control.start_up
     if settings is None and method is None:
@@ -130,10 +112,8 @@ def wanted_speed(plan: StartUpPlan) -> float:
     """Mechanical speed in rad/s that the drive is started to: 40 % of the base speed, or a quarter
     above the hand-over.
 
-    Parameters
-    ----------
-    plan:
-        Of the start.
+    Args:
+        plan: Of the start.
     """
     return max(_LEAST_SPEED * plan.base_speed, _ABOVE * plan.hand_over) / plan.pole_pairs
 
@@ -192,27 +172,17 @@ def start_success(
     The emitted state machine runs with the design's own numbers; a try that it repeats by itself
     and that succeeds within the time of one more counts as a success.
 
-    Parameters
-    ----------
-    design:
-        The design.
-    method:
-        The method to start by; None for that of the design.
-    loads:
-        Friction over the torque of the current limit in the q axis, one rate each.
-    count:
-        Starts per load.
-    seed:
-        Of the draws.
+    Args:
+        design: The design.
+        method: The method to start by; None for that of the design.
+        loads: Friction over the torque of the current limit in the q axis, one rate each.
+        count: Starts per load.
+        seed: Of the draws.
 
-    Raises
-    ------
-    InputError
-        There is no start, or the machine is one in phase quantities.
-    NoSolutionError
-        Physics forbids the method; the message has the number.
-    VerificationError
-        There is no C compiler.
+    Raises:
+        InputError: There is no start, or the machine is one in phase quantities.
+        NoSolutionError: Physics forbids the method; the message has the number.
+        VerificationError: There is no C compiler.
     """
     if design.phase_machine is not None:
         raise InputError("starts are tried with machines of a sinusoidal back-EMF")

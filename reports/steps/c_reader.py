@@ -28,16 +28,10 @@ from dqforge.reports.steps.symbols import (
 )
 
 _T = TypeVar("_T")
-
-
 _P = ParamSpec("_P")
 
-
+# Vectors that ``control_types.j2`` declares.
 _SHARED: dict[type[Any], str] = {AlphaBeta: "alphabeta", Dq: "dq", Rotation: "rotation"}
-
-"""Vectors that ``control_types.j2`` declares."""
-
-
 _LINE = 118
 
 
@@ -87,14 +81,10 @@ class Functions:
 class StepReader(Arithmetic):
     """Writes what a step computes into ``block``.
 
-    Parameters
-    ----------
-    prefix:
-        Before every name of a function or record.
-    functions:
-        Takes what `call` writes.
-    block:
-        Where the statements go.
+    Args:
+        prefix: Before every name of a function or record.
+        functions: Takes what `call` writes.
+        block: Where the statements go.
     """
 
     __setattr__ = object.__setattr__  # its parents are frozen, it writes
@@ -262,12 +252,9 @@ class StepReader(Arithmetic):
     def parameter(self, name: str, like: Any) -> tuple[str, Any]:
         """Declaration of a parameter, and its value inside of the function.
 
-        Parameters
-        ----------
-        name:
-            Of the parameter.
-        like:
-            An argument: a record, a vector, an array or a number.
+        Args:
+            name: Of the parameter.
+            like: An argument: a record, a vector, an array or a number.
         """
         if is_dataclass(like):
             kind = f"{self.prefix}_{c_name(type(like))}_t"

@@ -40,14 +40,10 @@ _SPEED = ("float omega_e", "estimated electrical speed, rad/s")
 def observer_text(method: ObserverMethod, gains: Any, prefix: str, macro: str) -> str:
     """What stands in a header behind the types that control and observers share.
 
-    Parameters
-    ----------
-    method:
-        With ``members``.
-    gains:
-        Its gains.
-    prefix, macro:
-        Before the names of functions and types, and before that of the gains.
+    Args:
+        method: With ``members``.
+        gains: Its gains.
+        prefix, macro: Before the names of functions and types, and before that of the gains.
     """
     assert method.members is not None
     code, functions = method.code, Functions()

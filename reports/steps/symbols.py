@@ -9,26 +9,18 @@ import numpy as np
 
 from dqforge.reports.c_code.numbers import float_literal
 
-Origin = tuple[str, str]
-
-"""Names of a record and of its member."""
+Origin = tuple[str, str]  # Names of a record and of its member.
 
 
 class Expression:
     """A number of a step, as text.
 
-    Parameters
-    ----------
-    text:
-        In C.
-    atom:
-        Whether it needs no parentheses: a name, a literal, a call.
-    reads:
-        Members of the state that it takes.
-    members:
-        Members of other records that it takes.
-    whole:
-        The vector or array that it is a part of, empty of others.
+    Args:
+        text: In C.
+        atom: Whether it needs no parentheses: a name, a literal, a call.
+        reads: Members of the state that it takes.
+        members: Members of other records that it takes.
+        whole: The vector or array that it is a part of, empty of others.
     """
 
     __slots__ = ("atom", "members", "reads", "text", "uses", "whole")
@@ -54,10 +46,8 @@ class Expression:
     def bare(self) -> str:
         """Text where no parentheses are needed.
 
-        Raises
-        ------
-        ValueError
-            It would be computed a second time.
+        Raises:
+            ValueError: It would be computed a second time.
         """
         self.uses[0] += 1
         if self.uses[0] > 1 and not self.is_name:
@@ -146,10 +136,8 @@ class Condition:
     def __bool__(self) -> bool:
         """Nothing decides it here.
 
-        Raises
-        ------
-        TypeError
-            Always: what depends on a condition is chosen by the arithmetic.
+        Raises:
+            TypeError: Always: what depends on a condition is chosen by the arithmetic.
         """
         raise TypeError("a step cannot branch on a number: use `choose` or `either`")
 
@@ -184,12 +172,9 @@ _WIDTH = 110
 def folded(begin: str, text: str, end: str, indent: str) -> list[str]:
     """Lines of a statement, broken at operators and commas of the outermost parentheses.
 
-    Parameters
-    ----------
-    begin, end:
-        What stands before and behind the text.
-    indent:
-        White space of the first line.
+    Args:
+        begin, end: What stands before and behind the text.
+        indent: White space of the first line.
     """
     if len(indent) + len(begin) + len(text) + len(end) <= _WIDTH:
         return [f"{indent}{begin}{text}{end}"]

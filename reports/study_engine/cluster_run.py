@@ -75,18 +75,12 @@ class Landing:
 class ClusterRun:
     """One run.
 
-    Parameters
-    ----------
-    client:
-        Of the cluster.
-    plugin:
-        Name of the plugin that holds the study on the workers.
-    digest:
-        Of the study.
-    parts:
-        Numbers of the parts to compute.
-    workers:
-        Workers as last counted.
+    Args:
+        client: Of the cluster.
+        plugin: Name of the plugin that holds the study on the workers.
+        digest: Of the study.
+        parts: Numbers of the parts to compute.
+        workers: Workers as last counted.
     """
 
     client: Client
@@ -115,11 +109,9 @@ class ClusterRun:
     def run(self) -> None:
         """Compute and write all parts.
 
-        Raises
-        ------
-        EngineStoppedError
-            The scheduler or all workers are lost, or somebody asked to stop; what had come is
-            written.
+        Raises:
+            EngineStoppedError: The scheduler or all workers are lost, or somebody asked to stop;
+                what had come is written.
         """
         self.asked.wake = self._wake
         self.client.subscribe_topic(self.plugin, self._hear)

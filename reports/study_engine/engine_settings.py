@@ -18,10 +18,8 @@ def is_address(text: str) -> bool:
 
     A client of Dask that is given another one is left half made, and complains when it is deleted.
 
-    Parameters
-    ----------
-    text:
-        Such as ``tcp://host:8786``.
+    Args:
+        text: Such as ``tcp://host:8786``.
     """
     host, _, port = text.rstrip("/").rpartition(":")
     number = int(port) if re.fullmatch(r"\d{1,5}", port) else 0
@@ -48,20 +46,13 @@ class TlsFiles:
 class EngineSettings:
     """On what a study is run.
 
-    Parameters
-    ----------
-    workers:
-        Processes of this machine, None for as many as it has processors.
-    scheduler:
-        Address of a cluster that there is, empty for none.
-    scheduler_file:
-        File in which the scheduler wrote its address, None for none.
-    tls:
-        For a cluster that asks for it.
-    mixed:
-        Whether workers may have other CPU features.
-    time_limit:
-        Of a batch in s, None to learn it.
+    Args:
+        workers: Processes of this machine, None for as many as it has processors.
+        scheduler: Address of a cluster that there is, empty for none.
+        scheduler_file: File in which the scheduler wrote its address, None for none.
+        tls: For a cluster that asks for it.
+        mixed: Whether workers may have other CPU features.
+        time_limit: Of a batch in s, None to learn it.
     """
 
     workers: int | None = None

@@ -34,17 +34,12 @@ def existing_workers(
 ) -> Iterator[Client]:
     """The cluster at the address, with at least one worker, all of them fit.
 
-    Parameters
-    ----------
-    waits:
-        Told what is waited for.
-    asked:
-        Whether somebody asked to stop, which ends the waiting.
+    Args:
+        waits: Told what is waited for.
+        asked: Whether somebody asked to stop, which ends the waiting.
 
-    Raises
-    ------
-    EngineStoppedError
-        Nobody answers, there is no worker, or one differs.
+    Raises:
+        EngineStoppedError: Nobody answers, there is no worker, or one differs.
     """
     with quiet():
         client = _connected(settings)

@@ -39,6 +39,7 @@ _SETTINGS: dict[str, Any] = {
     # A process that starts again is not lost, however long that takes on a busy machine.
     "distributed.deploy.lost-worker-timeout": "1h",
 }
+# Loggers that distributed gives a level of their own, beside those that stand for all.
 _LOUD = (
     "distributed",
     "distributed.client",
@@ -47,10 +48,9 @@ _LOUD = (
     "tornado.application",
     "asyncio",
 )
-"""Loggers that distributed gives a level of their own, beside those that stand for all."""
+# Ends a process without asking it; Windows ends it by either.
 _CLOSED_AFTER_S = 2.0
 _AT_ONCE = getattr(signal, "SIGKILL", signal.SIGTERM)
-"""Ends a process without asking it; Windows ends it by either."""
 
 
 @contextmanager

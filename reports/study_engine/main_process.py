@@ -27,10 +27,8 @@ def run_here(
 ) -> None:
     """Compute and write ``parts`` one after the other.
 
-    Raises
-    ------
-    StudyInterruptedError
-        Somebody asked to stop; the part that was under way is left out.
+    Raises:
+        StudyInterruptedError: Somebody asked to stop; the part that was under way is left out.
     """
     try:
         for part in parts:

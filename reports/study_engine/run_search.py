@@ -37,23 +37,15 @@ def run_search(
 ) -> StudyOutcome:
     """Compute what a store lacks of a study with a search.
 
-    Parameters
-    ----------
-    searched:
-        The study.
-    store:
-        Where parts go; those that it has stay.
-    settings:
-        On what they are computed.
-    only:
-        Numbers of the parts that are wanted, from 0 on; None for all.
+    Args:
+        searched: The study.
+        store: Where parts go; those that it has stay.
+        settings: On what they are computed.
+        only: Numbers of the parts that are wanted, from 0 on; None for all.
 
-    Raises
-    ------
-    InputError
-        What is stored is not what this search comes to.
-    EngineStoppedError
-        The run could not go on; what is done is kept.
+    Raises:
+        InputError: What is stored is not what this search comes to.
+        EngineStoppedError: The run could not go on; what is done is kept.
     """
     run, missing = opened_run(store, settings, only)
     if not missing:
@@ -75,14 +67,10 @@ def run_search(
 class SearchedWay:
     """How far a search is along the generations that a store holds.
 
-    Parameters
-    ----------
-    searched:
-        The study.
-    store:
-        Its parts.
-    search:
-        Told all generations before that of ``number``.
+    Args:
+        searched: The study.
+        store: Its parts.
+        search: Told all generations before that of ``number``.
     """
 
     searched: SearchedStudy
@@ -108,10 +96,8 @@ class SearchedWay:
     def go_to(self, number: int) -> None:
         """Tell the search what the store holds of the generations before ``number``.
 
-        Raises
-        ------
-        InputError
-            Their rows are others than this search asks for.
+        Raises:
+            InputError: Their rows are others than this search asks for.
         """
         while self.number < number:
             rows, judged = self.rows, self.searched.judged_columns

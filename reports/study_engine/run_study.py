@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 _FEWEST_BATCHES = 3
 _FEWEST_ROWS = 2000
+# Parts of so many rows are cheap by the row: a few of them are not worth a cluster.
 _QUICK_ROWS = 500
-"""Parts of so many rows are cheap by the row: a few of them are not worth a cluster."""
 
 
 def run_study(
@@ -41,21 +41,14 @@ def run_study(
 ) -> StudyOutcome:
     """Compute what a store lacks of a study.
 
-    Parameters
-    ----------
-    source:
-        The rows.
-    store:
-        Where parts go; those that it has stay.
-    settings:
-        On what they are computed.
-    only:
-        Numbers of the parts that are wanted, None for all.
+    Args:
+        source: The rows.
+        store: Where parts go; those that it has stay.
+        settings: On what they are computed.
+        only: Numbers of the parts that are wanted, None for all.
 
-    Raises
-    ------
-    EngineStoppedError
-        The run could not go on; what is done is kept.
+    Raises:
+        EngineStoppedError: The run could not go on; what is done is kept.
     """
     run, missing = opened_run(store, settings, only)
     if missing:
@@ -108,16 +101,11 @@ def computing(
 ) -> Iterator[Compute]:
     """What computes parts, for as long as the block lasts: the same workers for all that is asked.
 
-    Parameters
-    ----------
-    run:
-        The run.
-    batch:
-        Rows of a part.
-    parts:
-        Number of parts that will be asked for, about.
-    at_once:
-        Number of parts that are asked for together, None for all of them.
+    Args:
+        run: The run.
+        batch: Rows of a part.
+        parts: Number of parts that will be asked for, about.
+        at_once: Number of parts that are asked for together, None for all of them.
     """
     settings = run.settings
     most = parts if at_once is None else min(parts, at_once)

@@ -21,14 +21,11 @@ _SHOW_CURSOR = "\x1b[?25h"
 class AskedToStop:
     """What has been asked of this process.
 
-    Parameters
-    ----------
-    number:
-        The signal that came first, 0 for none.
-    wake:
-        Called as it comes, to end a wait.
-    at_once:
-        Whether the signal interrupts what is under way: nothing of it is worth waiting for.
+    Args:
+        number: The signal that came first, 0 for none.
+        wake: Called as it comes, to end a wait.
+        at_once: Whether the signal interrupts what is under way: nothing of it is worth waiting
+            for.
     """
 
     number: int = 0

@@ -21,10 +21,8 @@ class SchedulerLostError(EngineStoppedError):
 class StudyInterruptedError(EngineStoppedError):
     """Somebody pressed Ctrl-C, or the process was asked to end.
 
-    Parameters
-    ----------
-    number:
-        The signal; the exit code follows from it as a shell's does, 130 for Ctrl-C.
+    Args:
+        number: The signal; the exit code follows from it as a shell's does, 130 for Ctrl-C.
     """
 
     def __init__(self, number: int, kept: str) -> None:

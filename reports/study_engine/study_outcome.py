@@ -27,22 +27,14 @@ class FailedRows:
 class StudyOutcome:
     """A study after a run.
 
-    Parameters
-    ----------
-    rows:
-        Rows of the study.
-    counts:
-        Rows by state, in the order of `STATES`; rows that are not computed are in none.
-    failures:
-        By state, those that gave no numbers.
-    audited:
-        Largest relative deviation of the batch path from the single path, by output.
-    computed:
-        Rows that this run computed; the others were there.
-    seconds:
-        What it took; it stands in no file.
-    workers:
-        Processes that computed, 0 for the command's own.
+    Args:
+        rows: Rows of the study.
+        counts: Rows by state, in the order of `STATES`; rows that are not computed are in none.
+        failures: By state, those that gave no numbers.
+        audited: Largest relative deviation of the batch path from the single path, by output.
+        computed: Rows that this run computed; the others were there.
+        seconds: What it took; it stands in no file.
+        workers: Processes that computed, 0 for the command's own.
     """
 
     rows: int

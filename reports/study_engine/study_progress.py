@@ -17,14 +17,10 @@ _REFRESH_S = 0.2
 class StudyProgress:
     """Rows by how they ended.
 
-    Parameters
-    ----------
-    count:
-        Rows of the study.
-    kept:
-        Rows that an earlier run has left.
-    states:
-        Rows of this run.
+    Args:
+        count: Rows of the study.
+        kept: Rows that an earlier run has left.
+        states: Rows of this run.
     """
 
     count: int

@@ -12,11 +12,9 @@ from dataclasses import dataclass, field
 from dqforge.optimizer.exploration.row_block import RowBlock, RowSource
 from dqforge.reports.study_engine.contained_rows import crashed_row, halfway, joined
 
+# Deaths at which a single row, or a range without a row to blame, is given up; at the last one
+# nothing else was running.
 DEATHS = 3
-
-"""Deaths at which a single row, or a range without a row to blame, is given up; at the last one
-nothing else was running.
-"""
 
 
 @dataclass(slots=True, eq=False)

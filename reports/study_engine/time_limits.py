@@ -17,14 +17,10 @@ _ENOUGH = 3
 class TimeLimits:
     """Limits in s.
 
-    Parameters
-    ----------
-    given:
-        By the user, for every batch; None to learn it.
-    rows:
-        Rows of a whole part.
-    taken:
-        What whole parts have taken.
+    Args:
+        given: By the user, for every batch; None to learn it.
+        rows: Rows of a whole part.
+        taken: What whole parts have taken.
     """
 
     given: float | None

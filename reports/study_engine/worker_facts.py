@@ -15,8 +15,8 @@ from dqforge.reports.study_store.study_header import cpu_features, versions
 
 CPU = "CPU features"
 SOURCES = "sources"
+# Versions that are compared before anything of dqforge is asked of a worker.
 COMPARED = ("dqforge", "python", "numpy", "scipy", "pyarrow", "cloudpickle")
-"""Versions that are compared before anything of dqforge is asked of a worker."""
 
 
 @cache
@@ -41,12 +41,9 @@ def worker_facts() -> dict[str, str]:
 def first_difference(there: Mapping[str, str], here: Mapping[str, str]) -> str:
     """What a worker has that differs from ``here``, in words; empty where nothing does.
 
-    Parameters
-    ----------
-    there:
-        Facts, or versions alone, of the worker.
-    here:
-        What is compared, of this process.
+    Args:
+        there: Facts, or versions alone, of the worker.
+        here: What is compared, of this process.
     """
     for name, value in here.items():
         other = there.get(name) or "none"

@@ -33,16 +33,11 @@ _HEARD_S = 0.3
 class Computed:
     """What a worker hands back.
 
-    Parameters
-    ----------
-    data:
-        Bytes of the part, empty where only some of its rows were asked for.
-    block:
-        Those rows, None where the whole part was asked for.
-    states:
-        Rows by how they ended.
-    seconds:
-        How long the rows took.
+    Args:
+        data: Bytes of the part, empty where only some of its rows were asked for.
+        block: Those rows, None where the whole part was asked for.
+        states: Rows by how they ended.
+        seconds: How long the rows took.
     """
 
     data: bytes
@@ -58,14 +53,11 @@ class UnfitWorkerError(Exception):
 class StudyOnWorker(WorkerPlugin):
     """The study on a worker, there before its first batch and again after each restart.
 
-    Parameters
-    ----------
-    pickled:
-        A `RowSource`.
-    digest:
-        Of the study, for the parts.
-    facts:
-        What each worker must be like (`worker_facts`); one that comes later is held to it, too.
+    Args:
+        pickled: A `RowSource`.
+        digest: Of the study, for the parts.
+        facts: What each worker must be like (`worker_facts`); one that comes later is held to it,
+            too.
     """
 
     def __init__(self, pickled: bytes, digest: str, facts: Mapping[str, str]) -> None:
@@ -101,14 +93,10 @@ def compute_rows(
 ) -> Computed:
     """Rows ``first`` to ``end`` - 1 of the study that the plugin ``name`` holds.
 
-    Parameters
-    ----------
-    limit:
-        Time in s after which this process ends.
-    whole:
-        Whether they are a part, which is encoded here.
-    told:
-        Whether those who listen to ``name`` are told that the rows begin now.
+    Args:
+        limit: Time in s after which this process ends.
+        whole: Whether they are a part, which is encoded here.
+        told: Whether those who listen to ``name`` are told that the rows begin now.
     """
     study = cast("StudyOnWorker", get_worker().plugins[name])
     if study.unfit:

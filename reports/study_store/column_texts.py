@@ -14,10 +14,8 @@ _SHARES = ("torque_error", "loss_penalty", "torque_relative", "loss_relative")
 def label(name: str) -> str:
     """A column without what says that it is an input or output.
 
-    Parameters
-    ----------
-    name:
-        Whole name of a column.
+    Args:
+        name: Whole name of a column.
     """
     return name.removeprefix(INPUT_COLUMN).removeprefix(OUTPUT_COLUMN)
 
@@ -25,10 +23,8 @@ def label(name: str) -> str:
 def people_unit(spec: ColumnSpec) -> str:
     """Unit of a column in tables and pictures: degrees for angles, percent for shares.
 
-    Parameters
-    ----------
-    spec:
-        The column.
+    Args:
+        spec: The column.
     """
     if not spec.unit and spec.name.rpartition(".")[2] in _SHARES:
         return "%"
@@ -38,14 +34,10 @@ def people_unit(spec: ColumnSpec) -> str:
 def value_text(spec: ColumnSpec, value: float, digits: int = 5) -> str:
     """A value of a column with its unit; nothing where there is none.
 
-    Parameters
-    ----------
-    spec:
-        The column.
-    value:
-        A number in SI units, or the place of a word.
-    digits:
-        Significant digits.
+    Args:
+        spec: The column.
+        value: A number in SI units, or the place of a word.
+        digits: Significant digits.
     """
     if spec.kind == "choice":
         return spec.choices[int(value)] if value >= 0 else ""

@@ -31,8 +31,7 @@ from dqforge.reports.study_store.part_file import KEY, MESSAGE
 from dqforge.reports.study_store.part_store import PartStore
 from dqforge.reports.study_store.store_files import StoreError, part_files
 
-BUCKETS = 16
-"""Into how many files the keys of many rows go, by their first four bits."""
+BUCKETS = 16  # Into how many files the keys of many rows go, by their first four bits.
 _IN_MEMORY = 2_000_000
 _PARTS_KEPT = 4
 _ROW_BITS = np.uint64(32)
@@ -43,17 +42,12 @@ _CRASHED = STATES.index("crashed")
 class EarlierOutputs:
     """What earlier studies know of rows.
 
-    Parameters
-    ----------
-    found:
-        Which rows, bool (n,).
-    columns:
-        Outputs of the rows, (n,): NaN, or -1 of choices, where a row was not found.
-    states:
-        Places in `STATES`, int8 (n,), -1 where a row was not found. Limits are no part of a key:
-        whether a row is within those of now is to be judged anew.
-    messages:
-        Empty where a row was not found or ended well.
+    Args:
+        found: Which rows, bool (n,).
+        columns: Outputs of the rows, (n,): NaN, or -1 of choices, where a row was not found.
+        states: Places in `STATES`, int8 (n,), -1 where a row was not found. Limits are no part of a
+            key: whether a row is within those of now is to be judged anew.
+        messages: Empty where a row was not found or ended well.
     """
 
     found: BoolArray
@@ -90,14 +84,10 @@ class _Source(NamedTuple):
 class EarlierRows:
     """An index of the keys in folders of earlier studies.
 
-    Parameters
-    ----------
-    sources:
-        Parts, by the number that stands in the records.
-    buckets:
-        Sorted records, one bucket per group of first bits; in files if they are many.
-    folder:
-        Where these files lie; None where everything is in memory.
+    Args:
+        sources: Parts, by the number that stands in the records.
+        buckets: Sorted records, one bucket per group of first bits; in files if they are many.
+        folder: Where these files lie; None where everything is in memory.
     """
 
     sources: tuple[_Source, ...]
@@ -111,17 +101,12 @@ class EarlierRows:
     def of(cls, folders: Sequence[Path], columns: Sequence[ColumnSpec]) -> Self:
         """Index the rows of folders; of two rows with one key the first one counts.
 
-        Parameters
-        ----------
-        folders:
-            That 'dqforge explore' wrote; damaged parts of them are left out.
-        columns:
-            Those of the study that asks: a folder without one of its outputs is refused.
+        Args:
+            folders: That 'dqforge explore' wrote; damaged parts of them are left out.
+            columns: Those of the study that asks: a folder without one of its outputs is refused.
 
-        Raises
-        ------
-        InputError
-            A folder holds no study, or one without these outputs.
+        Raises:
+            InputError: A folder holds no study, or one without these outputs.
         """
         stores = [cls.require(folder, columns) for folder in folders]
         sources = tuple(
@@ -147,14 +132,10 @@ class EarlierRows:
     def find(self, keys: NDArray[np.uint8]) -> NDArray[np.int32]:
         """Where rows lie.
 
-        Parameters
-        ----------
-        keys:
-            (n, 16).
+        Args:
+            keys: (n, 16).
 
-        Returns
-        -------
-        NDArray[np.int32]
+        Returns:
             Number of the part and row in it, (n, 2); -1 where there is none.
         """
         found = np.full((len(keys), 2), -1, dtype=np.int32)
@@ -170,12 +151,9 @@ class EarlierRows:
         """What earlier studies know of rows; rows in whose computation a process died count as not
         found.
 
-        Parameters
-        ----------
-        keys:
-            (n, 16).
-        columns:
-            Those of the study that asks.
+        Args:
+            keys: (n, 16).
+            columns: Those of the study that asks.
         """
         asked = tuple(column for column in columns if column.name.startswith(OUTPUT_COLUMN))
         count = len(keys)

@@ -28,19 +28,13 @@ if TYPE_CHECKING:
 class PartColumns:
     """Some columns of one part.
 
-    Parameters
-    ----------
-    about:
-        What the part says of itself.
-    columns:
-        Those that were asked for: numbers (n,) in SI units, of choices the places in their words,
-        int32, -1 for none.
-    states:
-        Places in `STATES`, int8 (n,).
-    keys:
-        Hash of each row's resolved design, uint8 (n, 16); (0, 16) where not asked for.
-    messages:
-        Empty texts for rows that ended well; an empty tuple where not asked for.
+    Args:
+        about: What the part says of itself.
+        columns: Those that were asked for: numbers (n,) in SI units, of choices the places in their
+            words, int32, -1 for none.
+        states: Places in `STATES`, int8 (n,).
+        keys: Hash of each row's resolved design, uint8 (n, 16); (0, 16) where not asked for.
+        messages: Empty texts for rows that ended well; an empty tuple where not asked for.
     """
 
     about: PartAbout
@@ -63,19 +57,13 @@ class PartColumns:
 def part_columns(data: bytes, names: Sequence[str], specs: Sequence[ColumnSpec]) -> PartColumns:
     """Columns of a part.
 
-    Parameters
-    ----------
-    data:
-        The file.
-    names:
-        Columns of the study, or `KEY`, `MESSAGE`.
-    specs:
-        Columns of the study.
+    Args:
+        data: The file.
+        names: Columns of the study, or `KEY`, `MESSAGE`.
+        specs: Columns of the study.
 
-    Raises
-    ------
-    PartError
-        The part was changed, or has no such column or word.
+    Raises:
+        PartError: The part was changed, or has no such column or word.
     """
     about, table = part_table(data, [*dict.fromkeys([STATE, *names])])
     described = {spec.name: spec for spec in specs}

@@ -41,16 +41,11 @@ _PARQUET = b"PAR1"
 class PartAbout:
     """What a part says of itself.
 
-    Parameters
-    ----------
-    digest:
-        SHA-256 of what its rows depend on (`dqforge.reports.study_store.study_header`).
-    first:
-        Index of its first row.
-    count:
-        Number of rows.
-    audited:
-        As `RowBlock.audited`.
+    Args:
+        digest: SHA-256 of what its rows depend on (`dqforge.reports.study_store.study_header`).
+        first: Index of its first row.
+        count: Number of rows.
+        audited: As `RowBlock.audited`.
     """
 
     digest: str
@@ -66,24 +61,16 @@ class PartError(ValueError):
 def encode_part(block: RowBlock, columns: Sequence[ColumnSpec], digest: str) -> bytes:
     """The file of a part.
 
-    Parameters
-    ----------
-    block:
-        Its rows.
-    columns:
-        Columns of the study, in their order.
-    digest:
-        SHA-256 of what the rows depend on, in hexadecimal.
+    Args:
+        block: Its rows.
+        columns: Columns of the study, in their order.
+        digest: SHA-256 of what the rows depend on, in hexadecimal.
 
-    Returns
-    -------
-    bytes
+    Returns:
         The same for the same rows, columns, digest and version of pyarrow.
 
-    Raises
-    ------
-    ValueError
-        The block does not have these columns, or columns of another length.
+    Raises:
+        ValueError: The block does not have these columns, or columns of another length.
     """
     return encode_rows(np.arange(block.first, block.first + block.count), block, columns, digest)
 
@@ -227,10 +214,8 @@ def _sealed(data: bytes) -> bytes:
 def check_seal(data: bytes) -> None:
     """Hold a part against its seal.
 
-    Raises
-    ------
-    PartError
-        Something in it was changed, or it is none.
+    Raises:
+        PartError: Something in it was changed, or it is none.
     """
     place = _seal_place(data)
     if data[place : place + _DIGITS] != _digits(data, place):
@@ -240,10 +225,8 @@ def check_seal(data: bytes) -> None:
 def part_about(data: bytes) -> PartAbout:
     """What a part says of itself, its seal checked.
 
-    Raises
-    ------
-    PartError
-        As `check_seal`, or it is another kind of file.
+    Raises:
+        PartError: As `check_seal`, or it is another kind of file.
     """
     import pyarrow as pa
     from pyarrow import parquet
@@ -269,10 +252,8 @@ def part_table(data: bytes, names: Sequence[str]) -> tuple[PartAbout, pa.Table]:
     """What a part says of itself, and columns of it; its seal and the checksums of its pages are
     checked.
 
-    Raises
-    ------
-    PartError
-        As `check_seal`, or a column is not there.
+    Raises:
+        PartError: As `check_seal`, or a column is not there.
     """
     import pyarrow as pa
     from pyarrow import parquet

@@ -32,14 +32,10 @@ from dqforge.reports.study_store.study_header import STUDY_JSON, StudyHeader, he
 class Survey:
     """Which parts of a study are there.
 
-    Parameters
-    ----------
-    finished:
-        Numbers of the parts that count.
-    damaged:
-        By number, why a part that is there does not count.
-    audited:
-        Largest deviation of the batch path over the finished parts, by output.
+    Args:
+        finished: Numbers of the parts that count.
+        damaged: By number, why a part that is there does not count.
+        audited: Largest deviation of the batch path over the finished parts, by output.
     """
 
     finished: frozenset[int]
@@ -51,14 +47,10 @@ class Survey:
 class PartStore:
     """A folder that holds one study.
 
-    Parameters
-    ----------
-    folder:
-        As the user named it.
-    header:
-        What the study is.
-    lock:
-        Descriptor that keeps other runs out; -1 of a folder that is only read.
+    Args:
+        folder: As the user named it.
+        header: What the study is.
+        lock: Descriptor that keeps other runs out; -1 of a folder that is only read.
     """
 
     folder: Path
@@ -77,24 +69,17 @@ class PartStore:
     ) -> Self:
         """Make a folder for a study, or go on with the study that it holds.
 
-        Parameters
-        ----------
-        folder:
-            Made if missing.
-        header:
-            The study that is asked.
-        restart:
-            Whether what another study, or this one, left there is taken away first; files that no
-            study wrote stay.
-        mixed:
-            Whether parts of other versions or another processor may stand beside new ones.
-        inputs:
-            Files from which the study can be read again, by name in the folder.
+        Args:
+            folder: Made if missing.
+            header: The study that is asked.
+            restart: Whether what another study, or this one, left there is taken away first; files
+                that no study wrote stay.
+            mixed: Whether parts of other versions or another processor may stand beside new ones.
+            inputs: Files from which the study can be read again, by name in the folder.
 
-        Raises
-        ------
-        InputError
-            The folder cannot be written, holds another study, or another run writes there.
+        Raises:
+            InputError: The folder cannot be written, holds another study, or another run writes
+                there.
         """
         lock = made_and_locked(folder)
         try:
@@ -152,12 +137,9 @@ class PartStore:
     def write(self, part: int, data: bytes) -> None:
         """Keep a part, as `dqforge.reports.study_store.part_file.encode_part` made it.
 
-        Raises
-        ------
-        StoreError
-            The disk is full or the folder cannot be written; what is finished stays.
-        PartError
-            The bytes are not those of this part of this study.
+        Raises:
+            StoreError: The disk is full or the folder cannot be written; what is finished stays.
+            PartError: The bytes are not those of this part of this study.
         """
         self._require(part, part_about(data))
         write_whole(self.folder / PARTS / part_name(part), data)
@@ -168,19 +150,13 @@ class PartStore:
         """Columns of one part after the other, in their order; parts that are not there are left
         out.
 
-        Parameters
-        ----------
-        names:
-            Columns of the study, ``key`` or ``message``.
-        parts:
-            Numbers of the parts, None for all.
+        Args:
+            names: Columns of the study, ``key`` or ``message``.
+            parts: Numbers of the parts, None for all.
 
-        Raises
-        ------
-        InputError
-            There is no such column.
-        StoreError
-            A part is damaged.
+        Raises:
+            InputError: There is no such column.
+            StoreError: A part is damaged.
         """
         known = (*(column.name for column in self.header.columns), KEY, MESSAGE)
         unknown = [name for name in names if name not in known]

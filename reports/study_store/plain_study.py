@@ -19,8 +19,7 @@ from dqforge.machines.exploration.study import (
 )
 from dqforge.reports.plain_data import PlainData
 
-INPUT = "study-input"
-"""Folder in an explored folder that holds what the study was read from."""
+INPUT = "study-input"  # Folder in an explored folder that holds what the study was read from.
 INPUT_DESIGN = f"{INPUT}/design.yaml"
 _FILES, _HEADER = f"{INPUT}/files", f"{INPUT}/header"
 _CONTENTS = ("design_text", "named", "header_files", "places")
@@ -70,12 +69,9 @@ def input_names(plain: PlainData) -> tuple[str, ...]:
 def study_from(plain: PlainData, contents: Mapping[str, bytes]) -> Study:
     """A study again.
 
-    Parameters
-    ----------
-    plain:
-        As `plain_study` made it.
-    contents:
-        As `study_inputs` made them.
+    Args:
+        plain: As `plain_study` made it.
+        contents: As `study_inputs` made them.
     """
     found = {key: _frozen(value) for key, value in plain.items() if key != "design_sha256"}
     found |= {

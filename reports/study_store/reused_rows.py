@@ -39,17 +39,12 @@ _BEYOND = STATES.index("limit")
 class ReusingRows:
     """A `RowSource` that computes what no earlier study has.
 
-    Parameters
-    ----------
-    plan:
-        The rows of the study.
-    folders:
-        Of earlier studies; every process that computes must see them.
+    Args:
+        plan: The rows of the study.
+        folders: Of earlier studies; every process that computes must see them.
 
-    Raises
-    ------
-    InputError
-        As `EarlierRows.of`, when the first rows are asked for.
+    Raises:
+        InputError: As `EarlierRows.of`, when the first rows are asked for.
     """
 
     plan: StudyPlan
@@ -78,20 +73,16 @@ class ReusingRows:
     def inputs(self, first: int, end: int) -> Inputs:
         """What goes into rows first to end - 1.
 
-        Parameters
-        ----------
-        first, end:
-            Range of rows.
+        Args:
+            first, end: Range of rows.
         """
         return self.plan.inputs(first, end)
 
     def keys(self, first: int, end: int) -> NDArray[np.uint8]:
         """Keys of rows first to end - 1, shape (n, 16).
 
-        Parameters
-        ----------
-        first, end:
-            Range of rows.
+        Args:
+            first, end: Range of rows.
         """
         return self.plan.keys(first, end)
 
@@ -110,10 +101,8 @@ class ReusingRows:
     def rows(self, first: int, end: int) -> RowBlock:
         """Rows first to end - 1 of the study.
 
-        Parameters
-        ----------
-        first, end:
-            Range of rows, 0 <= first < end <= ``count``.
+        Args:
+            first, end: Range of rows, 0 <= first < end <= ``count``.
         """
         study = self.plan.study
         inputs = row_inputs(study, first, end)

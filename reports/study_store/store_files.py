@@ -21,18 +21,15 @@ from dqforge.reports.operating_system.folder_lock import (
 
 PARTS = "parts"
 FRONT, SENSITIVITY, REPORT = "front.parquet", "sensitivity.json", "report.html"
-BESIDE = (FRONT, SENSITIVITY, REPORT)
-"""What stands beside ``study.json`` when a study is done."""
-WINNERS = "winners"
-"""Folder in which each row that is exported has one."""
-LARGEST_PART = 2_000_000_000
-"""Bytes of the largest part that is read."""
+BESIDE = (FRONT, SENSITIVITY, REPORT)  # What stands beside ``study.json`` when a study is done.
+WINNERS = "winners"  # Folder in which each row that is exported has one.
+LARGEST_PART = 2_000_000_000  # Bytes of the largest part that is read.
 
+# Flags of opening: no links, no waiting for a pipe, and bytes as they are.
 _PART = re.compile(r"part-(\d{6,9})\.parquet")
 _LEFTOVER = re.compile(r"\.(?:part-\d{6,9}\.parquet|[a-z][a-z-]*\.(?:json|parquet|html))\.new")
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _PLAIN = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-"""Flags of opening: no links, no waiting for a pipe, and bytes as they are."""
 
 
 class StoreError(DqforgeError):
@@ -49,12 +46,9 @@ def part_name(part: int) -> str:
 def part_files(folder: Path, parts: Collection[int] | None = None) -> dict[int, Path]:
     """Files that have the name of a part, by its number, links and folders left out.
 
-    Parameters
-    ----------
-    folder:
-        Of the study.
-    parts:
-        Those that are looked for, None for all.
+    Args:
+        folder: Of the study.
+        parts: Those that are looked for, None for all.
     """
     if parts is not None:
         paths = {part: folder / PARTS / part_name(part) for part in sorted(parts)}
@@ -94,10 +88,8 @@ def remove_leftovers(folder: Path) -> None:
 def read_whole(path: Path) -> bytes:
     """A file of a study; links are not followed.
 
-    Raises
-    ------
-    OSError
-        It cannot be read, or is no regular file.
+    Raises:
+        OSError: It cannot be read, or is no regular file.
     """
     _refuse_link(path)  # which Windows would follow
     descriptor = os.open(path, os.O_RDONLY | _PLAIN)
@@ -111,10 +103,8 @@ def read_whole(path: Path) -> bytes:
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file through a temporary one beside it: flushed, renamed, and the folder flushed.
 
-    Raises
-    ------
-    StoreError
-        It cannot be written; the old one, if any, is there as it was.
+    Raises:
+        StoreError: It cannot be written; the old one, if any, is there as it was.
     """
     temporary = path.parent / f".{path.name}.new"
     try:
@@ -171,10 +161,8 @@ def refuse_write(path: Path, error: OSError) -> NoReturn:
 def keep_folder(folder: Path) -> int:
     """Keep other runs from a folder, until the process ends or closes what comes back.
 
-    Raises
-    ------
-    InputError
-        Another run has it.
+    Raises:
+        InputError: Another run has it.
     """
     try:
         return lock_folder(folder)

@@ -53,19 +53,13 @@ def made_and_locked(folder: Path) -> int:
 def make_ready(folder: Path, header: StudyHeader, *, restart: bool, mixed: bool) -> None:
     """Hold what a folder has against a study, and take away what must go.
 
-    Parameters
-    ----------
-    folder:
-        Locked.
-    header:
-        The study that is asked.
-    restart, mixed:
-        As of `dqforge.reports.study_store.part_store.PartStore.open`.
+    Args:
+        folder: Locked.
+        header: The study that is asked.
+        restart, mixed: As of `dqforge.reports.study_store.part_store.PartStore.open`.
 
-    Raises
-    ------
-    InputError
-        The folder holds something else.
+    Raises:
+        InputError: The folder holds something else.
     """
     old = held_study(folder)
     remove_leftovers(folder)

@@ -22,9 +22,7 @@ from dqforge.reports.plain_data import PlainData
 from dqforge.reports.study_store.plain_study import plain_study
 
 STUDY_JSON = "study.json"
-LAYOUT = 1
-"""Number of the layout of an explored folder; another one is refused, not guessed."""
-
+LAYOUT = 1  # Number of the layout of an explored folder; another one is refused, not guessed.
 _LIBRARIES = ("numpy", "scipy", "pyarrow", "nlopt", "cvxpy", "clarabel", "casadi")
 
 
@@ -32,27 +30,18 @@ _LIBRARIES = ("numpy", "scipy", "pyarrow", "nlopt", "cvxpy", "clarabel", "casadi
 class StudyHeader:
     """What stands in ``study.json``.
 
-    Parameters
-    ----------
-    name:
-        Title of the study.
-    asked:
-        What it asks, by dotted key and in SI units: what is compared, key by key, where a folder
-        holds a study.
-    study:
-        The whole of it, from which it can be read again; not compared.
-    count, batch:
-        Number of rows, and rows per part.
-    columns:
-        Columns of every part.
-    computed_with:
-        Versions of dqforge, Python and the libraries on which bytes or last digits depend.
-    cpu_features:
-        Instruction sets that numpy found.
-    created_by:
-        What pyarrow writes into every part of itself.
-    outcome:
-        What is known at the end: rows by state, largest deviation of the batch path.
+    Args:
+        name: Title of the study.
+        asked: What it asks, by dotted key and in SI units: what is compared, key by key, where a
+            folder holds a study.
+        study: The whole of it, from which it can be read again; not compared.
+        count, batch: Number of rows, and rows per part.
+        columns: Columns of every part.
+        computed_with: Versions of dqforge, Python and the libraries on which bytes or last digits
+            depend.
+        cpu_features: Instruction sets that numpy found.
+        created_by: What pyarrow writes into every part of itself.
+        outcome: What is known at the end: rows by state, largest deviation of the batch path.
     """
 
     name: str
@@ -140,12 +129,9 @@ def _sets(study: Mapping[str, Any]) -> PlainData:
 def study_header(study: Study, source: RowSource) -> StudyHeader:
     """The header of a study that is computed here and now.
 
-    Parameters
-    ----------
-    study:
-        What is asked.
-    source:
-        Its rows.
+    Args:
+        study: What is asked.
+        source: Its rows.
     """
     return StudyHeader(
         study.name,
@@ -232,10 +218,8 @@ def header_bytes(header: StudyHeader) -> bytes:
 def header_from(content: bytes) -> StudyHeader:
     """A header as `header_bytes` wrote it.
 
-    Raises
-    ------
-    ValueError
-        It is none, or it was changed.
+    Raises:
+        ValueError: It is none, or it was changed.
     """
     try:
         plain: Any = json.loads(content)

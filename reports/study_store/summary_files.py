@@ -24,19 +24,13 @@ from dqforge.reports.study_store.part_store import PartStore
 def front_file(store: PartStore, index: NDArray[np.int64]) -> bytes:
     """``front.parquet``: whole rows, with the columns of the parts.
 
-    Parameters
-    ----------
-    store:
-        The study.
-    index:
-        Rows of the front (n,), ascending.
+    Args:
+        store: The study.
+        index: Rows of the front (n,), ascending.
 
-    Raises
-    ------
-    StoreError
-        A part is damaged.
-    ValueError
-        A row is not there.
+    Raises:
+        StoreError: A part is damaged.
+        ValueError: A row is not there.
     """
     header = store.header
     names = [column.name for column in header.columns]
@@ -82,14 +76,10 @@ def _picked(part: PartColumns, index: NDArray[np.int64]) -> RowBlock:
 def sensitivity_file(name: str, digest: str, found: Sequence[Sensitivities]) -> bytes:
     """``sensitivity.json``, by the keys of docs/reference/json.md.
 
-    Parameters
-    ----------
-    name:
-        Title of the study.
-    digest:
-        SHA-256 of what its rows depend on.
-    found:
-        Per output.
+    Args:
+        name: Title of the study.
+        digest: SHA-256 of what its rows depend on.
+        found: Per output.
     """
     plain = {"rows_sha256": digest, "sensitivities": [plain_sensitivities(one) for one in found]}
     return to_text("explore", name, plain).encode("ascii")

@@ -28,8 +28,7 @@ from dqforge.reports.study_store.table_query import (
 )
 from dqforge.reports.study_store.table_rows import Cells, FoundRows, find_rows, matching_parts
 
-USUAL_ROWS = 20
-"""Rows that a terminal shows where no number is asked for."""
+USUAL_ROWS = 20  # Rows that a terminal shows where no number is asked for.
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,19 +51,14 @@ def answer_table(folder: Path, asked: TableRequest) -> Answer:
 
     A file takes all rows that match, the terminal the first ones.
 
-    Parameters
-    ----------
-    folder:
-        Of the study.
-    asked:
-        Which columns of which rows.
+    Args:
+        folder: Of the study.
+        asked: Which columns of which rows.
 
-    Raises
-    ------
-    InputError
-        The folder holds no study, the request is not understood, or the file cannot be written.
-    StoreError
-        A part is damaged.
+    Raises:
+        InputError: The folder holds no study, the request is not understood, or the file cannot be
+            written.
+        StoreError: A part is damaged.
     """
     store = PartStore.existing(folder)
     query = read_query(store.header, asked.table, asked.where, asked.sort, asked.first)
@@ -107,16 +101,11 @@ def rows_table(
 ) -> Table:
     """Rows for the terminal: quantities with their unit, nothing where there is none.
 
-    Parameters
-    ----------
-    header:
-        The study.
-    columns:
-        Whole names, in their order.
-    cells:
-        As of `FoundRows`.
-    title, notes:
-        As of `Table`.
+    Args:
+        header: The study.
+        columns: Whole names, in their order.
+        cells: As of `FoundRows`.
+        title, notes: As of `Table`.
     """
     heads = tuple(short_name(header, name) for name in columns)
     return Table(title, heads, people_texts(header, columns, cells), notes)
@@ -219,10 +208,8 @@ def _require_place(path: Path) -> None:
 def write_pieces(path: Path, pieces: Iterator[tuple[int, bytes]]) -> int:
     """Write a file piece by piece beside its place, and rename it; returns the number of rows.
 
-    Raises
-    ------
-    InputError
-        It cannot be written; what stood there is there as it was.
+    Raises:
+        InputError: It cannot be written; what stood there is there as it was.
     """
     temporary = path.parent / f".{path.name}.{os.getpid()}.new"
     count = 0

@@ -49,16 +49,11 @@ _USUAL_OUTPUTS = 4
 class Condition:
     """What a row must have.
 
-    Parameters
-    ----------
-    name:
-        Whole name of a column.
-    operator:
-        Numbers know all of them, words and texts ``=`` and ``!=``.
-    number:
-        What numbers are compared with, in the SI unit of the column.
-    words:
-        What words are compared with: patterns with ``*``, any of them.
+    Args:
+        name: Whole name of a column.
+        operator: Numbers know all of them, words and texts ``=`` and ``!=``.
+        number: What numbers are compared with, in the SI unit of the column.
+        words: What words are compared with: patterns with ``*``, any of them.
     """
 
     name: str
@@ -71,17 +66,12 @@ class Condition:
 class TableQuery:
     """Rows of a study that are looked for.
 
-    Parameters
-    ----------
-    columns:
-        Whole names of the columns that are shown.
-    conditions:
-        All of them hold.
-    order:
-        Columns that the rows go by, and whether the largest come first; by index where they are
-        the same.
-    first:
-        How many rows, None for all.
+    Args:
+        columns: Whole names of the columns that are shown.
+        conditions: All of them hold.
+        order: Columns that the rows go by, and whether the largest come first; by index where they
+            are the same.
+        first: How many rows, None for all.
     """
 
     columns: tuple[str, ...]
@@ -105,24 +95,17 @@ def read_query(
 ) -> TableQuery:
     """What the options of a command ask.
 
-    Parameters
-    ----------
-    header:
-        The study.
-    table:
-        Names with commas between them, without ``in.`` or ``out.`` where that leaves no doubt,
-        ``*`` for anything; empty for what varies and what the study is after.
-    where:
-        Conditions ``name < number unit``; ``and`` stands between several.
-    sort:
-        Names with commas between them, ``-name`` for the largest first.
-    first:
-        How many rows.
+    Args:
+        header: The study.
+        table: Names with commas between them, without ``in.`` or ``out.`` where that leaves no
+            doubt, ``*`` for anything; empty for what varies and what the study is after.
+        where: Conditions ``name < number unit``; ``and`` stands between several.
+        sort: Names with commas between them, ``-name`` for the largest first.
+        first: How many rows.
 
-    Raises
-    ------
-    InputError
-        There is no such column, the value has another unit, or the syntax is not understood.
+    Raises:
+        InputError: There is no such column, the value has another unit, or the syntax is not
+            understood.
     """
     if first is not None and first < 1:
         raise InputError(f"--first {first}: write a number of rows from 1 on")

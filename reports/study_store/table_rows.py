@@ -17,11 +17,9 @@ from dqforge.reports.study_store.part_store import PartStore
 from dqforge.reports.study_store.study_header import StudyHeader
 from dqforge.reports.study_store.table_query import Condition, TableQuery, fitting, spec_of
 
-MOST_SORTED = 100_000
-"""Rows that are kept for sorting."""
+MOST_SORTED = 100_000  # Rows that are kept for sorting.
+# Relative difference of numbers that count as equal: those of a grid have rounded ends.
 _NEAR = 1e-9
-"""Relative difference of numbers that count as equal: those of a grid have rounded ends."""
-
 Cells = Mapping[str, NDArray[Any]]
 
 
@@ -29,17 +27,12 @@ Cells = Mapping[str, NDArray[Any]]
 class FoundRows:
     """Rows that were found.
 
-    Parameters
-    ----------
-    cells:
-        By whole name of the column, (n,): numbers in SI units, places of words, of keys their
-        hexadecimal digits, texts.
-    matched:
-        How many rows have what was asked.
-    there:
-        How many rows are computed.
-    count:
-        How many rows the study has.
+    Args:
+        cells: By whole name of the column, (n,): numbers in SI units, places of words, of keys
+            their hexadecimal digits, texts.
+        matched: How many rows have what was asked.
+        there: How many rows are computed.
+        count: How many rows the study has.
     """
 
     cells: Cells
@@ -74,19 +67,13 @@ def find_rows(
 ) -> FoundRows:
     """The first rows of a query in its order, and how many match.
 
-    Parameters
-    ----------
-    store:
-        The study.
-    query:
-        What is looked for.
-    parts:
-        In which parts, None for all.
+    Args:
+        store: The study.
+        query: What is looked for.
+        parts: In which parts, None for all.
 
-    Raises
-    ------
-    InputError
-        More rows than can be sorted are asked for.
+    Raises:
+        InputError: More rows than can be sorted are asked for.
     """
     most = query.first or MOST_SORTED
     if most > MOST_SORTED:

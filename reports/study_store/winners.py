@@ -40,14 +40,10 @@ _ROWS = re.compile(r"row:(\d{1,12}(?:,\d{1,12})*)")
 class Winner:
     """A row that was exported.
 
-    Parameters
-    ----------
-    index:
-        Of the row.
-    folder:
-        Where its files lie.
-    output:
-        What was made.
+    Args:
+        index: Of the row.
+        folder: Where its files lie.
+        output: What was made.
     """
 
     index: int
@@ -58,17 +54,13 @@ class Winner:
 def chosen_rows(store: PartStore, which: str) -> tuple[int, ...]:
     """Indices of the rows that ``--export`` means.
 
-    Parameters
-    ----------
-    store:
-        The study.
-    which:
-        A number of the best ones, ``row:INDEX`` (several with commas), or ``front``.
+    Args:
+        store: The study.
+        which: A number of the best ones, ``row:INDEX`` (several with commas), or ``front``.
 
-    Raises
-    ------
-    InputError
-        It is none of these, there are no such rows, or the study has no goal to be best in.
+    Raises:
+        InputError: It is none of these, there are no such rows, or the study has no goal to be best
+            in.
     """
     named = _ROWS.fullmatch(which.strip())
     if named is not None:
@@ -145,10 +137,8 @@ def _front(store: PartStore) -> tuple[int, ...]:
 def stored_study(store: PartStore) -> Study:
     """The study of a folder, from what lies in it.
 
-    Raises
-    ------
-    StoreError
-        A file is missing.
+    Raises:
+        StoreError: A file is missing.
     """
     plain = store.header.study
     try:
@@ -163,12 +153,9 @@ def stored_study(store: PartStore) -> Study:
 def row_text(store: PartStore, study: Study, row: int) -> bytes:
     """The design file of a row.
 
-    Raises
-    ------
-    StoreError
-        What lies in the folder does not give the design that the row was computed for.
-    InputError
-        A value of the row is none that a design may have.
+    Raises:
+        StoreError: What lies in the folder does not give the design that the row was computed for.
+        InputError: A value of the row is none that a design may have.
     """
     header = store.header
     names = [column.name for column in header.columns]
@@ -201,19 +188,13 @@ def row_design(study: Study, text: bytes, source: str) -> Design:
 def export_row(store: PartStore, study: Study, row: int, *, verify: bool = True) -> Winner:
     """Write the design of a row and its headers into a folder of their own.
 
-    Parameters
-    ----------
-    store, study:
-        The folder and the study in it (`stored_study`).
-    row:
-        Index of the row.
-    verify:
-        Whether the compiled headers are compared with their models.
+    Args:
+        store, study: The folder and the study in it (`stored_study`).
+        row: Index of the row.
+        verify: Whether the compiled headers are compared with their models.
 
-    Raises
-    ------
-    DqforgeError
-        As `dqforge.reports.run.export_design`, with the row; as `row_text`.
+    Raises:
+        DqforgeError: As `dqforge.reports.run.export_design`, with the row; as `row_text`.
     """
     stage(f"row {row}")
     folder = store.folder / WINNERS / f"row-{row:06d}"

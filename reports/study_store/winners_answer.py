@@ -19,20 +19,14 @@ from dqforge.reports.study_store.winners import Winner, chosen_rows, export_row,
 def answer_export(folder: Path, which: str, *, verify: bool = True) -> Answer:
     """Write the designs and headers of rows of a study.
 
-    Parameters
-    ----------
-    folder:
-        Of the study.
-    which:
-        As of `dqforge.reports.study_store.winners.chosen_rows`.
-    verify:
-        Whether the compiled headers are compared with their models.
+    Args:
+        folder: Of the study.
+        which: As of `dqforge.reports.study_store.winners.chosen_rows`.
+        verify: Whether the compiled headers are compared with their models.
 
-    Raises
-    ------
-    DqforgeError
-        As `chosen_rows` and `dqforge.reports.study_store.winners.export_row`; what was written
-        before stays.
+    Raises:
+        DqforgeError: As `chosen_rows` and `dqforge.reports.study_store.winners.export_row`; what
+            was written before stays.
     """
     store = PartStore.existing(folder)
     rows = chosen_rows(store, which)

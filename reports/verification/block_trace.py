@@ -19,8 +19,7 @@ from dqforge.reports.verification.cycle_model import (
     whole_span,
 )
 
-LOGGED = ("-d", "in_asm,exec,nochain")
-"""Options by which QEMU writes the log."""
+LOGGED = ("-d", "in_asm,exec,nochain")  # Options by which QEMU writes the log.
 
 _LINE = re.compile(
     rb"^(?:Trace [^\[\n]*?(?P<block>0x\w+) \[|(?P<stopped>Stopped)|(?P<translated>IN:)"
@@ -53,10 +52,9 @@ def executed_blocks(chunks: Iterable[bytes]) -> BlockTrace:
 
     A line that says that a block was stopped before it began takes back the line before it.
 
-    Raises
-    ------
-    VerificationError
-        The emulator was built without a disassembler, which splits blocks into instructions.
+    Raises:
+        VerificationError: The emulator was built without a disassembler, which splits blocks into
+            instructions.
     """
     numbers: dict[tuple[int, ...], int] = {}
     known: dict[bytes, int] = {}
@@ -90,14 +88,10 @@ def calls_in_blocks(
 
     The call itself is left out.
 
-    Parameters
-    ----------
-    trace:
-        What was executed.
-    entry:
-        Address of the function.
-    code:
-        Instructions by address.
+    Args:
+        trace: What was executed.
+        entry: Address of the function.
+        code: Instructions by address.
     """
     first = [block[0] for block in trace.blocks]
     after = [
@@ -124,14 +118,10 @@ def cycles_of_paths(
     The same as `cycle_model.cycles` of all its instructions; a block between the same two others
     is summed once.
 
-    Parameters
-    ----------
-    paths:
-        Numbers of the blocks in the order of their execution.
-    blocks:
-        Instructions of each block.
-    core_name:
-        One of `cycle_model.CORES`.
+    Args:
+        paths: Numbers of the blocks in the order of their execution.
+        blocks: Instructions of each block.
+        core_name: One of `cycle_model.CORES`.
     """
     known: dict[tuple[int, int, int], tuple[int, int, int]] = {}
     for path in paths:

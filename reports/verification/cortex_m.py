@@ -34,37 +34,21 @@ if TYPE_CHECKING:
     from dqforge.reports.c_code.harness import Programme
     from dqforge.reports.verification.cycle_model import Span
 
+# Exit code of the program on the target where the current reference differs, one more for each kind
+# of header behind it; the emulator's own failures end with 1.
 __all__ = ["TARGETS", "TargetVerification", "target_of", "verify_on_target"]
-
-
 _FIRST_DIFFERS = 101
 
-"""Exit code of the program on the target where the current reference differs, one more for each
-kind of header behind it; the emulator's own failures end with 1.
-"""
-
-
+# Vectors whose instructions are counted; those with special values come first.
 _VECTORS = "_vectors.h"
-
-
 _VECTOR_TORQUE = re.compile(rb"\{ 0x([0-9A-F]{8})U, 0x[0-9A-F]{8}U, 0x[0-9A-F]{8}U \}")
-
-
 _FIXED = re.compile(rb"_current_reference_(q15|q31)\(")
-
-
 _VECTOR_CODE = re.compile(rb"\{ (-?[0-9]+|\(-2147483647 - 1\)), [-0-9() ]+, [-0-9() ]+ \}")
-
-
 _LARGEST_TRACE = 1024
 
-"""Vectors whose instructions are counted; those with special values come first."""
-
-
+# Bytes of text of the test vectors of one program; the flash of the smallest board holds 256 KiB,
+# which are about 900,000 bytes of text.
 _LARGEST_BATCH = 600_000
-
-"""Bytes of text of the test vectors of one program; the flash of the smallest board holds 256 KiB,
-which are about 900,000 bytes of text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,24 +138,17 @@ def verify_on_target(
 
     Their test vectors are run, and the harnesses of ``programmes`` on their inputs.
 
-    Parameters
-    ----------
-    files:
-        Contents of the headers and of their vectors by name.
-    prefix:
-        Checked C identifier.
-    target:
-        One of `TARGETS`.
-    programmes:
-        Harnesses of the headers; what has neither these nor test vectors is named in the outcome.
+    Args:
+        files: Contents of the headers and of their vectors by name.
+        prefix: Checked C identifier.
+        target: One of `TARGETS`.
+        programmes: Harnesses of the headers; what has neither these nor test vectors is named in
+            the outcome.
 
-    Raises
-    ------
-    InputError
-        There is no such target.
-    VerificationError
-        A tool is missing (its Debian package is named), the headers do not compile,
-        or a result differs.
+    Raises:
+        InputError: There is no such target.
+        VerificationError: A tool is missing (its Debian package is named), the headers do not
+            compile, or a result differs.
     """
     target_of(target)
     fixed = _FIXED.search(files[f"{prefix}.h"])

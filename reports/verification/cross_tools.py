@@ -15,19 +15,11 @@ from dqforge.machines.records import dataclass
 from dqforge.reports.operating_system.ways_to_get import WAYS
 from dqforge.reports.pages.templating import render
 
+# Exit codes by which a program on a target says something; the emulator's own failures end with 1.
 _COMPILER = "arm-none-eabi-gcc"
-
-
 _EMULATOR = "qemu-system-arm"
-
-
 _TIMEOUT_S = 60
-
-
 PROGRAM_CODES = range(100, 120)
-
-"""Exit codes by which a program on a target says something; the emulator's own failures end
-with 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,21 +120,14 @@ def compile_files(arguments: list[str], target: str, folder: Path) -> None:
 def build(sources: Mapping[str, bytes], strict: tuple[str, ...], target: str, folder: Path) -> None:
     """Compile C files and link them with the start-up code to ``target.elf``.
 
-    Parameters
-    ----------
-    sources:
-        Contents of headers and of C files by name.
-    strict:
-        Flags for the C files, such as those that turn warnings into errors.
-    target:
-        One of `TARGETS`.
-    folder:
-        An empty folder, in which the object files stay.
+    Args:
+        sources: Contents of headers and of C files by name.
+        strict: Flags for the C files, such as those that turn warnings into errors.
+        target: One of `TARGETS`.
+        folder: An empty folder, in which the object files stay.
 
-    Raises
-    ------
-    VerificationError
-        A tool is missing, or the files do not compile.
+    Raises:
+        VerificationError: A tool is missing, or the files do not compile.
     """
     board = target_of(target)
     program(_EMULATOR)  # what is missing is said before anything is compiled
@@ -179,10 +164,8 @@ def build(sources: Mapping[str, bytes], strict: tuple[str, ...], target: str, fo
 def emulate(target: str, folder: Path, *options: str) -> int:
     """Run ``target.elf`` on its board and return the exit code of the program.
 
-    Raises
-    ------
-    VerificationError
-        The emulator failed (it ends with 1), or the program met a fault.
+    Raises:
+        VerificationError: The emulator failed (it ends with 1), or the program met a fault.
     """
     command = [
         program(_EMULATOR),

@@ -4,29 +4,28 @@ of addresses to (lo, hi).
 Zero wait states; ``lo`` and ``hi`` enclose what the cited tables leave open,
 they are no bounds for a real memory.
 
-Sources
--------
-cortex-m3
-    ARM DDI 0337I, 3.3.1 and 3.3.3: refill after a taken branch P = 1 to 3; LDR 2, directly after
-    another load 1; STR 1; load and store multiple 1 + N; MLA 2; long multiply 3 to 5, with
-    accumulate 4 to 7; divide 2 to 12; IT 0 where it is folded, else 1.
-cortex-m4
-    ARM DDI 0439, 3.3.1, 3.3.3 and 7.2.3: as the M3, with every multiply 1; float add, multiply,
-    compare, convert 1; multiply-accumulate 3; divide and root 14; single load and store 2, where
-    the core may overlap neighbours (lo). A result that the next instruction consumes costs one more
-    cycle, unless it is the addend of a multiply-accumulate. A float moved from or to a core
-    register is 1 there; GCC's cortex-m4-fpu.md schedules it with 2, which is hi.
-cortex-m0plus
-    ARM DDI 0484C, 3.3: ALU 1; MULS 1 (the single-cycle multiplier; the small one takes 32); loads
-    and stores 2; taken branch 2, BL 3; multiple 1 + N; POP to the PC 3 + N. No floating point: its
-    library routines are in the sequence.
-cortex-m7
-    Arm publishes no table. It issues up to two instructions per cycle and predicts branches: lo is
-    half of the instructions plus the waits of divisions, roots and consumed results, hi the sum of
-    the M4. Inferred.
-cortex-m33
-    Arm publishes no table (100230 has none); taken as the M4, whose pipeline is of the same depth.
-    Inferred.
+References:
+    cortex-m3
+        ARM DDI 0337I, 3.3.1 and 3.3.3: refill after a taken branch P = 1 to 3; LDR 2, directly
+        after another load 1; STR 1; load and store multiple 1 + N; MLA 2; long multiply 3 to 5,
+        with accumulate 4 to 7; divide 2 to 12; IT 0 where it is folded, else 1.
+    cortex-m4
+        ARM DDI 0439, 3.3.1, 3.3.3 and 7.2.3: as the M3, with every multiply 1; float add, multiply,
+        compare, convert 1; multiply-accumulate 3; divide and root 14; single load and store 2,
+        where the core may overlap neighbours (lo). A result that the next instruction consumes
+        costs one more cycle, unless it is the addend of a multiply-accumulate. A float moved from
+        or to a core register is 1 there; GCC's cortex-m4-fpu.md schedules it with 2, which is hi.
+    cortex-m0plus
+        ARM DDI 0484C, 3.3: ALU 1; MULS 1 (the single-cycle multiplier; the small one takes 32);
+        loads and stores 2; taken branch 2, BL 3; multiple 1 + N; POP to the PC 3 + N. No floating
+        point: its library routines are in the sequence.
+    cortex-m7
+        Arm publishes no table. It issues up to two instructions per cycle and predicts branches: lo
+        is half of the instructions plus the waits of divisions, roots and consumed results, hi the
+        sum of the M4. Inferred.
+    cortex-m33
+        Arm publishes no table (100230 has none); taken as the M4, whose pipeline is of the same
+        depth. Inferred.
 """
 
 from __future__ import annotations
@@ -39,16 +38,9 @@ from functools import cache
 from dqforge.machines.records import dataclass
 
 _LINE = re.compile(r"^\s*([0-9a-f]+):\t([0-9a-f ]+)\t(\S+)(?:\t(.*))?$")
-
-
 _TRACE = re.compile(rb"^(?:Trace .*?\[\w+/(\w+)/|(Stopped))", re.MULTILINE)
-
-
 _REGISTER = re.compile(r"\b([sd])(\d+)\b")
-
-
 _CONDITIONS = ("eq", "ne", "cs", "cc", "mi", "pl", "vs", "vc", "hi", "ls", "ge", "lt", "gt", "le")
-
 
 _BRANCHES = {
     "b",
@@ -58,19 +50,10 @@ _BRANCHES = {
     *(f"b{condition}" for condition in (*_CONDITIONS, "hs", "lo")),
 }
 
-
 _FLOAT_SLOW = ("vdiv.", "vsqrt.")
-
-
 _FLOAT_MAC = ("vmla.", "vmls.", "vnmla.", "vnmls.", "vfma.", "vfms.", "vfnma.", "vfnms.")
-
-
 _NO_RESULT = ("vcmp", "vstr", "vmrs", "vmsr", "vstm", "vpush")
-
-
-Span = tuple[int, int]
-
-"""(lo, hi) in cycles."""
+Span = tuple[int, int]  # (lo, hi) in cycles.
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +100,6 @@ class CoreTiming:
 
 
 _M4 = CoreTiming()
-
 
 CORES: dict[str, CoreTiming] = {
     "cortex-m0plus": CoreTiming(
@@ -337,12 +319,10 @@ def summed(
 ) -> tuple[int, int, int]:
     """Sums over a sequence between its neighbours: (lo, hi), and what no second issue can hide.
 
-    Parameters
-    ----------
-    before, sequence, after:
-        What was executed; ``before`` and ``after`` are not summed, and None where nothing was.
-    core_name:
-        One of `CORES`.
+    Args:
+        before, sequence, after: What was executed; ``before`` and ``after`` are not summed, and
+            None where nothing was.
+        core_name: One of `CORES`.
     """
     neighbours = [before, *sequence, after]
     steps = [
@@ -363,18 +343,13 @@ def whole_span(count: int, sums: tuple[int, int, int], core_name: str) -> Span:
 def cycles(sequence: Sequence[Instruction], core_name: str) -> Span:
     """Estimated cycles of instructions in the order of their execution.
 
-    Parameters
-    ----------
-    sequence:
-        What was executed, up to the return; an instruction that is not followed by its neighbour in
-        memory was a taken branch, and the last one is. Conditional instructions are in it whether
-        or not their condition held.
-    core_name:
-        One of `CORES`.
+    Args:
+        sequence: What was executed, up to the return; an instruction that is not followed by its
+            neighbour in memory was a taken branch, and the last one is. Conditional instructions
+            are in it whether or not their condition held.
+        core_name: One of `CORES`.
 
-    Returns
-    -------
-    tuple
+    Returns:
         (lo, hi) in cycles.
     """
     return whole_span(len(sequence), summed(None, sequence, None, core_name), core_name)

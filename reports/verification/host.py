@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from dqforge.optimizer.current_reference.forms import Emitted
     from dqforge.reports.c_code.harness import Programme
 
+# Warning flags of the header contract (docs/reference/header.md).
 WARNINGS = (
     "-Wall",
     "-Wextra",
@@ -36,19 +37,11 @@ WARNINGS = (
     "-Werror",
 )
 
-"""Warning flags of the header contract (docs/reference/header.md)."""
-
-
+# Where an invalid operation gives the same not-a-number in C and in numpy; on other processors one
+# is as good as another.
 _FLAGS = ("-ffp-contract=off", *WARNINGS)
-
-
 _TIMEOUT_S = 60
-
-
 _OF_X86 = platform.machine().lower() in ("x86_64", "amd64")
-"""Where an invalid operation gives the same not-a-number in C and in numpy; on other processors one
-is as good as another.
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,23 +148,15 @@ def verify_files(
     """Compile a header and its vectors as C99 and as C++11, run both, and compare
     every bit with the model.
 
-    Parameters
-    ----------
-    files:
-        Contents of the headers and of their vectors by name.
-    prefix:
-        Checked C identifier.
-    reference:
-        The model.
-    vectors:
-        Number of test vectors that were asked for.
-    further:
-        Harnesses of the further headers.
+    Args:
+        files: Contents of the headers and of their vectors by name.
+        prefix: Checked C identifier.
+        reference: The model.
+        vectors: Number of test vectors that were asked for.
+        further: Harnesses of the further headers.
 
-    Raises
-    ------
-    VerificationError
-        No C compiler is there, the header does not compile, or a result differs.
+    Raises:
+        VerificationError: No C compiler is there, the header does not compile, or a result differs.
     """
     programme, chosen = reference_programme(reference, vectors)
     parts = [programme, *further]

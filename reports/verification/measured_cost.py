@@ -127,26 +127,17 @@ def cost_of_calls(
     """Compile a program for a target, run it on the emulation, and sum what the calls of one of
     its functions executed.
 
-    Parameters
-    ----------
-    sources:
-        Contents of C files, one of them with ``main``, and of headers by name.
-    function:
-        A function with a symbol of its own: it is called from another file.
-    target:
-        One of `target_tools.TARGETS`.
-    sized:
-        The C files whose bytes count.
-    flags:
-        Further flags of the compiler.
+    Args:
+        sources: Contents of C files, one of them with ``main``, and of headers by name.
+        function: A function with a symbol of its own: it is called from another file.
+        target: One of `target_tools.TARGETS`.
+        sized: The C files whose bytes count.
+        flags: Further flags of the compiler.
 
-    Raises
-    ------
-    InputError
-        There is no such target.
-    VerificationError
-        A tool is missing (its Debian package is named), the files do not compile, the emulation
-        failed, or the function was never called.
+    Raises:
+        InputError: There is no such target.
+        VerificationError: A tool is missing (its Debian package is named), the files do not
+            compile, the emulation failed, or the function was never called.
     """
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
         return _traced_calls(sources, function, target, flags, sized, Path(name))
@@ -157,27 +148,18 @@ def cost_on_target(
 ) -> TargetCost:
     """Compile an evaluator for a target, run it on the emulation, and sum what it executed.
 
-    Parameters
-    ----------
-    sources:
-        Contents of the headers, and of C files that belong to them, by name.
-    header:
-        The one of them that declares the evaluator.
-    function:
-        Its name; ``void function(number torque, number *i_d, number *i_q)`` with the
-        number type of ``torques``.
-    target:
-        One of `target_tools.TARGETS`.
-    torques:
-        Float32 torques in N m, or int16 or int32 codes of them, shape (N,), N >= 1.
+    Args:
+        sources: Contents of the headers, and of C files that belong to them, by name.
+        header: The one of them that declares the evaluator.
+        function: Its name; ``void function(number torque, number *i_d, number *i_q)`` with the
+            number type of ``torques``.
+        target: One of `target_tools.TARGETS`.
+        torques: Float32 torques in N m, or int16 or int32 codes of them, shape (N,), N >= 1.
 
-    Raises
-    ------
-    InputError
-        There is no such target.
-    VerificationError
-        A tool is missing (its Debian package is named), the files do not compile,
-        or the emulation failed.
+    Raises:
+        InputError: There is no such target.
+        VerificationError: A tool is missing (its Debian package is named), the files do not
+            compile, or the emulation failed.
     """
     bits = f"uint{8 * torques.itemsize}_t"
     number = "float" if torques.dtype == np.float32 else bits[1:]

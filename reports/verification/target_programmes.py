@@ -97,21 +97,14 @@ def run_on_target(
 ) -> tuple[TargetRun, ...]:
     """Run harnesses on an emulated core and compare every bit with the model.
 
-    Parameters
-    ----------
-    files:
-        Contents of the headers and of their vectors by name.
-    prefix:
-        Checked C identifier.
-    parts:
-        Harnesses with inputs and results.
-    target:
-        One of `target_tools.TARGETS`.
+    Args:
+        files: Contents of the headers and of their vectors by name.
+        prefix: Checked C identifier.
+        parts: Harnesses with inputs and results.
+        target: One of `target_tools.TARGETS`.
 
-    Raises
-    ------
-    VerificationError
-        A tool is missing, a harness does not compile, or a result differs.
+    Raises:
+        VerificationError: A tool is missing, a harness does not compile, or a result differs.
     """
     done = []
     for part in parts:

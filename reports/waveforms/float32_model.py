@@ -95,10 +95,8 @@ def _polynomials_from(plain: Mapping[str, Any]) -> PhasePolynomials:
 def phase_reference_from(plain: Mapping[str, Any]) -> PhaseReference:
     """Read an evaluator back.
 
-    Raises
-    ------
-    InputError
-        The data are not what `plain_phase_reference` makes.
+    Raises:
+        InputError: The data are not what `plain_phase_reference` makes.
     """
     fault = InputError("waveform.reference is not what dqforge writes; run the design again")
     try:

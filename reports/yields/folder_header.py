@@ -23,15 +23,12 @@ _AGAIN = "run the design again"
 def read_fixed_header(folder: Path) -> FixedHeader:
     """The header of a folder as it was emitted.
 
-    Parameters
-    ----------
-    folder:
-        What `dqforge run` wrote.
+    Args:
+        folder: What `dqforge run` wrote.
 
-    Raises
-    ------
-    InputError
-        It is not what dqforge wrote, it was changed since, or it has no current reference.
+    Raises:
+        InputError: It is not what dqforge wrote, it was changed since, or it has no current
+            reference.
     """
     manifest, contents = read_listed(folder)
     return _checked(manifest, contents, str(folder))
@@ -40,17 +37,12 @@ def read_fixed_header(folder: Path) -> FixedHeader:
 def fixed_header(files: Mapping[str, bytes], source: str) -> FixedHeader:
     """The header of a folder whose files were read before.
 
-    Parameters
-    ----------
-    files:
-        Contents by their names in the folder, with the manifest.
-    source:
-        Name of the folder for messages.
+    Args:
+        files: Contents by their names in the folder, with the manifest.
+        source: Name of the folder for messages.
 
-    Raises
-    ------
-    InputError
-        As `read_fixed_header`.
+    Raises:
+        InputError: As `read_fixed_header`.
     """
     try:
         manifest = from_bytes(files.get(MANIFEST, b""))
@@ -89,15 +81,11 @@ def _is_listed(content: bytes, digest: str) -> bool:
 def header_from_plain(result: Mapping[str, Any]) -> FixedHeader:
     """The header that a result describes.
 
-    Parameters
-    ----------
-    result:
-        What `result.json` holds.
+    Args:
+        result: What `result.json` holds.
 
-    Raises
-    ------
-    InputError
-        An entry that the header is made of is missing, or is not what dqforge writes.
+    Raises:
+        InputError: An entry that the header is made of is missing, or is not what dqforge writes.
     """
     drive, header = _entry(result, "drive"), _entry(result, "header")
     gains = result.get("gains")

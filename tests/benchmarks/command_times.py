@@ -53,10 +53,8 @@ def loop_s() -> float:
 def multiple(command: str) -> float:
     """User time of a command, its compilers' included, over that of the loop before and after.
 
-    Raises
-    ------
-    subprocess.CalledProcessError
-        The command fails.
+    Raises:
+        subprocess.CalledProcessError: The command fails.
     """
     program = str(Path(sys.executable).with_name("dqforge"))
     before = loop_s()

@@ -40,9 +40,9 @@ def phases(angle: FloatArray, amplitude: float) -> Triple[FloatArray]:
     return Triple(*(amplitude * np.cos(angle - k * 2.0 * math.pi / 3.0) for k in range(3)))
 
 
+# Away from the angles where the choice of the resting phase is a matter of rounding, but for
+# chance.
 ANGLE = np.random.default_rng(2).uniform(-math.pi, math.pi, 500)
-"""Away from the angles where the choice of the resting phase is a matter of rounding,
-but for chance."""
 
 
 def test_every_arithmetic_sees_the_same_vector() -> None:

@@ -14,14 +14,15 @@ import dqforge
 
 REPORTS = Path(dqforge.__file__).parent / "reports"
 
+# Rooms whose modules ask the optimizer, and what for.
 ROOMS_THAT_ASK = {
     "answers": "from the request of a command to its answer: solve, then hand on to print",
     "papers": "reproduce a paper, from its figures to the tables beside them",
     "start_up_bench": "starts drives that are drawn, as solved, and judges what becomes of them",
     "session": "the face for Python, which asks the optimizer for its caller",
 }
-"""Rooms whose modules ask the optimizer, and what for."""
 
+# Modules that ask the optimizer, and why; what they find, others print.
 ORCHESTRATORS = {
     "comparison.firmware_side": "judges the loops of a firmware's file that is to be compared",
     "comparison.sources": "solves a design that is to be compared",
@@ -44,8 +45,9 @@ ORCHESTRATORS = {
     "study_store.winners": "finds the designs of rows again, and has them solved like any",
     "simulation.design_run": "solves a design, compiles its control and simulates the drive",
 }
-"""Modules that ask the optimizer, and why; what they find, others print."""
 
+# Modules that evaluate emitted C in its own arithmetic, for test vectors and to compare with the
+# compiled C.
 MODELS = {
     "control.fixed_model": "the control functions in integers, step by step",
     "control.fixed_reading": "proves again what is read back",
@@ -67,12 +69,10 @@ MODELS = {
     "start_up.tried": "the state machine of a start in single precision",
     "waveforms.float32_model": "phase currents in single precision",
 }
-"""Modules that evaluate emitted C in its own arithmetic, for test vectors and to compare with the
-compiled C."""
 
+# Modules of the firmware of others that work out what a file amounts to, by the functions that
+# serve a design.
 READERS = ("reader", "project")
-"""Modules of the firmware of others that work out what a file amounts to, by the functions that
-serve a design."""
 
 
 def reads_firmware(name: str) -> bool:

@@ -19,13 +19,9 @@ from dqforge.reports.report import render_report
 from dqforge.reports.run import run_design
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-
 LARGEST = 1_000_000
-MOST_CELLS = 60_000
-"""Of the data of one figure; a map of 56 by 56 points in two panels has 18,816."""
-SLACK = 5.0
-"""Process time in s that a report may take beyond that of solving, on a busy machine."""
-
+MOST_CELLS = 60_000  # Of the data of one figure; a map of 56 by 56 points in two panels has 18,816.
+SLACK = 5.0  # Process time in s that a report may take beyond that of solving, on a busy machine.
 IPM, SERVO, PHASES = "paper000-ipmsm-100kw", "abb-ipmsm-2k2", "paper002-phase-waveforms"
 SIX_STEP, THIRD = "six-step-drive.yaml", "third-harmonic-start.yaml"
 FLUX = "control.observer={method: flux}"
@@ -72,6 +68,7 @@ SLOW: dict[str, tuple[str, tuple[str, ...]]] = {
         SERVO, ("inverter.current_sensing={shunt: 1 mOhm, gain: 20, reference: 3.3 V}",),
     ),
 }  # fmt: skip
+# As many sections at once as one drive takes.
 TOGETHER = (
     IPM,
     (
@@ -90,18 +87,16 @@ TOGETHER = (
         "inverter.current_sensing={shunt: 1 mOhm, gain: 20, reference: 3.3 V}",
     ),
 )
-"""As many sections at once as one drive takes."""
 
 SIMULATED = ("paper001-pmsm-bench", "salient-phase-waveforms", SIX_STEP, THIRD)
 
+# What every design has, sections of which each key stands here, and what adds files alone;
+# simulations are below.
 NOT_PICTURED = {
     "dqforge", "name", "about", "machine", "inverter", "control", "export", "simulation",
     "control.sampling_frequency", "control.gains", "export.prefix", "export.vectors",
     "export.firmware",
 }  # fmt: skip
-"""What every design has, sections of which each key stands here, and what adds files alone;
-simulations are below.
-"""
 
 
 def found(name: str) -> str:

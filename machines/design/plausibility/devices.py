@@ -16,15 +16,11 @@ from dqforge.machines.devices.switch import DeviceKind, SwitchDevice
 from dqforge.machines.devices.thermal_network import CauerNetwork, ThermalNetwork
 from dqforge.machines.records import dataclass
 
-_WARM = 100.0
+_WARM = 100.0  # Junction temperature in degC at which tables are looked at.
 
-"""Junction temperature in degC at which tables are looked at."""
-
-
+# Voltage in V of the energies below which a MOSFET is of the trench kind, with faster edges and
+# small drops.
 _LOW_VOLTAGE = 200.0
-
-"""Voltage in V of the energies below which a MOSFET is of the trench kind,
-with faster edges and small drops."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,7 @@ import math
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
-MARK = "implausible: "
-
-"""How every sentence on an implausible figure begins."""
+MARK = "implausible: "  # How every sentence on an implausible figure begins.
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,22 +9,14 @@ from dqforge.machines.records import dataclass
 class Scale:
     """Sizes of a drive, in SI units.
 
-    Parameters
-    ----------
-    voltage:
-        v_dc/sqrt(3), the largest phase voltage in the linear range.
-    current:
-        Current limit, peak of phase.
-    flux:
-        Flux linkage at half the current limit, 45 degrees ahead of the q axis.
-    base_speed:
-        Mechanical speed in rad/s at which this flux linkage uses the voltage up.
-    torque:
-        Largest torque within the current limit.
-    power:
-        Apparent power at voltage and current.
-    top_speed:
-        Largest mechanical speed in rad/s, or None.
+    Args:
+        voltage: v_dc/sqrt(3), the largest phase voltage in the linear range.
+        current: Current limit, peak of phase.
+        flux: Flux linkage at half the current limit, 45 degrees ahead of the q axis.
+        base_speed: Mechanical speed in rad/s at which this flux linkage uses the voltage up.
+        torque: Largest torque within the current limit.
+        power: Apparent power at voltage and current.
+        top_speed: Largest mechanical speed in rad/s, or None.
     """
 
     voltage: float

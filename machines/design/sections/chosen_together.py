@@ -8,20 +8,12 @@ from dqforge.machines.design.reading import Reading
 from dqforge.machines.design.settings import ObserverSettings, SpeedLoopSettings, Tolerances
 from dqforge.machines.devices.inverter import Inverter
 
-SPREAD = 4.0
+SPREAD = 4.0  # Spread of a speed loop that counts the lag of its observer: about 60 degrees.
 
-"""Spread of a speed loop that counts the lag of its observer: about 60 degrees."""
-
-
+# Share of the speed in the correction of the flux: with the whole dead time, and where what is left
+# of it is small.
 SPEED_GAIN, SPEED_GAIN_COMPENSATED = 1.0, 0.5
-
-"""Share of the speed in the correction of the flux: with the whole dead time, and where what is
-left of it is small."""
-
-
-COMPENSATED = 0.1
-
-"""Largest share of the dead time that counts as small."""
+COMPENSATED = 0.1  # Largest share of the dead time that counts as small.
 
 
 def chosen_together(
@@ -33,16 +25,11 @@ def chosen_together(
 ) -> tuple[SpeedLoopSettings, ObserverSettings]:
     """Settings of both, with what is assumed said in the remarks of the reading.
 
-    Parameters
-    ----------
-    loop, observer:
-        As they were read.
-    inverter:
-        With its dead time.
-    tolerances:
-        What the compensation of the dead time leaves, None where the design names none.
-    reading:
-        Takes the remarks.
+    Args:
+        loop, observer: As they were read.
+        inverter: With its dead time.
+        tolerances: What the compensation of the dead time leaves, None where the design names none.
+        reading: Takes the remarks.
     """
     reading.remarks.append(
         f"control.speed_loop.spread is taken as {SPREAD:g}, and the observer's lag as one of the "

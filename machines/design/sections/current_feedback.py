@@ -16,6 +16,7 @@ from dqforge.machines.records import dataclass
 
 _PATH = ("control", "current_loop")
 
+# The keys that a method takes beside ``method``.
 _KEYS: dict[str, tuple[str, ...]] = {
     "hysteresis": ("band",),
     "ramp-comparison": ("kp", "ki", "carrier", "comparator_band"),
@@ -24,8 +25,6 @@ _KEYS: dict[str, tuple[str, ...]] = {
     "circle": ("band", "sampling"),
     "predictive": ("sampling",),
 }
-
-"""The keys that a method takes beside ``method``."""
 
 _NO_RUN = (
     "remove it: 'dqforge simulate' runs such a design at constant speed, at the points of losses"

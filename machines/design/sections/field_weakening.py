@@ -53,10 +53,8 @@ def read_weakening(
     """Two-dimensional references, None where the file asks for none; a speed that it
     leaves open is remarked on.
 
-    Raises
-    ------
-    InputError
-        The strategy is not mtpa, or nothing tells the largest speed.
+    Raises:
+        InputError: The strategy is not mtpa, or nothing tells the largest speed.
     """
     document = reading.document
     if section is None:

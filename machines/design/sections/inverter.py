@@ -102,21 +102,15 @@ def read_inverter_device(
 ) -> tuple[SwitchDevice | None, DeviceModel | None]:
     """Constants of the switch for the loss budget, and its tables where the design names some.
 
-    Parameters
-    ----------
-    section:
-        The inverter of the design file.
-    i_max:
-        Current limit of the drive in A (peak), where the tables are made constants
-        unless the file says otherwise.
-    reading:
-        The design in the course of being read.
+    Args:
+        section: The inverter of the design file.
+        i_max: Current limit of the drive in A (peak), where the tables are made constants unless
+            the file says otherwise.
+        reading: The design in the course of being read.
 
-    Raises
-    ------
-    InputError
-        The device file or the name is wrong, or the thermal resistance is known nowhere;
-        with a position.
+    Raises:
+        InputError: The device file or the name is wrong, or the thermal resistance is known
+            nowhere; with a position.
     """
     if section.device is None:
         return None, None

@@ -73,10 +73,8 @@ _REFERENCE = 20.0
 def read_machine_loss(section: MachineSection, reading: Reading) -> MachineLoss:
     """Losses of the machine beyond the dc copper loss.
 
-    Raises
-    ------
-    InputError
-        The iron loss has no part, or no flux linkage.
+    Raises:
+        InputError: The iron loss has no part, or no flux linkage.
     """
     iron, resistance, magnet, document = (
         section.iron_loss,
@@ -137,10 +135,9 @@ def read_losses(
 ) -> LossSettings | None:
     """Loss comparison, None where the file asks for none.
 
-    Raises
-    ------
-    InputError
-        There is neither a point nor a mission, or the file of the mission cannot be used.
+    Raises:
+        InputError: There is neither a point nor a mission, or the file of the mission cannot be
+            used.
     """
     if section is None:
         return None

@@ -118,20 +118,14 @@ def read_choice(
 ) -> ChoiceSettings | None:
     """Choice of modulator and switching frequency, None where the file asks for none.
 
-    Parameters
-    ----------
-    section, strategy:
-        The section, and the strategy of the design.
-    inverter, machine, reading:
-        The drive, and where remarks go.
-    i_max:
-        Current limit in A (peak), to which a share of the ripple refers.
+    Args:
+        section, strategy: The section, and the strategy of the design.
+        inverter, machine, reading: The drive, and where remarks go.
+        i_max: Current limit in A (peak), to which a share of the ripple refers.
 
-    Raises
-    ------
-    InputError
-        The inverter has no device, a range is empty, a modulator is named twice, the ripple is
-        given twice, or nothing tells the largest speed.
+    Raises:
+        InputError: The inverter has no device, a range is empty, a modulator is named twice, the
+            ripple is given twice, or nothing tells the largest speed.
     """
     if section is None:
         return None

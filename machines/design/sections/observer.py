@@ -35,20 +35,10 @@ def _users(key: str) -> str:
 
 
 _Neurons = Annotated[int, Field(ge=1, le=16)]
-
-
 HiddenLayers = Annotated[tuple[_Neurons, _Neurons], Field(strict=False)]
-
-
 CorrectionTime = Annotated[Quantity, QuantityRule("time", 1e-3, 1.0)]
-
-
 CorrectionLimit = Annotated[Quantity, QuantityRule("angle", 1e-3, 2.0)]
-
-
 SpeedError = Annotated[Quantity, QuantityRule("number", 1e-4, 0.5)]
-
-
 InjectedVoltage = Annotated[Quantity, QuantityRule("voltage", 1e-3, 2e4)]
 
 
@@ -131,9 +121,8 @@ _OBSERVER_ENTRIES = (
     *("hidden_layers", "correction_filter", "correction_limit"),
 )
 
-
+# Methods whose speed loop is not judged on them.
 _TOLD_NO_SPEED = (SPEED_OBSERVER, "zero-crossing", "emf-integration")
-"""Methods whose speed loop is not judged on them."""
 
 
 def check_observer(

@@ -28,10 +28,8 @@ from dqforge.machines.phase_machines.salient_phase_machine import (
 )
 from dqforge.machines.topologies.topology import TOPOLOGIES
 
+# Keys of ``control.current_loop`` that other machines have no use for.
 PHASE_KEYS = ("frame", "feedforward", "axis_gains", "harmonic_integrators", "limited_waveforms")
-
-"""Keys of ``control.current_loop`` that other machines have no use for."""
-
 
 _MODULATORS: dict[Topology, str] = {
     "three-wire": "duty cycles centred between the highest and the lowest phase voltage",

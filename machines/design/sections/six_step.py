@@ -44,12 +44,9 @@ class SixStepSection(Section):
 def read_six_step(section: SixStepSection | None, method: str | None) -> SixStepSettings | None:
     """The settings of a six-step drive, None for other drives.
 
-    Parameters
-    ----------
-    section:
-        ``control.six_step``, None where the file has none.
-    method:
-        ``control.observer.method``, None without an observer.
+    Args:
+        section: ``control.six_step``, None where the file has none.
+        method: ``control.observer.method``, None without an observer.
     """
     if method not in SIX_STEP_METHODS:
         return None

@@ -170,23 +170,15 @@ def check_start_up(
 ) -> None:
     """Check what a start needs of machine and controllers.
 
-    Parameters
-    ----------
-    control:
-        The section ``control``.
-    machine:
-        The machine.
-    formats:
-        In which the control functions are emitted.
-    document:
-        For positions.
-    any_back_emf:
-        Whether the machine is one of model: waveform.
+    Args:
+        control: The section ``control``.
+        machine: The machine.
+        formats: In which the control functions are emitted.
+        document: For positions.
+        any_back_emf: Whether the machine is one of model: waveform.
 
-    Raises
-    ------
-    InputError
-        With a position.
+    Raises:
+        InputError: With a position.
     """
     section = control.start_up
     if section is None:
@@ -287,14 +279,10 @@ def read_start_up(
 ) -> StartUpSettings | None:
     """Settings in SI units, None without the section.
 
-    Parameters
-    ----------
-    section:
-        The section.
-    reading:
-        Where currents are read as peak values.
-    given:
-        Fields that are more than their key.
+    Args:
+        section: The section.
+        reading: Where currents are read as peak values.
+        given: Fields that are more than their key.
     """
     if section is None:
         return None

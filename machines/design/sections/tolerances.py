@@ -86,10 +86,9 @@ def read_tolerances(
     ``i_max`` is the current limit in A (peak), a tenth of which is the smallest
     current unless the file says.
 
-    Raises
-    ------
-    InputError
-        A tolerance has nothing that it could change, or is larger than what it belongs to.
+    Raises:
+        InputError: A tolerance has nothing that it could change, or is larger than what it belongs
+            to.
     """
     document = reading.document
     if section is None:

@@ -1,12 +1,11 @@
 """Discontinuous modulators that rest the phase with the large current: GDPWM and DDT-GDPWM.
 
-References
-----------
-A. M. Hava, R. J. Kerkman, T. A. Lipo, "A high-performance generalized discontinuous PWM algorithm",
-IEEE Transactions on Industry Applications 34(5), 1998, doi:10.1109/28.720446. T. D. Nguyen et al.,
-"A direct digital technique implementation of general discontinuous pulse width modulation
-strategy", IEEE Transactions on Industrial Electronics 58(9), 2011, doi:10.1109/TIE.2010.2102311
-(DDT-GDPWM).
+References:
+    A. M. Hava, R. J. Kerkman, T. A. Lipo, "A high-performance generalized discontinuous PWM
+    algorithm", IEEE Transactions on Industry Applications 34(5), 1998, doi:10.1109/28.720446. T. D.
+    Nguyen et al., "A direct digital technique implementation of general discontinuous pulse width
+    modulation strategy", IEEE Transactions on Industrial Electronics 58(9), 2011,
+    doi:10.1109/TIE.2010.2102311 (DDT-GDPWM).
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """Discontinuous modulators whose phases rest at angles of the reference: DPWM0 to DPWM3, and those
 of one rail.
 
-References
-----------
-A. M. Hava, R. J. Kerkman, T. A. Lipo, "A high-performance generalized discontinuous PWM algorithm",
-IEEE Transactions on Industry Applications 34(5), 1998, doi:10.1109/28.720446.
+References:
+    A. M. Hava, R. J. Kerkman, T. A. Lipo, "A high-performance generalized discontinuous PWM
+    algorithm", IEEE Transactions on Industry Applications 34(5), 1998, doi:10.1109/28.720446.
 """
 
 from __future__ import annotations

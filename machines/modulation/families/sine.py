@@ -1,9 +1,9 @@
 """Sine against triangle, with a third harmonic or without.
 
-References
-----------
-A. M. Hava, R. J. Kerkman, T. A. Lipo, "Simple analytical and graphical methods for carrier-based
-PWM-VSI drives", IEEE Transactions on Power Electronics 14(1), 1999, doi:10.1109/63.737592.
+References:
+    A. M. Hava, R. J. Kerkman, T. A. Lipo, "Simple analytical and graphical methods for
+    carrier-based PWM-VSI drives", IEEE Transactions on Power Electronics 14(1), 1999,
+    doi:10.1109/63.737592.
 """
 
 from __future__ import annotations
@@ -33,10 +33,8 @@ def saturated_third(k: float) -> Callable[[FloatArray], FloatArray]:
 
     Saturated between two roots of a cubic, or from 0 on once the dip is too.
 
-    Parameters
-    ----------
-    k:
-        Share of the third harmonic, above 1/9.
+    Args:
+        k: Share of the third harmonic, above 1/9.
     """
 
     def quarter(r: FloatArray) -> FloatArray:

@@ -22,9 +22,7 @@ from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.plants.current_regulators.state_table import COMMUTATIONS, LEGS, codes_of
 from dqforge.machines.plants.fed_machine import I_D, I_Q, Plant
 
-_BLIND = 0.5
-
-"""Share of the predicted time before which the error is within the circle for certain."""
+_BLIND = 0.5  # Share of the predicted time before which the error is within the circle for certain.
 
 
 def times_within(
@@ -47,14 +45,10 @@ def times_within(
 class CircleController:
     """Controller of `follow` that acts at the circle itself.
 
-    Parameters
-    ----------
-    radius:
-        h in A.
-    points:
-        N operating points.
-    per_commutation:
-        Whether the time is weighed by the commutations that it costs.
+    Args:
+        radius: h in A.
+        points: N operating points.
+        per_commutation: Whether the time is weighed by the commutations that it costs.
     """
 
     def __init__(self, radius: float, points: int, *, per_commutation: bool = True) -> None:

@@ -21,14 +21,10 @@ from dqforge.machines.plants.switching_events import LegByLeg
 class DelayedRule(LegByLeg):
     """Controller of `follow` around a `SampledRule`.
 
-    Parameters
-    ----------
-    constants:
-        The rule and what it knows of the drive.
-    legs:
-        Switching states (N, 3) of the first sampling period.
-    real:
-        Precision of the rule; single precision is the model of the emitted C.
+    Args:
+        constants: The rule and what it knows of the drive.
+        legs: Switching states (N, 3) of the first sampling period.
+        real: Precision of the rule; single precision is the model of the emitted C.
     """
 
     def __init__(self, constants: RuleConstants, legs: BoolArray, real: Any = np.float32) -> None:

@@ -25,11 +25,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 
 _HIGHEST = 151
-
-LEAST_WIDTH = math.radians(0.25)
-
-"""Least angle in rad between two commutations of a leg."""
-
+LEAST_WIDTH = math.radians(0.25)  # Least angle in rad between two commutations of a leg.
 _STARTS = 16
 
 
@@ -37,12 +33,9 @@ _STARTS = 16
 class PulsePattern:
     """Switching of a leg over a period of the voltage's sine.
 
-    Parameters
-    ----------
-    angles:
-        Angles of the first quarter in rad, shape (N,), ascending.
-    sign:
-        Leg voltage just behind the angle 0 over half the DC link, 1 or -1.
+    Args:
+        angles: Angles of the first quarter in rad, shape (N,), ascending.
+        sign: Leg voltage just behind the angle 0 over half the DC link, 1 or -1.
     """
 
     angles: FloatArray
@@ -93,17 +86,12 @@ def optimal_pattern(count: int, index: float) -> PulsePattern:
     Found by sequential quadratic programming from a fixed set of starts; the best of all is taken,
     which is a local optimum, as everywhere where such patterns are made.
 
-    Parameters
-    ----------
-    count:
-        N, at least 1.
-    index:
-        b_1: amplitude of the fundamental over half the DC link, 0 to below 4/pi.
+    Args:
+        count: N, at least 1.
+        index: b_1: amplitude of the fundamental over half the DC link, 0 to below 4/pi.
 
-    Raises
-    ------
-    NoSolutionError
-        No start leads to the amplitude with the least widths.
+    Raises:
+        NoSolutionError: No start leads to the amplitude with the least widths.
     """
     found = []
     for sign in (1, -1):

@@ -42,19 +42,13 @@ _PER_COMMUTATION = (1.0, 1.0, 0.5, 1.0 / 3.0)
 class RuleConstants:
     """What a sampled rule knows of its drive, in SI units.
 
-    Parameters
-    ----------
-    rule:
-        Which rule.
-    r_s, l_d, l_q, psi_pm:
-        The machine: Ohm, H, H, Wb.
-    t_s:
-        Sampling period in s.
-    band:
-        Radius of the circle, or the error of a phase up to which the table keeps its state, in A;
-        no part of the predictive rule.
-    outer_band:
-        Error of a phase in A beyond which the table takes the vector along the error.
+    Args:
+        rule: Which rule.
+        r_s, l_d, l_q, psi_pm: The machine: Ohm, H, H, Wb.
+        t_s: Sampling period in s.
+        band: Radius of the circle, or the error of a phase up to which the table keeps its state,
+            in A; no part of the predictive rule.
+        outer_band: Error of a phase in A beyond which the table takes the vector along the error.
     """
 
     rule: SampledRuleName

@@ -27,16 +27,11 @@ from dqforge.machines.records import dataclass
 class Sampled:
     """A sampled rule with its computing time of one sample, as it is emitted.
 
-    Parameters
-    ----------
-    rule:
-        ``predictive``, ``circle`` or ``look-up-table`` (paper 001, 6.2.4.4 and 6.2.4.3).
-    t_s:
-        Sampling period in s.
-    band, outer_band:
-        As in `RuleConstants`, in A.
-    real:
-        Precision: single is that of the emitted C.
+    Args:
+        rule: ``predictive``, ``circle`` or ``look-up-table`` (paper 001, 6.2.4.4 and 6.2.4.3).
+        t_s: Sampling period in s.
+        band, outer_band: As in `RuleConstants`, in A.
+        real: Precision: single is that of the emitted C.
     """
 
     rule: SampledRuleName
@@ -64,12 +59,10 @@ class Sampled:
 class Circle:
     """The circle of Holtz and Stadtfeld (paper 001, 6.2.4.4), acting at the circle itself.
 
-    Parameters
-    ----------
-    radius:
-        Largest error in A.
-    per_commutation:
-        Whether the longest time counts per commutation, as in the source, or by itself.
+    Args:
+        radius: Largest error in A.
+        per_commutation: Whether the longest time counts per commutation, as in the source, or by
+            itself.
     """
 
     radius: float
@@ -80,16 +73,11 @@ class Circle:
 class Trajectory:
     """Optimal pulse patterns whose edges track the current (paper 001, 6.2.4.5).
 
-    Parameters
-    ----------
-    angles:
-        Angles N in a quarter of the period: each leg turns on 2 N + 1 times per period.
-    t_s:
-        Sampling period in s of the error.
-    offset:
-        Error in A (i_d, i_q) with which a run starts; zero is the steady state.
-    tracking:
-        Whether the edges are moved; without it the pattern runs by itself.
+    Args:
+        angles: Angles N in a quarter of the period: each leg turns on 2 N + 1 times per period.
+        t_s: Sampling period in s of the error.
+        offset: Error in A (i_d, i_q) with which a run starts; zero is the steady state.
+        tracking: Whether the edges are moved; without it the pattern runs by itself.
     """
 
     angles: int

@@ -19,19 +19,16 @@ from dqforge.machines.arrays import BoolArray, FloatArray
 
 Codes = NDArray[np.int64]
 
+# Codes of the active states by the angle of their vector, in steps of 60 degrees.
 ACTIVE: tuple[int, ...] = (1, 3, 2, 6, 4, 5)
 
-"""Codes of the active states by the angle of their vector, in steps of 60 degrees."""
-
+# Legs of each code, shape (8, 3).
 LEGS: BoolArray = np.array([[bool(code >> leg & 1) for leg in range(3)] for code in range(8)])
 
-"""Legs of each code, shape (8, 3)."""
-
+# Legs that commutate between two codes, shape (8, 8).
 COMMUTATIONS: NDArray[np.int64] = np.array(
     [[bin(first ^ second).count("1") for second in range(8)] for first in range(8)]
 )
-
-"""Legs that commutate between two codes, shape (8, 8)."""
 
 _PLACES = ("own", "next", "next", "zero", "zero", "own")
 

@@ -38,16 +38,12 @@ _SHIFTS = np.array([0.0, 2.0, 4.0]) * math.pi / 3.0
 class SteadyTrajectory:
     """Pattern and steady current of N points.
 
-    Parameters
-    ----------
-    edges:
-        Angles of the rotor in rad at which each leg commutates, shape (N, 3, E), ascending from at
-        least 0 over one turn.
-    rising:
-        Whether the leg goes up there, shape (N, 3, E).
-    knots, states:
-        Angles in rad at which any leg commutates, shape (N, K), from 0 on, and the steady states
-        behind them, shape (N, K, 9).
+    Args:
+        edges: Angles of the rotor in rad at which each leg commutates, shape (N, 3, E), ascending
+            from at least 0 over one turn.
+        rising: Whether the leg goes up there, shape (N, 3, E).
+        knots, states: Angles in rad at which any leg commutates, shape (N, K), from 0 on, and the
+            steady states behind them, shape (N, K, 9).
     """
 
     edges: FloatArray
@@ -87,12 +83,9 @@ def steady_trajectory(
     Without the pattern's voltage the error from it decays by itself; one period of that decay,
     taken from two runs, gives the state that is its own image.
 
-    Parameters
-    ----------
-    plant:
-        N points, speeds positive.
-    patterns, ahead:
-        As of `patterns_of`; all of as many pulses.
+    Args:
+        plant: N points, speeds positive.
+        patterns, ahead: As of `patterns_of`; all of as many pulses.
     """
     # The sine of the pattern is the cosine of leg a's voltage, a quarter of a turn later.
     offset = 0.5 * math.pi + ahead
@@ -142,14 +135,10 @@ def steady_trajectory(
 class TrajectoryController:
     """Controller of `follow` that moves the edges of a pattern.
 
-    Parameters
-    ----------
-    trajectory:
-        Patterns and steady currents of all points.
-    t_s:
-        Sampling period in s.
-    tracking:
-        Whether edges are moved at all.
+    Args:
+        trajectory: Patterns and steady currents of all points.
+        t_s: Sampling period in s.
+        tracking: Whether edges are moved at all.
     """
 
     scale = 1.0

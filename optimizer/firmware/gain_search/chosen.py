@@ -13,12 +13,11 @@ from dqforge.optimizer.firmware.gain_search.structure_box import Bounds
 from dqforge.optimizer.firmware.profile import LoopProfile
 from dqforge.optimizer.loops.pi_methods import Settings
 
+# Shares of M_s - 1 that are tried until the rounded gains keep the bound.
 SHRUNK = (1.0, 0.999, 0.99, 0.95, 0.9, 0.8, 0.6)
-"""Shares of M_s - 1 that are tried until the rounded gains keep the bound."""
 
-
+# Methods whose numbers the design names.
 NAMED = ("bandwidth", "damping", "given", *get_args(VendorMethod))
-"""Methods whose numbers the design names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,14 +33,10 @@ class Chosen:
 def configured(method: FirmwareMethod, asked: Asked, *words: str) -> Chosen:
     """What a firmware makes of what is asked; raises as its ``configure``.
 
-    Parameters
-    ----------
-    method:
-        The firmware.
-    asked:
-        What its configuration is to hold.
-    words:
-        What was changed of what the design asks for.
+    Args:
+        method: The firmware.
+        asked: What its configuration is to hold.
+        words: What was changed of what the design asks for.
     """
     configuration = method.configure(asked)
     return Chosen(asked, configuration, method.profile(configuration), words)
@@ -50,12 +45,9 @@ def configured(method: FirmwareMethod, asked: Asked, *words: str) -> Chosen:
 def possible(method: FirmwareMethod, asked: Asked) -> Chosen | None:
     """The same, None where the format cannot hold it.
 
-    Parameters
-    ----------
-    method:
-        The firmware.
-    asked:
-        What its configuration is to hold.
+    Args:
+        method: The firmware.
+        asked: What its configuration is to hold.
     """
     try:
         return configured(method, asked)
@@ -66,10 +58,8 @@ def possible(method: FirmwareMethod, asked: Asked) -> Chosen | None:
 def bounds_of(settings: Settings) -> Bounds:
     """What a loop must keep; M_s only by the method ``optimised``.
 
-    Parameters
-    ----------
-    settings:
-        Method and settings of the loop.
+    Args:
+        settings: Method and settings of the loop.
     """
     if settings.method == "optimised":
         return Bounds(settings.min_phase_margin, settings.max_sensitivity)
@@ -79,10 +69,8 @@ def bounds_of(settings: Settings) -> Bounds:
 def firmware_text(method: FirmwareMethod) -> str:
     """The firmware with its version.
 
-    Parameters
-    ----------
-    method:
-        The firmware.
+    Args:
+        method: The firmware.
     """
     return f"{method.name} {method.version}".strip()
 
@@ -90,16 +78,11 @@ def firmware_text(method: FirmwareMethod) -> str:
 def lowered(what: str, fault: str, factor: float, method: FirmwareMethod) -> str:
     """That a loop is slowed down, and why.
 
-    Parameters
-    ----------
-    what:
-        The loop, in words.
-    fault:
-        What it does not keep with what the design asks for.
-    factor:
-        Of its bandwidth.
-    method:
-        The firmware.
+    Args:
+        what: The loop, in words.
+        fault: What it does not keep with what the design asks for.
+        factor: Of its bandwidth.
+        method: The firmware.
     """
     return (
         f"slowed down: {what}, to {factor:.3g} times what the method gives; with that, as "

@@ -38,15 +38,8 @@ from dqforge.optimizer.loops.pi_methods import calmer, largest_factor, loop_advi
 from dqforge.optimizer.loops.tolerance_box import DriveBox
 
 _NO_LOOP: tuple[float, PiGains | None] = (0.0, None)
-
-
-_WORTH = 1.02
-"""What a faster phase-locked loop must bring in integral gain to be taken."""
-
-
+_WORTH = 1.02  # What a faster phase-locked loop must bring in integral gain to be taken.
 _PLL_STEPS = 7
-
-
 _LARGEST_PLL_STEP = 0.5  # kp of the phase-locked loop times its period: it is slow beside its own
 
 
@@ -248,18 +241,12 @@ def speed_search(
 ) -> SpeedSearch | None:
     """The search for a design's speed loop; None where it asks for none, or has no magnets.
 
-    Parameters
-    ----------
-    method:
-        The firmware.
-    box:
-        The drive with its tolerances.
-    current:
-        What was chosen for the current loops.
-    asked:
-        What the design asks for, the speed loop included.
-    i_q:
-        The q axis as the design's own structure has it.
+    Args:
+        method: The firmware.
+        box: The drive with its tolerances.
+        current: What was chosen for the current loops.
+        asked: What the design asks for, the speed loop included.
+        i_q: The q axis as the design's own structure has it.
     """
     control, machine = box.design.control, box.design.machine
     if control.speed_loop is None or asked.speed is None:

@@ -93,14 +93,10 @@ def _batch(systems: list[SampledSystem]) -> PlantBatch:
 def axis_plants(box: DriveBox, axis: Axis, loops: CurrentLoops) -> BoxedPlants:
     """Plants of one current loop over the box.
 
-    Parameters
-    ----------
-    box:
-        The drive with its tolerances.
-    axis:
-        Which axis.
-    loops:
-        The structure: period, filter and delay.
+    Args:
+        box: The drive with its tolerances.
+        axis: Which axis.
+        loops: The structure: period, filter and delay.
     """
     place, name = (0, "l_d") if axis == "i_d" else (1, "l_q")
     pi = loops.d if axis == "i_d" else loops.q
@@ -121,12 +117,9 @@ def axis_plants(box: DriveBox, axis: Axis, loops: CurrentLoops) -> BoxedPlants:
 def speed_plants_over(box: DriveBox, loops: CurrentLoops, speed: SpeedController) -> BoxedPlants:
     """Plants of the speed loop over the box, from q current to the speed that is controlled.
 
-    Parameters
-    ----------
-    box:
-        The drive with its tolerances; its machine has magnets and an inertia.
-    loops, speed:
-        The structure with its current gains.
+    Args:
+        box: The drive with its tolerances; its machine has magnets and an inertia.
+        loops, speed: The structure with its current gains.
     """
     machine, points = box.design.machine, _corners(box.speed_points())
     assert machine.inertia is not None

@@ -21,16 +21,12 @@ _BETWEEN = 8
 class FluxTable:
     """Stator flux linkage over torque.
 
-    Parameters
-    ----------
-    most:
-        Torque in N m of the last point; the first is at 0.
-    flux:
-        In Wb at even steps, shape (TABLE_POINTS,), rounded as printed.
-    error:
-        Largest deviation in Wb of the lines between them from the machine's own.
-    of_constants:
-        Largest deviation in Wb of what constant inductances give, as the library works it out.
+    Args:
+        most: Torque in N m of the last point; the first is at 0.
+        flux: In Wb at even steps, shape (TABLE_POINTS,), rounded as printed.
+        error: Largest deviation in Wb of the lines between them from the machine's own.
+        of_constants: Largest deviation in Wb of what constant inductances give, as the library
+            works it out.
     """
 
     most: float
@@ -49,10 +45,8 @@ def flux_table(design: Design) -> FluxTable:
 
     Its lines are shifted by half of what they miss between the points, which halves their error.
 
-    Parameters
-    ----------
-    design:
-        The design.
+    Args:
+        design: The design.
     """
     most = as_printed(largest_torque(design))
     choice = CurrentChoice(design.machine, design.strategy, design.i_max)

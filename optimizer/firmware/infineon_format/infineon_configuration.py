@@ -30,12 +30,9 @@ CONVENTIONS = (
 def current_rule(r_s: float, inductance: float, bandwidth: float) -> PiGains:
     """The library's gains of a current controller.
 
-    Parameters
-    ----------
-    r_s, inductance:
-        Resistance in ohm and inductance in H of a phase.
-    bandwidth:
-        In rad/s.
+    Args:
+        r_s, inductance: Resistance in ohm and inductance in H of a phase.
+        bandwidth: In rad/s.
     """
     return PiGains(bandwidth * inductance, bandwidth * r_s)
 
@@ -46,14 +43,10 @@ def speed_rule(
     """The library's gains of the speed controller, (8/3)/(P^2 lam) J bw and (8/3)/(P^2 lam) B bw,
     brought to mechanical speed: A s/rad and A/rad.
 
-    Parameters
-    ----------
-    pole_pairs, psi_pm:
-        Pole pairs, flux linkage in Wb.
-    inertia, viscous:
-        Inertia in kg m^2 and viscous friction in N m s/rad.
-    bandwidth:
-        In rad/s.
+    Args:
+        pole_pairs, psi_pm: Pole pairs, flux linkage in Wb.
+        inertia, viscous: Inertia in kg m^2 and viscous friction in N m s/rad.
+        bandwidth: In rad/s.
     """
     per_torque = 1.0 / (1.5 * pole_pairs * psi_pm)
     return PiGains(per_torque * inertia * bandwidth, per_torque * viscous * bandwidth)
@@ -66,14 +59,10 @@ def configuration(
 ) -> Configuration:
     """A configuration from members of ``params``.
 
-    Parameters
-    ----------
-    name:
-        What it is the configuration of.
-    own:
-        Values by member.
-    origins:
-        Where they stand, by member; None where no file was read.
+    Args:
+        name: What it is the configuration of.
+        own: Values by member.
+        origins: Where they stand, by member; None where no file was read.
     """
     drive = _drive(own)
     d, q = (_current(own, drive, axis) for axis in ("d", "q"))

@@ -9,9 +9,7 @@ from dqforge.optimizer.firmware.configuration import DriveValues, OwnValue, PiGa
 from dqforge.optimizer.firmware.infineon_format.infineon_keys import number
 
 TOLERANCE = 0.01
-
-_FAR = 5.0
-"""How many times faster than the speed loop a filter must be to go unnoticed."""
+_FAR = 5.0  # How many times faster than the speed loop a filter must be to go unnoticed.
 
 
 def contradictions(
@@ -19,14 +17,10 @@ def contradictions(
 ) -> tuple[str, ...]:
     """Sentences on values that do not fit together, with both numbers.
 
-    Parameters
-    ----------
-    own:
-        Values by member.
-    drive:
-        What they amount to.
-    q, speed:
-        Gains of q current and speed, None where they are not known.
+    Args:
+        own: Values by member.
+        drive: What they amount to.
+        q, speed: Gains of q current and speed, None where they are not known.
     """
     return (
         *_poles(own),

@@ -15,30 +15,17 @@ from dqforge.optimizer.firmware import own_values
 from dqforge.optimizer.firmware.configuration import OwnValue
 from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS, float32_value, rounded
 
-FIRMWARE = "Infineon's library"
-
-"""Its name in messages."""
-
-
+FIRMWARE = "Infineon's library"  # Its name in messages.
 VERSION = "motor-ctrl-lib 4.5"
-
-TABLE_POINTS = 128
-
-"""Points of a table of the library (LUT_1D_WIDTH)."""
-
-
+TABLE_POINTS = 128  # Points of a table of the library (LUT_1D_WIDTH).
 TABLE = "params.motor.mtpa_lut.y"
 
+# A float, a float that is whole, an unsigned integer, an enumerator.
 Kind = Literal["real", "poles", "count", "word"]
 
-"""A float, a float that is whole, an unsigned integer, an enumerator."""
-
-
+# Where it is assigned: in every build, in builds with rotor frame orientation only, or there but
+# after the library has worked out its gains.
 Place = Literal["any", "rotor", "gains"]
-
-"""Where it is assigned: in every build, in builds with rotor frame orientation only, or there but
-after the library has worked out its gains.
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,15 +96,13 @@ _KEYS = (
 )
 # fmt: on
 
+# What `configure` writes, by the name of the member, in the order of the file.
 KEYS: Mapping[str, Key] = {
     f"params.{key.name}": Key(
         f"params.{key.name}", key.kind, key.unit, key.says, key.place, key.start
     )
     for key in _KEYS
 }
-
-"""What `configure` writes, by the name of the member, in the order of the file."""
-
 
 TABLE_KEYS: Mapping[str, Key] = {
     f"params.motor.mtpa_lut.{name}": Key(name, "real", unit, says)
@@ -129,14 +114,12 @@ TABLE_KEYS: Mapping[str, Key] = {
     )
 }
 
-
+# Members that are read beside those, as the loops depend on them.
 READ_ONLY: Mapping[str, Key] = {
     f"params.filt.spd_ar_w{kind}[{index}]": Key(f"spd_ar_w{kind}", "real", "rad/s", what)
     for kind, what in (("p", "pole"), ("z", "zero"))
     for index in (0, 1)
 }
-
-"""Members that are read beside those, as the loops depend on them."""
 
 
 def as_printed(value: float) -> float:

@@ -27,12 +27,9 @@ from dqforge.optimizer.firmware.infineon_format.infineon_keys import (
 def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
     """What the parameters do not hold of what was asked, each with its price.
 
-    Parameters
-    ----------
-    asked:
-        What was asked.
-    held:
-        What was made of it.
+    Args:
+        asked: What was asked.
+        held: What was made of it.
     """
     return (
         *_rule_of_currents(held),

@@ -19,18 +19,14 @@ from dqforge.optimizer.firmware.nxp_mcat.mcat_rules import (
 )
 
 MANUAL = "speedLoopManualConstantTunning"
-
 SPEED_P, SPEED_I = "M1_SPEED_PI_PROP_GAIN", "M1_SPEED_PI_INTEG_GAIN"
-
 _WHOLE = ("M1_N_MAX", "M1_FREQ_MAX")
-
 _TENTHS = ("M1_U_MAX", "M1_N_NOM", "M1_N_MIN", "M1_N_OVERSPEED")
 
+# Ends of the names of gains that an old fixed-point file prints as they are, 16 digits long.
 _UNROUNDED = ("_KP_GAIN", "_KI_GAIN", "_PROP_GAIN", "_INTEG_GAIN")
 
-"""Ends of the names of gains that an old fixed-point file prints as they are, 16 digits long."""
-
-
+# What an old file rounds upward at its twelfth place.
 _UPWARD = (
     SPEED_P,
     SPEED_I,
@@ -42,18 +38,13 @@ _UPWARD = (
     "M1_BEMF_DQ_KI_GAIN",
 )
 
-"""What an old file rounds upward at its twelfth place."""
-
 
 def constants(edition: Edition, inputs: Mapping[str, OwnValue]) -> dict[str, float]:
     """Constants by macro, rounded as the file prints them; those whose inputs are all there.
 
-    Parameters
-    ----------
-    edition:
-        The age of the format, and its arithmetic.
-    inputs:
-        By MCAT's keys; what is no number is left out.
+    Args:
+        edition: The age of the format, and its arithmetic.
+        inputs: By MCAT's keys; what is no number is left out.
     """
     known = numbers(edition, inputs)
     if edition.fixed:

@@ -15,48 +15,27 @@ from dqforge.optimizer.firmware.nxp_mcat.mcat_rules import ROOT_3, TURN
 from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import McatSheet, kind_of
 from dqforge.optimizer.firmware.own_values import needed
 
+# Share of the linear range that MCAT leaves to the current loop: low-side shunts need the rest.
 LARGEST_SHARE = 0.9
+OVERSPEED = 1.1  # Trip of the speed over its largest value.
 
-"""Share of the linear range that MCAT leaves to the current loop: low-side shunts need the rest."""
-
-
-OVERSPEED = 1.1
-
-"""Trip of the speed over its largest value."""
-
-
+# Natural frequency of the tracking observer: that of the speed loop by this factor.
 OBSERVER_SHARE = 8.0
-
-"""Natural frequency of the tracking observer: that of the speed loop by this factor."""
-
-
-MOST_ALIGN = 65535
-
-"""Largest count of a duration: 16 bits."""
-
-
-INPUT_DIGITS = 12
-
-"""Significant digits of the inputs: their constants have six."""
-
-
+MOST_ALIGN = 65535  # Largest count of a duration: 16 bits.
+INPUT_DIGITS = 12  # Significant digits of the inputs: their constants have six.
 Values = dict[str, float]
 
 
 def own_values(asked: Asked, edition: Edition) -> dict[str, OwnValue]:
     """Inputs and constants for what is asked.
 
-    Parameters
-    ----------
-    asked:
-        The design and its gains.
-    edition:
-        The age of the format, and its arithmetic.
+    Args:
+        asked: The design and its gains.
+        edition: The age of the format, and its arithmetic.
 
-    Raises
-    ------
-    InputError
-        A value that MCAT needs is missing, or a constant does not fit its integer; with its key.
+    Raises:
+        InputError: A value that MCAT needs is missing, or a constant does not fit its integer; with
+            its key.
     """
     inputs = _inputs(asked, edition)
     own: dict[str, OwnValue] = {**inputs, **constants(edition, inputs)}

@@ -9,17 +9,12 @@ from dqforge.machines.records import dataclass
 class Edition:
     """One age of the format.
 
-    Parameters
-    ----------
-    version:
-        Its name in a configuration.
-    fixed:
-        Whether the firmware computes in fractions of its scales.
-    commented:
-        Whether inputs stand in line comments; else in one JSON comment.
-    current_share, speed_share:
-        Integral macro over ki times the period: 1 where MCAT takes the integral for a sum of
-        rectangles, 1/2 for one of trapezoids.
+    Args:
+        version: Its name in a configuration.
+        fixed: Whether the firmware computes in fractions of its scales.
+        commented: Whether inputs stand in line comments; else in one JSON comment.
+        current_share, speed_share: Integral macro over ki times the period: 1 where MCAT takes the
+            integral for a sum of rectangles, 1/2 for one of trapezoids.
     """
 
     version: str

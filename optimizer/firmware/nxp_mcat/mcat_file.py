@@ -30,16 +30,11 @@ _INTEGRALS = ("M1_D_KI_GAIN", "M1_Q_KI_GAIN")
 class McatFile:
     """One file.
 
-    Parameters
-    ----------
-    name:
-        Of the motor.
-    edition:
-        The age of the format, and its arithmetic.
-    own:
-        Inputs by MCAT's keys and constants by their macros.
-    origins:
-        Where they stand in a file that was read.
+    Args:
+        name: Of the motor.
+        edition: The age of the format, and its arithmetic.
+        own: Inputs by MCAT's keys and constants by their macros.
+        origins: Where they stand in a file that was read.
     """
 
     name: str
@@ -59,16 +54,11 @@ class McatFile:
     ) -> McatFile:
         """A file whose age is to be found from what stands in it.
 
-        Parameters
-        ----------
-        name:
-            Of the motor.
-        own, origins:
-            Inputs and constants, and where they stand.
-        fixed:
-            Whether constants stand in fractions.
-        commented:
-            Whether inputs stand in line comments, or numbers have more than six digits.
+        Args:
+            name: Of the motor.
+            own, origins: Inputs and constants, and where they stand.
+            fixed: Whether constants stand in fractions.
+            commented: Whether inputs stand in line comments, or numbers have more than six digits.
         """
         if fixed:
             edition = FIXED_2019 if commented else FIXED_2022
@@ -105,10 +95,8 @@ class McatFile:
         The speed filter keeps its cut-off as the firmware runs it: with the period of the speed
         loop, whatever MCAT of that age makes of it.
 
-        Parameters
-        ----------
-        version:
-            Name of the edition.
+        Args:
+            version: Name of the edition.
         """
         edition = EDITIONS[version]
         if edition == self.edition:
@@ -130,10 +118,8 @@ class McatFile:
 
         A float build alone: in fixed point the gains count in these scales.
 
-        Parameters
-        ----------
-        theirs:
-            The file of the project, of the same age.
+        Args:
+            theirs: The file of the project, of the same age.
         """
         if self.edition.fixed:
             return self

@@ -11,28 +11,17 @@ from dqforge.optimizer.firmware.nxp_mcat.mcat_constants import SPEED_I, SPEED_P,
 from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import OLD_PLACES, counts, half_step
 from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import TURN, McatSheet, kind_of
 
-MOST = 8
-
-"""So many constants that do not follow from the inputs are named each by itself."""
-
-
-LOST_IN_COUNTS = 0.02
-
-"""Share of a gain that is named where its integer cuts off more."""
-
-
+MOST = 8  # So many constants that do not follow from the inputs are named each by itself.
+LOST_IN_COUNTS = 0.02  # Share of a gain that is named where its integer cuts off more.
 _GAINS = ("M1_D_KP_GAIN", "M1_D_KI_GAIN", "M1_Q_KP_GAIN", "M1_Q_KI_GAIN", SPEED_P, SPEED_I)
-
 Span = tuple[float, float]
 
 
 def contradictions(sheet: McatSheet) -> tuple[str, ...]:
     """Sentences on what does not fit together, with both numbers.
 
-    Parameters
-    ----------
-    sheet:
-        Inputs and constants of the file.
+    Args:
+        sheet: Inputs and constants of the file.
     """
     wrong = mismatches(sheet)
     rounded = tuple(_rounded_inputs(sheet)) if wrong else ()
@@ -44,12 +33,9 @@ def contradictions(sheet: McatSheet) -> tuple[str, ...]:
 def mismatches(sheet: McatSheet, *, loose: bool = False) -> dict[str, float]:
     """What MCAT makes of the inputs, of the constants that stand there with another value.
 
-    Parameters
-    ----------
-    sheet:
-        Inputs and constants.
-    loose:
-        Whether inputs are only known to what is printed of the constants.
+    Args:
+        sheet: Inputs and constants.
+        loose: Whether inputs are only known to what is printed of the constants.
     """
     found = {}
     for name, made in constants(sheet.edition, sheet.own).items():
@@ -94,10 +80,8 @@ def implied_spans(sheet: McatSheet) -> dict[str, Span]:
 def conventions(sheet: McatSheet) -> tuple[str, ...]:
     """Sentences on how the numbers are to be understood.
 
-    Parameters
-    ----------
-    sheet:
-        Inputs and constants of the file.
+    Args:
+        sheet: Inputs and constants of the file.
     """
     share = sheet.edition.current_share
     integral = "ki T/2 (trapezoids)" if share == 0.5 else "ki T (rectangles)"

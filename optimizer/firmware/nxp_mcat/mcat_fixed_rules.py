@@ -27,22 +27,17 @@ from dqforge.optimizer.firmware.nxp_mcat.mcat_rules import (
     merging,
 )
 
+# Not keys of MCAT but for the middle one: scales of the phase voltage in V, of the electrical speed
+# in rad/s.
 VOLTS, EMF, SPEED = "scaleVoltage", "parametersEmax", "scaleSpeed"
-
-"""Not keys of MCAT but for the middle one: scales of the phase voltage in V, of the electrical
-speed in rad/s.
-"""
 
 
 def fixed_constants(inputs: Inputs, volts: float | None = None) -> dict[str, float]:
     """Constants of a fixed-point build whose inputs are all there.
 
-    Parameters
-    ----------
-    inputs:
-        By MCAT's keys.
-    volts:
-        Scale of the phase voltage in V; None for that of MCAT since 2021.
+    Args:
+        inputs: By MCAT's keys.
+        volts: Scale of the phase voltage in V; None for that of MCAT since 2021.
     """
     known = dict(inputs)
     if volts is not None:
@@ -114,7 +109,6 @@ def _speed_i(
 
 
 MANUAL = "speedLoopManualConstantTunning"
-
 
 _RULES: dict[str, Rule] = SHARED | {
     "M1_N_MAX": ((NMAX,), lambda rpm: rpm),

@@ -24,7 +24,7 @@ _BOARD_INPUTS = (
     "parametersScalarVHzRatio",
 )
 
-
+# Inputs; MCAT asks for the section of the position loop, which a design does not decide.
 INPUTS: dict[str, tuple[str, ...]] = {
     "parameters": (
         "parametersPP",
@@ -72,23 +72,16 @@ INPUTS: dict[str, tuple[str, ...]] = {
     ),
 }
 
-"""Inputs; MCAT asks for the section of the position loop, which a design does not decide."""
-
-
+# Other spellings of inputs, and those that stand for them here.
 SPELLINGS = {"parametersPp": "parametersPP"}
-
-"""Other spellings of inputs, and those that stand for them here."""
-
-
-FLAGS = ("speedLoopManualConstantTunning",)
-
-"""Inputs that are true or false."""
+FLAGS = ("speedLoopManualConstantTunning",)  # Inputs that are true or false.
 
 
 def _filter(name: str) -> tuple[str, ...]:
     return (f"{name}_B0", f"{name}_B1", f"{name}_A1")
 
 
+# Macros that MCAT makes of its inputs, as of the first motor.
 MACROS: dict[str, tuple[str, ...]] = {
     "PARAMETERS": (
         "M1_MOTOR_PP",
@@ -160,9 +153,7 @@ MACROS: dict[str, tuple[str, ...]] = {
     ),
 }
 
-"""Macros that MCAT makes of its inputs, as of the first motor."""
-
-
+# Inputs that the board and the project decide, not the machine or its loops.
 PROJECT_INPUTS = (
     *_BOARD_INPUTS,
     "speedLoopIncUp",
@@ -173,9 +164,7 @@ PROJECT_INPUTS = (
     "sensorlessMergingCoeff",
 )
 
-"""Inputs that the board and the project decide, not the machine or its loops."""
-
-
+# Constants that come of these inputs alone, with the periods and the pole pairs.
 PROJECT_MACROS = (
     *(
         macro
@@ -189,5 +178,3 @@ PROJECT_MACROS = (
     "M1_MERG_COEFF",
     *_filter("M1_TO_SPEED_IIR"),
 )
-
-"""Constants that come of these inputs alone, with the periods and the pole pairs."""

@@ -5,19 +5,11 @@ from __future__ import annotations
 import math
 from decimal import ROUND_HALF_UP, Decimal
 
-DIGITS = 6
+DIGITS = 6  # Significant digits of MCAT since 2021.
+OLD_PLACES = 12  # Decimal places of MCAT before that.
 
-"""Significant digits of MCAT since 2021."""
-
-
-OLD_PLACES = 12
-
-"""Decimal places of MCAT before that."""
-
-
+# Bits behind the binary point, by the macro that makes the integer.
 FRACTION_BITS = {"FRAC16": 15, "FRAC32": 31, "ACC32": 15}
-
-"""Bits behind the binary point, by the macro that makes the integer."""
 
 
 def printed(value: float) -> float:
@@ -58,12 +50,9 @@ def shift_of(value: float) -> int:
 def half_step(value: float, places: int | None = None) -> float:
     """Half of the last printed digit: how far the number before rounding may lie from it.
 
-    Parameters
-    ----------
-    value:
-        The printed number.
-    places:
-        Its decimal places where they are known, None for six significant digits.
+    Args:
+        value: The printed number.
+        places: Its decimal places where they are known, None for six significant digits.
     """
     if places is not None:
         return 0.5 * 10.0**-places

@@ -9,31 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
+# The inputs that a constant is made of, and how.
 Inputs = Mapping[str, float]
-
 Rule = tuple[tuple[str, ...], Callable[..., float]]
-
-"""The inputs that a constant is made of, and how."""
-
-
-ROOT_3 = 1.73205
-
-"""What MCAT takes for the square root of three."""
-
-
+ROOT_3 = 1.73205  # What MCAT takes for the square root of three.
 TURN = 2.0 * math.pi
-
 PP, RS, LD, LQ = "parametersPP", "parametersRs", "parametersLd", "parametersLq"
-
 TS, TW = "currentLoopSampleTime", "speedLoopSampleTime"
-
 F0, KSI = "currentLoopF0", "currentLoopKsi"
-
 NMAX, IMAX, UDC = "parametersNmax", "parametersImax", "parametersUdcbMax"
 
+# Not a key of MCAT: the torque constant that its speed loop works with, whatever it is made of.
 TORQUE = "torqueConstant"
-
-"""Not a key of MCAT: the torque constant that its speed loop works with, whatever it is made of."""
 
 
 def gain_p(ksi: float, f_0: float, inductance: float, r_s: float) -> float:
@@ -88,6 +75,7 @@ def _decay(part: float, inductance: float, period: float, r_s: float) -> float:
     return part / (inductance + period * r_s)
 
 
+# Constants that a float and a fixed-point build have alike.
 SHARED: dict[str, Rule] = {
     "M1_MOTOR_PP": _same(PP),
     "M1_I_MAX": _same(IMAX),
@@ -105,9 +93,7 @@ SHARED: dict[str, Rule] = {
     ),
 }
 
-"""Constants that a float and a fixed-point build have alike."""
-
-
+# Constants of a float build that are the same since 2021.
 FLOAT: dict[str, Rule] = SHARED | {
     "M1_I_PH_NOM": _same("parametersIphNom"),
     "M1_N_NOM": ((PP, "parametersNnom"), electrical),
@@ -162,8 +148,6 @@ FLOAT: dict[str, Rule] = SHARED | {
     **_filter("M1_TO_SPEED_IIR", "sensorlessTrackObsrvIIRSpeedCutOff", TS),
 }
 
-"""Constants of a float build that are the same since 2021."""
-
 
 def merging(share: float, rpm: float, pairs: float, step: float) -> float:
     """Step of the merging of angles after the start, per period."""
@@ -171,10 +155,9 @@ def merging(share: float, rpm: float, pairs: float, step: float) -> float:
 
 
 MERGING = ("sensorlessMergingCoeff", "sensorlessMergingSpeed", PP, TS)
-
 SPEED_KEYS = ("speedLoopKsi", "speedLoopF0", "parametersJ", TORQUE)
 
-
+# What MCAT makes since 2025: integrals of trapezoids, the speed loop from the torque constant.
 FLOAT_2025_ONLY: dict[str, Rule] = {
     "M1_D_KI_GAIN": ((F0, LD, TS), lambda *of: 0.5 * gain_i(*of)),
     "M1_Q_KI_GAIN": ((F0, LQ, TS), lambda *of: 0.5 * gain_i(*of)),
@@ -194,9 +177,8 @@ FLOAT_2025_ONLY: dict[str, Rule] = {
     **_filter("M1_SPEED_IIR", "speedLoopCutOffFreq", TW),
 }
 
-"""What MCAT makes since 2025: integrals of trapezoids, the speed loop from the torque constant."""
-
-
+# What it made before: integrals of rectangles, the speed loop per rpm and a tenth of its integral,
+# its filter for the period of the current loop.
 FLOAT_2022_ONLY: dict[str, Rule] = {
     "M1_D_KI_GAIN": ((F0, LD, TS), gain_i),
     "M1_Q_KI_GAIN": ((F0, LQ, TS), gain_i),
@@ -213,10 +195,6 @@ FLOAT_2022_ONLY: dict[str, Rule] = {
     "M1_MERG_COEFF": (MERGING, merging),
     **_filter("M1_SPEED_IIR", "speedLoopCutOffFreq", TS),
 }
-
-"""What it made before: integrals of rectangles, the speed loop per rpm and a tenth of its integral,
-its filter for the period of the current loop.
-"""
 
 
 def evaluate(rules: Mapping[str, Rule], inputs: Inputs) -> dict[str, float]:

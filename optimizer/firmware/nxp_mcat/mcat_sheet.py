@@ -62,12 +62,9 @@ def _fixed_kind(name: str) -> str:
 class McatSheet:
     """Inputs and constants of one motor.
 
-    Parameters
-    ----------
-    edition:
-        The age of the format, and its arithmetic.
-    own:
-        Inputs by MCAT's keys, constants by their macros (as of the first motor).
+    Args:
+        edition: The age of the format, and its arithmetic.
+        own: Inputs by MCAT's keys, constants by their macros (as of the first motor).
     """
 
     edition: Edition

@@ -16,12 +16,9 @@ from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import McatSheet
 def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
     """What the configuration does not hold of what was asked, each with its price.
 
-    Parameters
-    ----------
-    asked:
-        What was asked.
-    held:
-        What was made of it.
+    Args:
+        asked: What was asked.
+        held: What was made of it.
     """
     sheet = McatSheet(EDITIONS[held.version], held.own)
     return (

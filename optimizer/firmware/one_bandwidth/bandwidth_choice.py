@@ -19,32 +19,20 @@ from dqforge.optimizer.firmware.sampled_structure import Winding, current_loop
 from dqforge.optimizer.loops.plants import PiLoop
 from dqforge.optimizer.sampled_systems import loop_margins
 
+# Largest modulus of 1/(1 + L) of current loops whose bandwidth had to be lowered, as that of the
+# optimised gains: a phase margin of some 60 deg where the winding's pole is cancelled.
 MOST_SENSITIVITY = 1.6
-
-"""Largest modulus of 1/(1 + L) of current loops whose bandwidth had to be lowered, as that of the
-optimised gains: a phase margin of some 60 deg where the winding's pole is cancelled.
-"""
-
-
 _LEAST_SHARE = 1e-4
-
-
 _STEP = 0.7
-
-
 _RESOLUTION = 1e-3
-
-
 _DIGITS = 4
 
 
 def bandwidth_asked(asked: Asked) -> float:
     """Bandwidth in rad/s that the gains wished for have: kp/L of the slower axis.
 
-    Parameters
-    ----------
-    asked:
-        What is asked of the firmware, with both inductances.
+    Args:
+        asked: What is asked of the firmware, with both inductances.
     """
     l_d, l_q = asked.drive.l_d, asked.drive.l_q
     assert l_d is not None
@@ -55,10 +43,8 @@ def bandwidth_asked(asked: Asked) -> float:
 def drives_over_current(asked: Asked) -> tuple[DriveValues, ...]:
     """The drive with its inductances at no current, and where it saturates at the current limit.
 
-    Parameters
-    ----------
-    asked:
-        What is asked of the firmware.
+    Args:
+        asked: What is asked of the firmware.
     """
     drive, i_max = asked.drive, asked.drive.i_max
     if i_max is None:
@@ -73,14 +59,10 @@ def held_bandwidth(wished: float, loops: Callable[[float], LoopProfile], asked: 
     margin of the design and, at no current, a sensitivity of at most `MOST_SENSITIVITY`; four
     digits, rounded down.
 
-    Parameters
-    ----------
-    wished:
-        In the unit of the firmware.
-    loops:
-        The loops with a bandwidth in that unit.
-    asked:
-        What is asked of the firmware; the ``min_phase_margin`` of its design must hold.
+    Args:
+        wished: In the unit of the firmware.
+        loops: The loops with a bandwidth in that unit.
+        asked: What is asked of the firmware; the ``min_phase_margin`` of its design must hold.
     """
     from scipy.optimize import brentq
 
@@ -131,10 +113,8 @@ def _spare(loop: PiLoop, least: float, *, damped: bool) -> float:
 def rounded_down(value: float) -> float:
     """A positive number with four digits, not above what it was.
 
-    Parameters
-    ----------
-    value:
-        Any positive number.
+    Args:
+        value: Any positive number.
     """
     step = 10.0 ** (math.floor(math.log10(value)) - _DIGITS + 1)
     return float(f"{math.floor(value / step * (1.0 + 1e-12)) * step:.{_DIGITS}g}")

@@ -13,12 +13,9 @@ def overshoot(share: float, ratio: float) -> float:
     The error of the step is A e^(-b t) + B e^(-t/tau) with the bandwidth b, the winding's time
     constant tau, B = -k/(b tau - 1) and A = 1 - B.
 
-    Parameters
-    ----------
-    share:
-        Part k of R times the reference that is added, 0..1.
-    ratio:
-        Bandwidth times the winding's time constant, positive.
+    Args:
+        share: Part k of R times the reference that is added, 0..1.
+        ratio: Bandwidth times the winding's time constant, positive.
     """
     if share <= 0.0:
         return 0.0

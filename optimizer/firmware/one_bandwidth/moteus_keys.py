@@ -22,31 +22,17 @@ from dqforge.optimizer.firmware.one_bandwidth.moteus_sentences import contradict
 from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS, rounded
 
 FIRMWARE: Firmware = "moteus"
-
-
 VERSION = "ABI 0x010e and later"
-
-
 OLD_VERSION = "before ABI 0x010e"
 
-
+# Kv p psi in V s/rad times rpm/V: Kv is the speed in rpm per volt (peak) between two phases.
 KV_FLUX = 60.0 / (2.0 * math.pi * math.sqrt(3.0))
-
-"""Kv p psi in V s/rad times rpm/V: Kv is the speed in rpm per volt (peak) between two phases."""
-
-
 WHOLE = ("motor.poles", "servo.pwm_rate_hz", "servo.voltage_mode_control")
-
-
 FILTER = "motor_position.sources.0.pll_filter_hz"
-
-
 GEAR = "motor_position.rotor_to_output_ratio"
-
-
 SLIP = "servo.max_position_slip"
 
-
+# Keys that are those of the output of a gear, and the power of its ratio that they carry.
 OF_OUTPUT = {
     "servo.max_velocity": 1,
     SLIP: 1,
@@ -57,9 +43,7 @@ OF_OUTPUT = {
     "servo.inertia_feedforward": -2,
 }
 
-"""Keys that are those of the output of a gear, and the power of its ratio that they carry."""
-
-
+# Keys that mean something to loops and machine, in the order in which they are written.
 KNOWN = (
     "motor.poles",
     "motor.resistance_ohm",
@@ -93,39 +77,24 @@ KNOWN = (
     FILTER,
 )
 
-"""Keys that mean something to loops and machine, in the order in which they are written."""
-
-
+# Largest rate in Hz of the control; above it every second period of the PWM has one.
 FASTEST_INTERRUPT = 30000.0
-
-"""Largest rate in Hz of the control; above it every second period of the PWM has one."""
-
-
 _PWM_LOWEST, _PWM_HIGHEST = 15000, 60000
 
-
+# Seconds for which the low-side switches conduct at least, so that the currents are sampled.
 _SENSE_TIME = 0.6e-6
 
-"""Seconds for which the low-side switches conduct at least, so that the currents are sampled."""
-
-
+# Bandwidth (3 dB) over natural frequency of the filter of the encoder, damping 1.
 _FILTER_RATIO = 2.48
-
-"""Bandwidth (3 dB) over natural frequency of the filter of the encoder, damping 1."""
-
-
 Numbers = Mapping[str, float | int]
 
 
 def as_printed(key: str, value: float) -> float | int:
     """A value as the file holds it: whole, or seven digits, which float32 keeps.
 
-    Parameters
-    ----------
-    key:
-        Name of the parameter.
-    value:
-        In its unit.
+    Args:
+        key: Name of the parameter.
+        value: In its unit.
     """
     return round(value) if key in WHOLE else rounded(value, FLOAT32_DIGITS)
 
@@ -133,10 +102,8 @@ def as_printed(key: str, value: float) -> float | int:
 def pwm_rate(wished: float) -> int:
     """The rate in Hz that moteus runs for one wished for: even, from 15 to 60 kHz.
 
-    Parameters
-    ----------
-    wished:
-        In Hz.
+    Args:
+        wished: In Hz.
     """
     return int(min(max(wished, _PWM_LOWEST), _PWM_HIGHEST)) // 2 * 2
 
@@ -144,10 +111,8 @@ def pwm_rate(wished: float) -> int:
 def control_period(rate: float) -> float:
     """Period in s of current and position control at a rate of the PWM in Hz.
 
-    Parameters
-    ----------
-    rate:
-        In Hz.
+    Args:
+        rate: In Hz.
     """
     return (2.0 if rate > FASTEST_INTERRUPT else 1.0) / rate
 
@@ -155,10 +120,8 @@ def control_period(rate: float) -> float:
 def voltage_share(rate: float) -> float:
     """Largest phase voltage over v_dc/sqrt(3): what the time for sampling leaves.
 
-    Parameters
-    ----------
-    rate:
-        Of the PWM in Hz.
+    Args:
+        rate: Of the PWM in Hz.
     """
     return 1.0 - 4.0 * _SENSE_TIME * rate
 
@@ -166,10 +129,8 @@ def voltage_share(rate: float) -> float:
 def filter_gains(bandwidth: float) -> tuple[float, float]:
     """Gains (kp, ki) in 1/s and 1/s^2 of the filter of the encoder for its bandwidth in Hz.
 
-    Parameters
-    ----------
-    bandwidth:
-        As ``pll_filter_hz`` states it.
+    Args:
+        bandwidth: As ``pll_filter_hz`` states it.
     """
     natural = 2.0 * math.pi * bandwidth / _FILTER_RATIO
     return 2.0 * natural, natural * natural
@@ -178,10 +139,8 @@ def filter_gains(bandwidth: float) -> tuple[float, float]:
 def filter_bandwidth(kp: float) -> float:
     """Bandwidth in Hz that the filter of the encoder has with a gain kp in 1/s.
 
-    Parameters
-    ----------
-    kp:
-        Twice its natural frequency.
+    Args:
+        kp: Twice its natural frequency.
     """
     return 0.5 * kp * _FILTER_RATIO / (2.0 * math.pi)
 
@@ -189,12 +148,9 @@ def filter_bandwidth(kp: float) -> float:
 def configuration(name: str, numbers: Numbers) -> Configuration:
     """What keys amount to; gains that the firmware works out by itself included.
 
-    Parameters
-    ----------
-    name:
-        Of the drive.
-    numbers:
-        Values by key in the units of moteus, of the rotor (`OF_OUTPUT` undone).
+    Args:
+        name: Of the drive.
+        numbers: Values by key in the units of moteus, of the rotor (`OF_OUTPUT` undone).
     """
     own: dict[str, OwnValue] = {key: numbers[key] for key in KNOWN if key in numbers}
     current_d, current_q = _current_gains(numbers)

@@ -9,26 +9,17 @@ from dqforge.optimizer.firmware.one_bandwidth.feedforward_overshoot import overs
 
 Numbers = Mapping[str, float | int]
 
-
+# Rate of the control over the bandwidth of the currents, as moteus_tool keeps it at least.
 SLOWEST_SHARE = 30.0
-
-"""Rate of the control over the bandwidth of the currents, as moteus_tool keeps it at least."""
-
-
-FILTER_SHARE = 10.0
-
-"""Rate of the control over the bandwidth of the encoder's filter, likewise."""
+FILTER_SHARE = 10.0  # Rate of the control over the bandwidth of the encoder's filter, likewise.
 
 
 def conventions(numbers: Numbers, period: float | None = None) -> Iterator[str]:
     """Sentences on how numbers are meant that a reader could take otherwise.
 
-    Parameters
-    ----------
-    numbers:
-        Values by key, of the rotor.
-    period:
-        Of the control in s, None where it is not known.
+    Args:
+        numbers: Values by key, of the rotor.
+        period: Of the control in s, None where it is not known.
     """
     if "motor.Kv" in numbers:
         yield "motor.Kv is in rpm per volt between two phases (peak), of the rotor"
@@ -54,12 +45,9 @@ def conventions(numbers: Numbers, period: float | None = None) -> Iterator[str]:
 def contradictions(numbers: Numbers, period: float | None) -> Iterator[str]:
     """Sentences on what does not fit together.
 
-    Parameters
-    ----------
-    numbers:
-        Values by key, of the rotor.
-    period:
-        Of the control in s, None where it is not known.
+    Args:
+        numbers: Values by key, of the rotor.
+        period: Of the control in s, None where it is not known.
     """
     hertz = numbers.get("servo.pid_dq_hz")
     if hertz is not None and "servo.pid_dq.kp" in numbers:

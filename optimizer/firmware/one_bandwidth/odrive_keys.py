@@ -21,31 +21,16 @@ from dqforge.optimizer.firmware.one_bandwidth.odrive_sentences import contradict
 from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS, rounded
 
 FIRMWARE: Firmware = "odrive"
-
-
 VERSION = "0.5"
+PWM_RATE = 24000.0  # In Hz: 168 MHz over two slopes of 3500 counts.
 
-
-PWM_RATE = 24000.0
-
-"""In Hz: 168 MHz over two slopes of 3500 counts."""
-
-
+# Period in s of all controllers: every third period of the PWM (TIM_1_8_RCR 2).
 PERIOD = 3.0 / PWM_RATE
+HIGH_CURRENT = 0  # Motor type whose currents are controlled.
+MEASURED_INDUCTANCE = (2e-6, 4000e-6)  # Inductances in H that the calibration of the motor accepts.
 
-"""Period in s of all controllers: every third period of the PWM (TIM_1_8_RCR 2)."""
-
-
-HIGH_CURRENT = 0
-
-"""Motor type whose currents are controlled."""
-
-
-MEASURED_INDUCTANCE = (2e-6, 4000e-6)
-
-"""Inductances in H that the calibration of the motor accepts."""
-
-
+# Properties of an axis that mean something to loops and machine, in the order in which they are
+# written: type before what depends on it.
 KINDS: dict[str, type] = {
     "motor.config.motor_type": int,
     "motor.config.pre_calibrated": bool,
@@ -71,28 +56,16 @@ KINDS: dict[str, type] = {
     "sensorless_estimator.config.pm_flux_linkage": float,
 }
 
-"""Properties of an axis that mean something to loops and machine, in the order in which they are
-written: type before what depends on it.
-"""
-
-
-VELOCITY_RAMP = 2
-
-"""Input mode in which the reference of the speed has a slope."""
-
-
+VELOCITY_RAMP = 2  # Input mode in which the reference of the speed has a slope.
 Values = Mapping[str, float | int | bool]
 
 
 def as_printed(key: str, value: float | bool) -> float | int | bool:
     """A value as the file holds it: of its type, numbers with seven digits, which float32 keeps.
 
-    Parameters
-    ----------
-    key:
-        Name of the property below its axis.
-    value:
-        In its unit.
+    Args:
+        key: Name of the property below its axis.
+        value: In its unit.
     """
     kind = KINDS[key]
     if kind is float:
@@ -103,10 +76,8 @@ def as_printed(key: str, value: float | bool) -> float | int | bool:
 def pll_gains(bandwidth: float) -> tuple[float, float]:
     """Gains (kp, ki) in 1/s and 1/s^2 of the encoder's PLL for its bandwidth in rad/s.
 
-    Parameters
-    ----------
-    bandwidth:
-        As ``encoder.config.bandwidth`` states it.
+    Args:
+        bandwidth: As ``encoder.config.bandwidth`` states it.
     """
     kp = 2.0 * bandwidth
     return kp, 0.25 * kp * kp
@@ -115,12 +86,9 @@ def pll_gains(bandwidth: float) -> tuple[float, float]:
 def configuration(name: str, values: Values) -> Configuration:
     """What properties of an axis amount to; gains that the firmware works out by itself included.
 
-    Parameters
-    ----------
-    name:
-        Of the drive.
-    values:
-        By name below the axis, in the units of ODrive.
+    Args:
+        name: Of the drive.
+        values: By name below the axis, in the units of ODrive.
     """
     own: dict[str, OwnValue] = {key: values[key] for key in KINDS if key in values}
     drive = _drive(values)

@@ -8,34 +8,18 @@ from dqforge.optimizer.firmware.one_bandwidth.feedforward_overshoot import overs
 
 Values = Mapping[str, float | int | bool]
 
-
+# ``pm_flux_linkage`` of the sensorless estimator in Wb while nobody sets it.
 DEFAULT_FLUX = 1.58e-3
-
-"""``pm_flux_linkage`` of the sensorless estimator in Wb while nobody sets it."""
-
-
-DEFAULT_TORQUE_CONSTANT = 0.04
-
-"""In N m/A, likewise."""
-
-
-GIMBAL = 2
-
-"""Motor type for which amperes are meant as volts."""
-
-
-HALL = 1
-
-"""Mode of an encoder that is three Hall sensors."""
+DEFAULT_TORQUE_CONSTANT = 0.04  # In N m/A, likewise.
+GIMBAL = 2  # Motor type for which amperes are meant as volts.
+HALL = 1  # Mode of an encoder that is three Hall sensors.
 
 
 def conventions(values: Values) -> Iterator[str]:
     """Sentences on how numbers are meant that a reader could take otherwise.
 
-    Parameters
-    ----------
-    values:
-        By name below the axis.
+    Args:
+        values: By name below the axis.
     """
     constant = _positive(values, "motor.config.torque_constant")
     if constant is not None:
@@ -59,12 +43,9 @@ def conventions(values: Values) -> Iterator[str]:
 def contradictions(values: Values, period: float) -> Iterator[str]:
     """Sentences on what does not fit together.
 
-    Parameters
-    ----------
-    values:
-        By name below the axis.
-    period:
-        Of the control in s.
+    Args:
+        values: By name below the axis.
+        period: Of the control in s.
     """
     yield from _torque_constant(values)
     yield from _encoder(values, period)

@@ -13,18 +13,14 @@ from dqforge.optimizer.firmware.firmware_method import Asked, Price, Shortfall
 from dqforge.optimizer.firmware.judge import JudgedFirmware, JudgedLoop, judge
 from dqforge.optimizer.firmware.profile import LoopProfile
 
-_SAME = 1e-3
-
-"""Relative difference below which two numbers count as one."""
+_SAME = 1e-3  # Relative difference below which two numbers count as one.
 
 
 def margin_words(judged: JudgedFirmware) -> str:
     """Phase margins and crossovers of the current loops in words.
 
-    Parameters
-    ----------
-    judged:
-        The loops.
+    Args:
+        judged: The loops.
     """
     return " and ".join(
         f"{_degrees(loop)} at {loop.crossover / (2.0 * math.pi):.4g} Hz ({axis})"
@@ -38,14 +34,10 @@ def gains_changed(
 ) -> tuple[Shortfall, ...]:
     """Current gains that the firmware works out by itself, where they are not those asked for.
 
-    Parameters
-    ----------
-    asked, held:
-        The wishes, and what was made of them.
-    judged:
-        The loops that run.
-    lead:
-        Which key decides, in words.
+    Args:
+        asked, held: The wishes, and what was made of them.
+        judged: The loops that run.
+        lead: Which key decides, in words.
     """
     pairs = (("d", asked.current_d, held.current_d), ("q", asked.current_q, held.current_q))
     changes = [
@@ -68,10 +60,8 @@ def gains_changed(
 def rates_changed(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
     """Frequency of the inverter and periods of the controllers that are not those of the design.
 
-    Parameters
-    ----------
-    asked, held:
-        The wishes, and what was made of them.
+    Args:
+        asked, held: The wishes, and what was made of them.
     """
     wish, own = asked.drive, held.drive
     changes = [
@@ -91,14 +81,10 @@ def rates_changed(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
 def saturation_unknown(asked: Asked, loops: LoopProfile, what: str) -> tuple[Shortfall, ...]:
     """What constant inductances make of the margins where the machine saturates.
 
-    Parameters
-    ----------
-    asked:
-        The design.
-    loops:
-        The current loops that run.
-    what:
-        What the format holds, in words.
+    Args:
+        asked: The design.
+        loops: The current loops that run.
+        what: What the format holds, in words.
     """
     drive, machine = asked.drive, asked.design.machine
     if drive.i_max is None or drive.l_d is None or drive.l_q is None:
@@ -126,10 +112,8 @@ def saturation_unknown(asked: Asked, loops: LoopProfile, what: str) -> tuple[Sho
 def d_current_missing(asked: Asked) -> tuple[Shortfall, ...]:
     """What it costs that no d current flows, where the design asks for one.
 
-    Parameters
-    ----------
-    asked:
-        The design.
+    Args:
+        asked: The design.
     """
     design, i_max = asked.design, asked.drive.i_max
     if design.strategy == "id0" or i_max is None:
@@ -154,12 +138,9 @@ def d_current_missing(asked: Asked) -> tuple[Shortfall, ...]:
 def field_weakening_missing(asked: Asked, words: str) -> tuple[Shortfall, ...]:
     """That currents beyond base speed are not those of the design, where it asks for any.
 
-    Parameters
-    ----------
-    asked:
-        The design.
-    words:
-        What the firmware does instead.
+    Args:
+        asked: The design.
+        words: What the firmware does instead.
     """
     return () if asked.design.weakening is None else (Shortfall(words),)
 

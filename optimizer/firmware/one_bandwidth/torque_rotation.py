@@ -14,22 +14,13 @@ from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS, rounded
 
+# Current in A from which moteus counts a machine as saturated when nothing else is set.
 NEVER = 10000.0
 
-"""Current in A from which moteus counts a machine as saturated when nothing else is set."""
-
-
+# What the other two are when nothing is set; without meaning below `NEVER`.
 NO_CURRENT_SCALE, NO_TORQUE_SCALE = 0.05, 14.7
-
-"""What the other two are when nothing is set; without meaning below `NEVER`."""
-
-
 _POINTS = 241
-
-
-_LINEAR_ENOUGH = 1e-4
-
-"""Largest error over the largest torque below which nothing is fitted."""
+_LINEAR_ENOUGH = 1e-4  # Largest error over the largest torque below which nothing is fitted.
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +42,9 @@ class TorqueRotation:
     def torque(self, constant: float, current: FloatArray) -> FloatArray:
         """Torque in N m of q currents in A from zero on, any shape.
 
-        Parameters
-        ----------
-        constant:
-            Torque per ampere in N m/A.
-        current:
-            In A.
+        Args:
+            constant: Torque per ampere in N m/A.
+            current: In A.
         """
         beyond = np.maximum(current - self.cutoff, 0.0)
         bent = self.torque_scale * np.log2(1.0 + self.current_scale * beyond)
@@ -66,14 +54,10 @@ class TorqueRotation:
 def torque_rotation(machine: Machine, constant: float, i_max: float) -> TorqueRotation:
     """Fit the model to a machine.
 
-    Parameters
-    ----------
-    machine:
-        The machine.
-    constant:
-        Torque per ampere in N m/A with which moteus computes.
-    i_max:
-        Largest current in A.
+    Args:
+        machine: The machine.
+        constant: Torque per ampere in N m/A with which moteus computes.
+        i_max: Largest current in A.
     """
     current = np.linspace(0.0, i_max, _POINTS)
     torque = machine.torque(np.zeros(_POINTS), current)

@@ -50,16 +50,11 @@ def configuration(
 ) -> Configuration:
     """A configuration from the members of the motor.
 
-    Parameters
-    ----------
-    name:
-        Name of the drive.
-    own:
-        The members by their names, the link and the period of the loop.
-    origins:
-        Where they stand, by member; none for values that are no file's.
-    remarks:
-        Further conventions of the file.
+    Args:
+        name: Name of the drive.
+        own: The members by their names, the link and the period of the loop.
+        origins: Where they stand, by member; none for values that are no file's.
+        remarks: Further conventions of the file.
     """
     found = {} if origins is None else origins
     controlled = controls_currents(own)

@@ -10,16 +10,8 @@ from dqforge.optimizer.firmware.configuration import Number, OwnValue
 from dqforge.optimizer.firmware.own_values import number, rounded
 
 VERSION = "2.4"
-
-
-BEFORE = f"before {VERSION}"
-
-"""Version of files with ``phase_inductance``, one for both axes."""
-
-
-SIGNIFICANT = 6
-
-"""Significant digits that are written: a line of the Commander takes 19 characters."""
+BEFORE = f"before {VERSION}"  # Version of files with ``phase_inductance``, one for both axes.
+SIGNIFICANT = 6  # Significant digits that are written: a line of the Commander takes 19 characters.
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,16 +64,12 @@ MEMBERS = {member.name: member for member in (
 """In the order in which they are written; limits behind what changes them."""
 
 
+# What the files say beside the members: the link in V and the period of loopFOC() in s.
 V_DC, LOOP_PERIOD = "v_dc", "loop_period"
+FOC_CURRENT = 2  # torque_controller that controls both currents.
 
-"""What the files say beside the members: the link in V and the period of loopFOC() in s."""
-
-
-FOC_CURRENT = 2
-
-"""torque_controller that controls both currents."""
-
-
+# The library's own values on processors faster than an AVR (src/common/defaults.h), and the period
+# of its loop that its documentation names for them.
 DEFAULTS: Mapping[str, Number] = {
     "PID_current_q.P": 3.0,
     "PID_current_q.I": 300.0,
@@ -95,10 +83,6 @@ DEFAULTS: Mapping[str, Number] = {
     "foc_modulation": 0,
     LOOP_PERIOD: 1e-4,
 }
-
-"""The library's own values on processors faster than an AVR (src/common/defaults.h), and the
-period of its loop that its documentation names for them.
-"""
 
 
 def as_printed(value: float) -> float:

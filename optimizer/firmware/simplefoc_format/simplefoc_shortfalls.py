@@ -14,14 +14,10 @@ from dqforge.optimizer.firmware.profile import LoopProfile
 def shortfalls(asked: Asked, held: Configuration, runs: LoopProfile) -> tuple[Shortfall, ...]:
     """What the configuration does not hold of what was asked, each with its price.
 
-    Parameters
-    ----------
-    asked:
-        What was asked.
-    held:
-        What was made of it.
-    runs:
-        The loops that the library runs with it.
+    Args:
+        asked: What was asked.
+        held: What was made of it.
+        runs: The loops that the library runs with it.
     """
     return (*_currents(asked, held), *_back_emf(asked, runs), *_loop(held), *_filter(asked, runs))
 

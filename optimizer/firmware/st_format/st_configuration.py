@@ -37,16 +37,11 @@ def st_configuration(
 ) -> Configuration:
     """Macros with what they amount to.
 
-    Parameters
-    ----------
-    name:
-        Name of the drive.
-    own:
-        Macros by their names of version 6, and what else the motor file says.
-    version:
-        ``5`` or ``6``.
-    origins, conventions:
-        As in `Configuration`.
+    Args:
+        name: Name of the drive.
+        own: Macros by their names of version 6, and what else the motor file says.
+        version: ``5`` or ``6``.
+        origins, conventions: As in `Configuration`.
     """
     scale, rate = scales(own), _positive(own, "SPEED_LOOP_FREQUENCY_HZ")
     full = current_scale(own)

@@ -28,14 +28,8 @@ from dqforge.optimizer.firmware.st_format.st_scales import (
     integers,
 )
 
-_STEP = 10
-
-"""Counts of d current from which on a step between segments is told."""
-
-
-_ROUNDED = 2e-3
-
-"""Relative error of inputs that files print rounded."""
+_STEP = 10  # Counts of d current from which on a step between segments is told.
+_ROUNDED = 2e-3  # Relative error of inputs that files print rounded.
 
 
 def contradictions(own: Mapping[str, OwnValue]) -> tuple[str, ...]:

@@ -11,25 +11,11 @@ from dqforge.optimizer.firmware.configuration import OwnValue, PiGains
 from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.st_format.st_scales import LARGEST, SPEED_UNIT, Scales
 
-BANDWIDTH = 6000.0
-
-"""rad/s of the current loops that Workbench tunes for by itself."""
-
-
-_BOUND = 4000.0
-
-"""Gains stay below it; the divider is the largest with which they do."""
-
-
+BANDWIDTH = 6000.0  # rad/s of the current loops that Workbench tunes for by itself.
+_BOUND = 4000.0  # Gains stay below it; the divider is the largest with which they do.
 _USUAL_DIVIDER = 16384
-
-
 _LARGEST_DIVIDER = 32768
-
-
-_COARSE = 1e-3
-
-"""Relative error of rounding from which on a gain is given the largest divider."""
+_COARSE = 1e-3  # Relative error of rounding from which on a gain is given the largest divider.
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +34,8 @@ class IntegerGain:
 def vendor_gain(value: float) -> IntegerGain:
     """A gain as Workbench writes it: below 4000, with a divider of at most 16384.
 
-    Raises
-    ------
-    InputError
-        It does not fit 16 bits.
+    Raises:
+        InputError: It does not fit 16 bits.
     """
     divider = _USUAL_DIVIDER
     while divider > 1 and value * divider >= _BOUND:
@@ -80,16 +64,11 @@ def workbench_gains(
     It makes L w and R w of the voltage v_dc/2 per full scale. The modulator makes v_dc/sqrt(3) of
     full scale, so that the loop which then runs is 2/sqrt(3) = 1.155 times as fast as w.
 
-    Parameters
-    ----------
-    r_s, inductance:
-        Resistance in Ohm and inductance in H of a phase.
-    v_dc:
-        Nominal voltage of the dc link in V.
-    scale:
-        Full scales, of which the current and the rate are used.
-    bandwidth:
-        w in rad/s.
+    Args:
+        r_s, inductance: Resistance in Ohm and inductance in H of a phase.
+        v_dc: Nominal voltage of the dc link in V.
+        scale: Full scales, of which the current and the rate are used.
+        bandwidth: w in rad/s.
     """
     per_volt = scale.current / (0.5 * v_dc)
     return (
@@ -101,10 +80,8 @@ def workbench_gains(
 def current_integers(d: PiGains, q: PiGains, scale: Scales) -> dict[str, int]:
     """Macros of both current controllers, which share their dividers.
 
-    Raises
-    ------
-    InputError
-        A gain does not fit 16 bits.
+    Raises:
+        InputError: A gain does not fit 16 bits.
     """
     larger_kp, larger_ki = max(d.kp, q.kp), max(d.ki, q.ki)
     kp_divider = fine_gain(larger_kp * scale.proportional).divider
@@ -122,14 +99,10 @@ def current_integers(d: PiGains, q: PiGains, scale: Scales) -> dict[str, int]:
 def speed_integers(speed: PiGains, full_current: float, rate: float) -> dict[str, int]:
     """Macros of the speed controller: counts of q current per tenth of a hertz.
 
-    Parameters
-    ----------
-    speed:
-        Gains in A s/rad and A/rad.
-    full_current:
-        A of 32768 counts.
-    rate:
-        Hz with which it runs.
+    Args:
+        speed: Gains in A s/rad and A/rad.
+        full_current: A of 32768 counts.
+        rate: Hz with which it runs.
     """
     per_unit = SPEED_UNIT * 32768.0 / full_current
     kp, ki = fine_gain(speed.kp * per_unit), fine_gain(speed.ki * per_unit / rate)

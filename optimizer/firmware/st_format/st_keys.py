@@ -6,11 +6,9 @@ headers.
 
 from __future__ import annotations
 
+# Of the format that is written; version 5 differs in the names of OTHERWISE and in the circle
+# limitation.
 VERSION = "6"
-
-"""Of the format that is written; version 5 differs in the names of OTHERWISE and in the circle
-limitation."""
-
 
 MOTOR = {
     "POLE_PAIR_NUM": "pole pairs",
@@ -22,14 +20,12 @@ MOTOR = {
     "ID_DEMAG_A": "d current down to which the field is weakened, A",
 }
 
-
 STAGE = {
     "NOMINAL_BUS_VOLTAGE_V": "dc link, V",
     "RSHUNT": "shunt, ohm",
     "AMPLIFICATION_GAIN": "gain behind it",
     "ADC_REFERENCE_VOLTAGE": "reference of the converter, V",
 }
-
 
 DRIVE = {
     "MAX_APPLICATION_SPEED_RPM": "largest speed of the drive, rpm",
@@ -62,14 +58,13 @@ DRIVE = {
     "IQMAX_A": "largest q current, A",
 }
 
-
 TABLE = {
     "SEGDIV": "counts of q current per segment",
     "ANGC": "slopes of the segments, 1/32768",
     "OFST": "offsets of the segments, counts of d current",
 }
 
-
+# Dividers whose logarithm stands in a macro of its own.
 LOGARITHMS = (
     "PLL_KPDIV",
     "PLL_KIDIV",
@@ -82,14 +77,10 @@ LOGARITHMS = (
     "STO_FIFO_DEPTH_DPP",
 )
 
-"""Dividers whose logarithm stands in a macro of its own."""
-
-
+# Currents in A, and the macros that hold them in counts up to version 6.1.
 COUNTED = {"NOMINAL_CURRENT_A": "NOMINAL_CURRENT", "ID_DEMAG_A": "ID_DEMAG", "IQMAX_A": "IQMAX"}
 
-"""Currents in A, and the macros that hold them in counts up to version 6.1."""
-
-
+# Other names that versions give a macro.
 OTHERWISE = {
     "ANGC": "M1_ANGC",
     "MAX_APPLICATION_SPEED_RPM": "MAX_APPLICATION_SPEED",
@@ -99,14 +90,10 @@ OTHERWISE = {
     "CONSTANT2_QD": "M1_CONSTANT2_QD",
 }
 
-"""Other names that versions give a macro."""
-
-
+# Written over (SPEED_UNIT/10), which is one where speeds are counted in tenths of a hertz.
 SPEED_GAINS = ("PID_SPEED_KP_DEFAULT", "PID_SPEED_KI_DEFAULT")
 
-"""Written over (SPEED_UNIT/10), which is one where speeds are counted in tenths of a hertz."""
-
-
+# Read where they are there, and never written.
 READ_ONLY = (
     "VBUS_PARTITIONING_FACTOR",
     "REV_PARK_ANGLE_COMPENSATION_FACTOR",
@@ -118,9 +105,8 @@ READ_ONLY = (
     "FW_VOLTAGE_REF",
 )
 
-"""Read where they are there, and never written."""
-
-
+# Keys of the motor file (JSON) and what they are here; ``inertia`` in 1e-6 kg m^2, ``friction`` in
+# 1e-6 N m s/rad.
 MOTOR_FILE = {
     "polePairs": "POLE_PAIR_NUM",
     "rs": "RS",
@@ -133,12 +119,7 @@ MOTOR_FILE = {
     "friction": "friction",
 }
 
-"""Keys of the motor file (JSON) and what they are here; ``inertia`` in 1e-6 kg m^2, ``friction`` in
-1e-6 N m s/rad."""
-
-
 HEADERS = MOTOR | STAGE | DRIVE | TABLE
-
 
 WHOLE = frozenset(
     name

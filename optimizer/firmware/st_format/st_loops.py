@@ -44,10 +44,8 @@ SOURCES = (
 def profile(found: Configuration) -> LoopProfile:
     """The loops that the MCSDK runs with a configuration.
 
-    Raises
-    ------
-    InputError
-        It says too little of the current controllers.
+    Raises:
+        InputError: It says too little of the current controllers.
     """
     own, drive = found.own, found.drive
     if found.current_q is None or drive.t_s is None or drive.v_dc is None:

@@ -13,34 +13,14 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 
 SEGMENTS = 8
+_SLOPE = 32768.0  # ANGC of the slope one.
+_STEEPEST = 65535  # Largest slope whose product with a current of 16 bits fits 32 bits.
+_BLOCK = 64  # Slopes that are tried at once.
+_WIDTHS = 25  # Widths of the segments that are compared in real numbers.
 
-
-_SLOPE = 32768.0
-
-"""ANGC of the slope one."""
-
-
-_STEEPEST = 65535
-
-"""Largest slope whose product with a current of 16 bits fits 32 bits."""
-
-
-_BLOCK = 64
-
-"""Slopes that are tried at once."""
-
-
-_WIDTHS = 25
-
-"""Widths of the segments that are compared in real numbers."""
-
-
+# Counts by which the best integers can be better than the best real numbers: the shift cuts off
+# less than one count, which the offset halves.
 _CLOSE = 0.5
-
-"""Counts by which the best integers can be better than the best real numbers: the shift cuts off
-less than one count, which the offset halves."""
-
-
 Counts = NDArray[np.int64]
 
 
@@ -68,12 +48,9 @@ def table_currents(
 ) -> Counts:
     """Counts of i_d by the firmware's arithmetic.
 
-    Parameters
-    ----------
-    width, slopes, offsets:
-        SEGDIV, ANGC and OFST.
-    i_q:
-        Counts, shape (N,).
+    Args:
+        width, slopes, offsets: SEGDIV, ANGC and OFST.
+        i_q: Counts, shape (N,).
     """
     size = np.abs(i_q)
     segment = np.minimum(size // width, SEGMENTS - 1)
@@ -84,10 +61,8 @@ def table_currents(
 def fitted_table(wanted: FloatArray) -> MtpaTable:
     """The table with the least largest error.
 
-    Parameters
-    ----------
-    wanted:
-        Optimal i_d in counts for every count of i_q from 0 on, shape (N,).
+    Args:
+        wanted: Optimal i_d in counts for every count of i_q from 0 on, shape (N,).
     """
     largest = wanted.size - 1
     width = _best_width(wanted)
@@ -252,12 +227,9 @@ def _whole_line(i_q: Counts, wanted: FloatArray) -> tuple[int, int]:
 def locus_counts(i_d: FloatArray, i_q: FloatArray, full_current: float) -> FloatArray:
     """Optimal i_d in counts for every count of i_q.
 
-    Parameters
-    ----------
-    i_d, i_q:
-        Points of the locus in A, ascending in i_q, shape (L,).
-    full_current:
-        A of 32768 counts.
+    Args:
+        i_d, i_q: Points of the locus in A, ascending in i_q, shape (L,).
+        full_current: A of 32768 counts.
     """
     from scipy.interpolate import PchipInterpolator
 

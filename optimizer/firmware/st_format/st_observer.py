@@ -12,35 +12,22 @@ from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.st_format.st_gains import shift
 from dqforge.optimizer.firmware.st_format.st_scales import EMF, LARGEST, control_rate, current_scale
 
+# Pole per period that Workbench gives the observed current; the other is a quarter of the decay of
+# the winding.
 _LARGEST_FACTOR = 16384
-
-
 _FIRST_POLE = 0.25
+_ROOM = 1.2  # Full scale of the back-EMF over the one at the largest speed.
 
-"""Pole per period that Workbench gives the observed current; the other is a quarter of the decay
-of the winding."""
-
-
-_ROOM = 1.2
-
-"""Full scale of the back-EMF over the one at the largest speed."""
-
-
+# PLL_KP_GAIN over pole pairs and turns per control period, at the divider 16384; with the ratio of
+# both gains a loop of 250 rad/s and damping 1/sqrt(2) where the back-EMF is that of 363 rad/s
+# (electrical). Found from four projects, to the digit.
 _TRACKING = 31926.0
 
-"""PLL_KP_GAIN over pole pairs and turns per control period, at the divider 16384; with the ratio of
-both gains a loop of 250 rad/s and damping 1/sqrt(2) where the back-EMF is that of 363 rad/s
-(electrical). Found from four projects, to the digit."""
-
-
+# PLL_KI_GAIN over PLL_KP_GAIN times the rate in Hz, at the dividers 65536 and 16384.
 _TRACKING_RATIO = 1000.0 / math.sqrt(2.0)
 
-"""PLL_KI_GAIN over PLL_KP_GAIN times the rate in Hz, at the dividers 65536 and 16384."""
-
-
+# Least speed at which the observer is relied on, over the largest, as Workbench writes it.
 LOW_SHARE = 0.36
-
-"""Least speed at which the observer is relied on, over the largest, as Workbench writes it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,17 +110,12 @@ def tracking_integers(
 ) -> dict[str, int]:
     """PLL gains as Workbench writes them, or for a loop that is faster by a factor.
 
-    Parameters
-    ----------
-    pole_pairs:
-        Number of pole pairs.
-    speed:
-        Largest speed in rpm.
-    rate:
-        Hz of the current controllers.
-    faster:
-        Factor on the proportional gain; above one the integral gain is that of a damping of
-        1/sqrt(2) at the least speed (`LOW_SHARE`).
+    Args:
+        pole_pairs: Number of pole pairs.
+        speed: Largest speed in rpm.
+        rate: Hz of the current controllers.
+        faster: Factor on the proportional gain; above one the integral gain is that of a damping of
+            1/sqrt(2) at the least speed (`LOW_SHARE`).
     """
     gain = _TRACKING * pole_pairs * speed / (60.0 * rate)
     integral = gain * _TRACKING_RATIO / rate

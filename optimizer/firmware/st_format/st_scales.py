@@ -10,31 +10,13 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import OwnValue
 from dqforge.optimizer.firmware.own_values import number, rounded
 
-FULL = 32768.0
+FULL = 32768.0  # Counts of full scale.
+LARGEST = 32767  # Largest integer of 16 bits with sign.
+REFERENCE = 3.3  # Reference of the converter in V where a file does not say; its headers do not.
+SPEED_UNIT = 0.2 * math.pi  # Unit of the speed controller in mechanical rad/s: tenths of a hertz.
 
-"""Counts of full scale."""
-
-
-LARGEST = 32767
-
-"""Largest integer of 16 bits with sign."""
-
-
-REFERENCE = 3.3
-
-"""Reference of the converter in V where a file does not say; its headers do not."""
-
-
-SPEED_UNIT = 0.2 * math.pi
-
-"""Unit of the speed controller in mechanical rad/s: tenths of a hertz."""
-
-
+# V s/rad (peak of phase, mechanical) per V r.m.s. line-to-line and 1000 rpm.
 EMF = math.sqrt(2.0 / 3.0) * 60.0 / (2000.0 * math.pi)
-
-"""V s/rad (peak of phase, mechanical) per V r.m.s. line-to-line and 1000 rpm."""
-
-
 _WHOLE = re.compile(r"-?\d{1,10}")
 
 
@@ -42,14 +24,10 @@ _WHOLE = re.compile(r"-?\d{1,10}")
 class Scales:
     """Full scales of the current controllers.
 
-    Parameters
-    ----------
-    current:
-        A of 32768 counts of current: reference/2 over shunt and gain.
-    voltage:
-        V (peak of phase) of 32768 counts of voltage: v_dc/sqrt(3), by the modulator.
-    rate:
-        Hz with which the current controllers run.
+    Args:
+        current: A of 32768 counts of current: reference/2 over shunt and gain.
+        voltage: V (peak of phase) of 32768 counts of voltage: v_dc/sqrt(3), by the modulator.
+        rate: Hz with which the current controllers run.
     """
 
     current: float

@@ -17,14 +17,8 @@ from dqforge.optimizer.firmware.st_format.st_scales import (
 )
 from dqforge.optimizer.firmware.st_format.st_table import table_price
 
-_SEEN = 1e-3
-
-"""Relative change of a gain from which on its rounding is told."""
-
-
-_BUILTIN = 0.02
-
-"""Relative difference of the inductances from which on two are missed."""
+_SEEN = 1e-3  # Relative change of a gain from which on its rounding is told.
+_BUILTIN = 0.02  # Relative difference of the inductances from which on two are missed.
 
 
 def shortfalls(asked: Asked, found: Configuration) -> tuple[Shortfall, ...]:

@@ -17,23 +17,17 @@ from dqforge.optimizer.firmware.st_format.st_mtpa import (
 from dqforge.optimizer.firmware.st_format.st_scales import FULL
 from dqforge.optimizer.operating_points.mtpa_locus import MtpaLocus, mtpa_locus
 
-_NEGLIGIBLE = 2.0
-
-"""Counts of i_d up to which no table is needed."""
+_NEGLIGIBLE = 2.0  # Counts of i_d up to which no table is needed.
 
 
 @dataclass(frozen=True, slots=True)
 class TablePrice:
     """What a table of currents costs.
 
-    Parameters
-    ----------
-    error, error_current:
-        Largest deviation of i_d from the optimum in counts and in A.
-    loss:
-        Largest copper loss beyond the optimum for the same torque, relative.
-    torque:
-        Largest torque of the table below that of the optimum at the same current, relative.
+    Args:
+        error, error_current: Largest deviation of i_d from the optimum in counts and in A.
+        loss: Largest copper loss beyond the optimum for the same torque, relative.
+        torque: Largest torque of the table below that of the optimum at the same current, relative.
     """
 
     error: float

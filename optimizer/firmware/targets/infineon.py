@@ -48,25 +48,17 @@ SOURCES = (
     _HOME + "CtrlFilts.c, Biquad.c: filter on the speed, backward Euler",
 )
 
+# Rate in rad/s of the phase-locked loop where nothing else is asked for.
 PLL_RATE = 2.0 * math.pi * 500.0
-
-"""Rate in rad/s of the phase-locked loop where nothing else is asked for."""
-
-
-_LARGEST_PLL_STEP = 0.2
-"""Largest rate of the phase-locked loop times its period."""
-
-
+_LARGEST_PLL_STEP = 0.2  # Largest rate of the phase-locked loop times its period.
 _WEAKENING_SHARE = 0.2
 
 
 def configure(asked: Asked) -> Configuration:
     """The configuration for a design.
 
-    Raises
-    ------
-    InputError
-        The design says too little of its machine, or has no magnet; with the key.
+    Raises:
+        InputError: The design says too little of its machine, or has no magnet; with the key.
     """
     values = _machine(asked.drive)
     values |= _loops(asked)
@@ -81,10 +73,8 @@ def configure(asked: Asked) -> Configuration:
 def profile(found: Configuration) -> LoopProfile:
     """The loops that the library runs with a configuration.
 
-    Raises
-    ------
-    InputError
-        It says nothing of the current controllers, or of their period.
+    Raises:
+        InputError: It says nothing of the current controllers, or of their period.
     """
     t_s = found.drive.t_s
     if found.current_d is None or found.current_q is None or t_s is None:

@@ -70,27 +70,18 @@ SOURCES = (
     "package moteus 1.1.1 moteus_tool.py: calculate_bandwidth, upgrades of configurations",
 )
 
-
+# Largest bandwidth of the encoder's filter over the rate of the control, as in moteus_tool.
 _FILTER_SHARE = 0.1
-"""Largest bandwidth of the encoder's filter over the rate of the control, as in moteus_tool."""
-
-
 _SLOWEST_FILTER = 10.0
-
-
 _LARGEST_POLES = 255
-
-
 _NEARLY = 1.5
 
 
 def configure(asked: Asked) -> Configuration:
     """Everything that a design decides of a moteus.
 
-    Parameters
-    ----------
-    asked:
-        The design and the gains that it wishes for.
+    Args:
+        asked: The design and the gains that it wishes for.
     """
     drive, machine = asked.drive, asked.design.machine
     numbers = {
@@ -116,10 +107,8 @@ def configure(asked: Asked) -> Configuration:
 def profile(held: Configuration) -> LoopProfile:
     """The loops that a configuration amounts to.
 
-    Parameters
-    ----------
-    held:
-        Of moteus.
+    Args:
+        held: Of moteus.
     """
     d, q, drive = held.current_d, held.current_q, held.drive
     if d is None or q is None or drive.t_s is None or drive.f_sw is None:
@@ -145,12 +134,9 @@ def profile(held: Configuration) -> LoopProfile:
 def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
     """What a moteus cannot hold of a design.
 
-    Parameters
-    ----------
-    asked:
-        The design and its wishes.
-    held:
-        What was made of them.
+    Args:
+        asked: The design and its wishes.
+        held: What was made of them.
     """
     judged = judge(profile(replace(held, speed=None)), asked.drive)
     key = "servo.pid_dq_hz"

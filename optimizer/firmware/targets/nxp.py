@@ -44,10 +44,8 @@ def configure(asked: Asked) -> Configuration:
     Fixed point where the gains of the current loop are asked for in integers
     (``control.current_loop.q_formats``).
 
-    Raises
-    ------
-    InputError
-        A value that MCAT needs is missing, or does not fit its integers; with its key.
+    Raises:
+        InputError: A value that MCAT needs is missing, or does not fit its integers; with its key.
     """
     return configured(asked, edition_for(asked))
 
@@ -61,12 +59,9 @@ def edition_for(asked: Asked) -> Edition:
 def configured(asked: Asked, edition: Edition) -> Configuration:
     """The configuration for a design in the format of one age.
 
-    Parameters
-    ----------
-    asked:
-        The design and its gains.
-    edition:
-        The age of the format, and its arithmetic.
+    Args:
+        asked: The design and its gains.
+        edition: The age of the format, and its arithmetic.
     """
     newest = FIXED_2022 if edition.fixed else FLOAT_2025
     made = McatFile(asked.design.name, newest, own_values(asked, newest))
@@ -76,10 +71,8 @@ def configured(asked: Asked, edition: Edition) -> Configuration:
 def profile(found: Configuration) -> LoopProfile:
     """The loops that NXP's motor control runs with a configuration.
 
-    Raises
-    ------
-    InputError
-        It says nothing of the current controllers, or of their period.
+    Raises:
+        InputError: It says nothing of the current controllers, or of their period.
     """
     sheet = McatSheet(EDITIONS[found.version], found.own)
     axes = found.current_d, found.current_q

@@ -57,37 +57,20 @@ SOURCES = (
     "odriverobotics/ODrive 029ab55 Firmware/odrive-interface.yaml: names, types, units",
 )
 
+VOLTAGE_SHARE = 0.8  # Largest phase voltage over v_dc/sqrt(3).
+DEFAULT_PLL = 1000.0  # Bandwidth in rad/s of the encoder's PLL as ODrive ships it.
 
-VOLTAGE_SHARE = 0.8
-
-"""Largest phase voltage over v_dc/sqrt(3)."""
-
-
-DEFAULT_PLL = 1000.0
-
-"""Bandwidth in rad/s of the encoder's PLL as ODrive ships it."""
-
-
+# Largest bandwidth in rad/s that is written; from 0.5/PERIOD on the firmware refuses it.
 FASTEST_PLL = 0.4 / PERIOD
-
-"""Largest bandwidth in rad/s that is written; from 0.5/PERIOD on the firmware refuses it."""
-
-
-_TRIP_SHARE = 0.2
-
-"""Current above the limit at which the drive switches off, over the limit."""
-
-
+_TRIP_SHARE = 0.2  # Current above the limit at which the drive switches off, over the limit.
 _PLL_OVER_SPEED_LOOP = 8.0
 
 
 def configure(asked: Asked) -> Configuration:
     """Everything that a design decides of an axis of an ODrive.
 
-    Parameters
-    ----------
-    asked:
-        The design and the gains that it wishes for.
+    Args:
+        asked: The design and the gains that it wishes for.
     """
     wished = _machine_values(asked) | _drive_values(asked)
     if asked.speed is not None:
@@ -107,10 +90,8 @@ def configure(asked: Asked) -> Configuration:
 def profile(held: Configuration) -> LoopProfile:
     """The loops that a configuration amounts to.
 
-    Parameters
-    ----------
-    held:
-        Of ODrive.
+    Args:
+        held: Of ODrive.
     """
     gains = held.current_q
     if gains is None:
@@ -136,12 +117,9 @@ def profile(held: Configuration) -> LoopProfile:
 def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
     """What an ODrive cannot hold of a design.
 
-    Parameters
-    ----------
-    asked:
-        The design and its wishes.
-    held:
-        What was made of them.
+    Args:
+        asked: The design and its wishes.
+        held: What was made of them.
     """
     loops = profile(replace(held, speed=None))
     judged = judge(loops, asked.drive)

@@ -48,14 +48,9 @@ SOURCES = (
     "simplefoc/Arduino-FOC 7f9c45f src/communication/Commander.cpp:131-263: lines",
 )
 
+# The library's filter on the speed in s, which is kept where nothing faster is needed.
 SPEED_FILTER = 0.005
-
-"""The library's filter on the speed in s, which is kept where nothing faster is needed."""
-
-
 _FILTER_SHARE = 0.1
-
-
 _MODULATION = {0: "spwm", 1: "svpwm"}
 
 
@@ -63,12 +58,9 @@ def rule(inductance: float, r_s: float, bandwidth: float) -> dict[str, float]:
     """The library's own gains (tuneCurrentController): P = 2 pi f L, I = 2 pi f R, and the filter
     at five times that frequency.
 
-    Parameters
-    ----------
-    inductance, r_s:
-        Of a phase, in H and Ohm.
-    bandwidth:
-        In Hz.
+    Args:
+        inductance, r_s: Of a phase, in H and Ohm.
+        bandwidth: In Hz.
     """
     omega = 2.0 * math.pi * bandwidth
     return {"P": inductance * omega, "I": r_s * omega, "Tf": 1.0 / (5.0 * omega)}
@@ -77,11 +69,9 @@ def rule(inductance: float, r_s: float, bandwidth: float) -> dict[str, float]:
 def configure(asked: Asked) -> Configuration:
     """The members for a design.
 
-    Raises
-    ------
-    InputError
-        A value that they need is missing, or a current loop is faster than half the rate of the
-        library's loop, which it refuses itself.
+    Raises:
+        InputError: A value that they need is missing, or a current loop is faster than half the
+            rate of the library's loop, which it refuses itself.
     """
     drive = asked.drive
     own: dict[str, OwnValue] = dict(_machine(drive))
@@ -101,10 +91,8 @@ def configure(asked: Asked) -> Configuration:
 def profile(found: Configuration) -> LoopProfile:
     """The loops that SimpleFOC runs with a configuration.
 
-    Raises
-    ------
-    InputError
-        It does not control the currents.
+    Raises:
+        InputError: It does not control the currents.
     """
     if found.current_d is None or found.current_q is None:
         raise InputError(

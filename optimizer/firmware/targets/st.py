@@ -39,38 +39,26 @@ from dqforge.optimizer.firmware.st_format.st_scales import (
 from dqforge.optimizer.firmware.st_format.st_shortfalls import shortfalls
 from dqforge.optimizer.firmware.st_format.st_table import table_for
 
-_TICKS = 2000
+_TICKS = 2000  # Hz of the timer that the speed controller is counted from.
 
-"""Hz of the timer that the speed controller is counted from."""
-
-
+# Voltage up to which the dc link is taken to be measured, over its nominal one: a header of the
+# power stage says it, a design does not.
 _BUS_ROOM = 1.5
-
-"""Voltage up to which the dc link is taken to be measured, over its nominal one: a header of the
-power stage says it, a design does not."""
-
-
 _USUAL_DEPTH, _LEAST_DEPTH = 64, 8
 
-
+# Phase in rad that the average of the speed may cost at the crossover of the speed loop.
 _AVERAGING_LAG = 0.1
 
-"""Phase in rad that the average of the speed may cost at the crossover of the speed loop."""
-
-
+# Gain of the phase-locked loop at its lowest speed over the crossover of the speed loop.
 _FASTER = 8.0
-
-"""Gain of the phase-locked loop at its lowest speed over the crossover of the speed loop."""
 
 
 def configure(asked: Asked) -> Configuration:
     """The configuration for a design.
 
-    Raises
-    ------
-    InputError
-        The design says nothing of `inverter.current_sensing`, or a value does not fit 16 bits; with
-        the key.
+    Raises:
+        InputError: The design says nothing of `inverter.current_sensing`, or a value does not fit
+            16 bits; with the key.
     """
     drive = asked.drive
     own = _machine(asked) | _stage(asked) | _rates(drive)

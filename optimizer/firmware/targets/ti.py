@@ -44,7 +44,6 @@ from dqforge.optimizer.firmware.ti_format.ti_keys import (
 from dqforge.optimizer.firmware.ti_format.ti_shortfalls import shortfalls
 
 _LAB = "TexasInstruments/motor-control-sdk tidm_02018_universal_motorcontrol "
-
 _OLDER = "anyway-blows/ti-c2000-motor-control-sdk 3.03 "
 
 SOURCES = (
@@ -56,18 +55,9 @@ SOURCES = (
     _OLDER + "pi.h: integral limited to the output's limits, before it is used",
 )
 
-VOLTAGE_PU = 0.66
-
-"""USER_M1_MAX_VS_MAG_PU of TI's file."""
-
-
-SPEED_CORNER = 200.0
-
-"""USER_MOTOR1_SPEED_LPF_FC_Hz of TI's file."""
-
-
+VOLTAGE_PU = 0.66  # USER_M1_MAX_VS_MAG_PU of TI's file.
+SPEED_CORNER = 200.0  # USER_MOTOR1_SPEED_LPF_FC_Hz of TI's file.
 MOST_SPEED_TICKS = 65535
-
 
 _START_OF_CURRENT = {
     "RES_EST_CURRENT_A": 0.1,
@@ -101,10 +91,8 @@ _START_OF_FREQUENCY = {
 def configure(asked: Asked) -> Configuration:
     """The configuration for a design: the factors on TI's own gains make those that are asked for.
 
-    Raises
-    ------
-    InputError
-        The design says too little of its machine, or has no magnet; with the key.
+    Raises:
+        InputError: The design says too little of its machine, or has no magnet; with the key.
     """
     drive = asked.drive
     values: dict[str, OwnValue] = {"USER_MOTOR1_TYPE": "MOTOR_TYPE_PM"}
@@ -119,10 +107,8 @@ def configure(asked: Asked) -> Configuration:
 def profile(found: Configuration) -> LoopProfile:
     """The loops that the lab runs with a configuration.
 
-    Raises
-    ------
-    InputError
-        It says nothing of the current controllers, or of their period.
+    Raises:
+        InputError: It says nothing of the current controllers, or of their period.
     """
     t_s = found.drive.t_s
     if found.current_d is None or found.current_q is None or t_s is None:

@@ -52,26 +52,15 @@ SOURCES = (
     "vedderb/vesc_tool 461ecc6 res/config/7.01/parameters_mcconf.xml: names, kinds, limits",
 )
 
-TRIP_SHARE = 1.5
+TRIP_SHARE = 1.5  # Current that trips over the permitted one.
 
-"""Current that trips over the permitted one."""
-
-
+# foc_pll_kp that is written: VESC's default, with which kp^2/4 is just what foc_pll_ki holds.
 TRACKING_GAIN = 2000.0
 
-"""foc_pll_kp that is written: VESC's default, with which kp^2/4 is just what foc_pll_ki holds."""
-
-
+# Share of the newest value in the filtered speeds, by s_pid_speed_source.
 FAST_FILTERS = {1: 0.01, 2: 0.2}
-
-"""Share of the newest value in the filtered speeds, by s_pid_speed_source."""
-
-
 _SAME = 1.001
-
-
 _TWO_OBSERVERS = ("ortega original", "ortega iterative")
-
 
 _OBSERVERS = (
     "ortega original",
@@ -87,12 +76,10 @@ _OBSERVERS = (
 def rule(r_s: float, inductance: float, psi_pm: float, tc: float = 1e-3) -> dict[str, float]:
     """VESC's own gains: kp = L/tc, ki = R/tc, and 1000/lambda^2 of the observer.
 
-    Parameters
-    ----------
-    r_s, inductance, psi_pm:
-        Resistance in Ohm, mean inductance in H and flux linkage in Wb of a phase.
-    tc:
-        Time constant of the current loop in s.
+    Args:
+        r_s, inductance, psi_pm: Resistance in Ohm, mean inductance in H and flux linkage in Wb of a
+            phase.
+        tc: Time constant of the current loop in s.
     """
     return {
         "foc_current_kp": inductance / tc,
@@ -104,10 +91,8 @@ def rule(r_s: float, inductance: float, psi_pm: float, tc: float = 1e-3) -> dict
 def configure(asked: Asked) -> Configuration:
     """The configuration for a design; of gains of two axes their mean.
 
-    Raises
-    ------
-    InputError
-        The design has no magnet, or a value does not fit the format; with the key.
+    Raises:
+        InputError: The design has no magnet, or a value does not fit the format; with the key.
     """
     drive = asked.drive
     own: dict[str, OwnValue] = {"motor_type": kept("motor_type", 2, "control.firmware")}
@@ -127,10 +112,8 @@ def configure(asked: Asked) -> Configuration:
 def profile(found: Configuration) -> LoopProfile:
     """The loops that VESC runs with a configuration.
 
-    Raises
-    ------
-    InputError
-        It says nothing of the current controllers, or of their period.
+    Raises:
+        InputError: It says nothing of the current controllers, or of their period.
     """
     own, t_s = found.own, control_period(found.own)
     if found.current_q is None or t_s is None:

@@ -27,15 +27,9 @@ from dqforge.optimizer.firmware.ti_format.ti_keys import (
 
 TWO_PI = 2.0 * math.pi
 
+# Share of R/L that ``setupControllers`` takes as the integral gain of the series form.
 INTEGRAL_SHARE = 0.25
-
-"""Share of R/L that ``setupControllers`` takes as the integral gain of the series form."""
-
-
-SPEED_TICKS = 10
-
-"""Control steps per step of the speed controller where the file does not say."""
-
+SPEED_TICKS = 10  # Control steps per step of the speed controller where the file does not say.
 
 CONVENTIONS = (
     "the unit of a value stands in the name of its macro",
@@ -67,12 +61,9 @@ BANDWIDTHS = {
 def current_rule(r_s: float, inductance: float, bandwidth: float) -> PiGains:
     """TI's gains of a current controller, of the parallel form.
 
-    Parameters
-    ----------
-    r_s, inductance:
-        Resistance in ohm and inductance in H of a phase.
-    bandwidth:
-        BWc in rad/s.
+    Args:
+        r_s, inductance: Resistance in ohm and inductance in H of a phase.
+        bandwidth: BWc in rad/s.
     """
     kp = bandwidth * inductance
     return PiGains(kp, kp * INTEGRAL_SHARE * r_s / inductance)
@@ -83,12 +74,9 @@ def speed_rule(pole_pairs: int, psi_pm: float, inertia: float, bandwidths: Bandw
 
     The rule makes a gain per rad/s, the controller is given electrical Hz.
 
-    Parameters
-    ----------
-    pole_pairs, psi_pm, inertia:
-        Pole pairs, flux linkage in Wb, inertia in kg m^2.
-    bandwidths:
-        The constants of the firmware.
+    Args:
+        pole_pairs, psi_pm, inertia: Pole pairs, flux linkage in Wb, inertia in kg m^2.
+        bandwidths: The constants of the firmware.
     """
     acceleration = 1.5 * pole_pairs * psi_pm / inertia
     per_hertz = bandwidths.current / (bandwidths.delta * acceleration)
@@ -109,16 +97,11 @@ def configuration(
 ) -> Configuration:
     """A configuration from the macros of a motor.
 
-    Parameters
-    ----------
-    name:
-        Name of the motor.
-    own:
-        Values by macro, of those of `ti_keys`.
-    origins:
-        Where they stand, by macro; None where no file was read.
-    version:
-        Of the lab: its constants differ.
+    Args:
+        name: Name of the motor.
+        own: Values by macro, of those of `ti_keys`.
+        origins: Where they stand, by macro; None where no file was read.
+        version: Of the lab: its constants differ.
     """
     drive, bandwidths = _drive(own), BANDWIDTHS.get(version)
     d = q = speed = None

@@ -8,30 +8,21 @@ from collections.abc import Iterator, Mapping
 from dqforge.optimizer.firmware.configuration import DriveValues, OwnValue
 from dqforge.optimizer.firmware.ti_format.ti_keys import number
 
+# Share of the measured range above which the lab lets no over-current threshold go.
 TRIP_SHARE = 0.475
 
-"""Share of the measured range above which the lab lets no over-current threshold go."""
-
-
+# Inertia in kg m^2 of the Teknic M2310 in TI's file, which other blocks repeat.
 TEKNIC_INERTIA = 7.06154e-6
-
-"""Inertia in kg m^2 of the Teknic M2310 in TI's file, which other blocks repeat."""
-
-
 _TOLERANCE = 0.05
 
 
 def contradictions(name: str, own: Mapping[str, OwnValue], drive: DriveValues) -> tuple[str, ...]:
     """Sentences on values that do not fit together, with both numbers.
 
-    Parameters
-    ----------
-    name:
-        Name of the motor.
-    own:
-        Values by macro.
-    drive:
-        What they amount to.
+    Args:
+        name: Name of the motor.
+        own: Values by macro.
+        drive: What they amount to.
     """
     return (*_voltage(own), *_currents(own), *_speeds(own, drive), *_copied(name, drive))
 

@@ -15,20 +15,13 @@ from dqforge.optimizer.firmware import own_values
 from dqforge.optimizer.firmware.configuration import Number, OwnValue
 from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS, float32_value, rounded
 
-FIRMWARE = "TI's lab"
-
-"""Its name in messages."""
-
-
+FIRMWARE = "TI's lab"  # Its name in messages.
 VERSION = "universal lab 2024"
-
 OLDER_LAB = "universal lab 3.03"
-
 INSTASPIN = "user.h of InstaSPIN"
 
+# Who says a value: the design itself, a rule for starting the motor, or the gains.
 Decided = Literal["design", "start", "gains"]
-
-"""Who says a value: the design itself, a rule for starting the motor, or the gains."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,25 +95,21 @@ _BOARD = (
 # fmt: on
 
 MOTOR_PREFIX = "USER_MOTOR1_"
-
 BOARD_PREFIX = "USER_M1_"
 
+# What `configure` writes, by the name of the macro, in the order of the file.
 KEYS: Mapping[str, Key] = {
     f"{prefix}{key.name}": Key(f"{prefix}{key.name}", key.kind, key.decided, key.says)
     for prefix, keys in ((MOTOR_PREFIX, _MOTOR), (BOARD_PREFIX, _BOARD))
     for key in keys
 }
 
-"""What `configure` writes, by the name of the macro, in the order of the file."""
-
-
+# What is read beside that, to hold it against the rest.
 READ_ONLY: Mapping[str, Key] = {
     "USER_MOTOR1_RATED_SPEED_KRPM": Key(
         "USER_MOTOR1_RATED_SPEED_KRPM", "real", "design", "rated speed"
     )
 }
-
-"""What is read beside that, to hold it against the rest."""
 
 
 def as_printed(value: float) -> float:

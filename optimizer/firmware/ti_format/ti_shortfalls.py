@@ -16,23 +16,17 @@ from dqforge.optimizer.firmware.ti_format.ti_configuration import (
 from dqforge.optimizer.firmware.ti_format.ti_contradictions import TRIP_SHARE
 from dqforge.optimizer.firmware.ti_format.ti_keys import FIRMWARE, number
 
+# Factors that TI's comments give; of the proportional gain of the speed up to 100.
 _ADVISED = (0.1, 10.0)
-
-"""Factors that TI's comments give; of the proportional gain of the speed up to 100."""
-
-
 _MOST_OF_SPEED = 100.0
 
 
 def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
     """What the block does not hold of what was asked, each with its price.
 
-    Parameters
-    ----------
-    asked:
-        What was asked.
-    held:
-        What was made of it.
+    Args:
+        asked: What was asked.
+        held: What was made of it.
     """
     return (
         *_fixed_bandwidth(asked, held),

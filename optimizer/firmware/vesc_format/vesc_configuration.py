@@ -22,15 +22,9 @@ from dqforge.optimizer.firmware.vesc_format.vesc_keys import (
     loop_number,
 )
 
+# Frequencies in Hz of the speed controller, by the number that the file holds.
 LOOP_RATES = (25.0, 50.0, 100.0, 250.0, 500.0, 1000.0, 2500.0, 5000.0, 10000.0)
-
-"""Frequencies in Hz of the speed controller, by the number that the file holds."""
-
-
-SPEED_GAIN = 20.0
-
-"""What VESC divides the speed gains by (foc_math.c, foc_run_pid_control_speed)."""
-
+SPEED_GAIN = 20.0  # What VESC divides the speed gains by (foc_math.c, foc_run_pid_control_speed).
 
 CONVENTIONS = (
     "resistance, inductance and flux linkage are those of one phase of the star",
@@ -50,16 +44,11 @@ def configuration(
 ) -> Configuration:
     """A configuration from the values of the file, by its own names and in its own units.
 
-    Parameters
-    ----------
-    name:
-        Name of the drive.
-    own:
-        The values; what is not there is None in the result.
-    origins:
-        Where they stand, by the name of the key; none for values that are no file's.
-    version:
-        Version of the format.
+    Args:
+        name: Name of the drive.
+        own: The values; what is not there is None in the result.
+        origins: Where they stand, by the name of the key; none for values that are no file's.
+        version: Version of the format.
     """
     found = {} if origins is None else origins
     return Configuration(

@@ -9,28 +9,19 @@ from dqforge.optimizer.firmware.configuration import OwnValue
 from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.vesc_format.vesc_keys import loop_number
 
+# Share by which numbers of one rule may differ: the tool shows some of them with four digits.
 TOLERANCE = 0.01
 
-"""Share by which numbers of one rule may differ: the tool shows some of them with four digits."""
-
-
+# foc_observer_gain times the flux linkage squared by VESC's rule, in rad/s (conf_general.c).
 OBSERVER_RATE = 1000.0
-
-"""foc_observer_gain times the flux linkage squared by VESC's rule, in rad/s (conf_general.c)."""
-
-
-ENCODER = 1
-
-"""foc_sensor_mode of an encoder."""
+ENCODER = 1  # foc_sensor_mode of an encoder.
 
 
 def contradictions(own: Mapping[str, OwnValue]) -> tuple[str, ...]:
     """Sentences on values that do not fit together, with both numbers.
 
-    Parameters
-    ----------
-    own:
-        Values of the file by its own names.
+    Args:
+        own: Values of the file by its own names.
     """
     return (*_gains(own), *_observer(own), *_limits(own), *_machine(own))
 

@@ -15,11 +15,11 @@ from dqforge.optimizer.firmware.configuration import Number, OwnValue
 from dqforge.optimizer.firmware.own_values import number, rounded
 
 VERSION = "7.01"
-
-
 _LAST_OF_TWO = "5.03"
 
-
+# Versions of the firmware with the keys that came with each (CHANGELOG.md of vedderb/bldc, held
+# against ``parameters_mcconf.xml`` of 3.57, 5.02, 6.00 and 7.01); 6.05 and later have the keys that
+# loops depend on as 7.01 has them.
 _AGES = (
     ("before 3.66", ()),
     ("3.66 to 5.01", ("foc_observer_type", "foc_cc_decoupling")),
@@ -29,29 +29,17 @@ _AGES = (
     (VERSION, ("s_pid_speed_source", "foc_control_sample_mode")),
 )
 
-"""Versions of the firmware with the keys that came with each (CHANGELOG.md of vedderb/bldc, held
-against ``parameters_mcconf.xml`` of 3.57, 5.02, 6.00 and 7.01); 6.05 and later have the keys that
-loops depend on as 7.01 has them."""
-
-
-_OLD_SAMPLING, _OLD_FREQUENCY = "foc_sample_v0_v7", "foc_f_sw"
-
-"""Keys that 6.05 and 6.00 replaced."""
-
-
+_OLD_SAMPLING, _OLD_FREQUENCY = "foc_sample_v0_v7", "foc_f_sw"  # Keys that 6.05 and 6.00 replaced.
 _TWO_OBSERVERS_UNTIL = [age for age, _ in _AGES].index(_LAST_OF_TWO)
 
 
 def version_of(written: Collection[str], *, whole: bool) -> str:
     """Version of the firmware whose keys a file has.
 
-    Parameters
-    ----------
-    written:
-        Names of keys as the file spells them.
-    whole:
-        Whether the file has all keys of its version, as XML of the tool does: then what it lacks
-        says as much as what it has. A header may leave out what a board does not change.
+    Args:
+        written: Names of keys as the file spells them.
+        whole: Whether the file has all keys of its version, as XML of the tool does: then what it
+            lacks says as much as what it has. A header may leave out what a board does not change.
     """
     newest = max(
         (age for age, (_, keys) in enumerate(_AGES) if any(key in written for key in keys)),
@@ -78,9 +66,7 @@ def known_to(version: str, name: str) -> bool:
     return version not in names or names.index(version) >= since
 
 
-SIGNIFICANT = 6
-
-"""Significant digits that the tool prints of a number (configparams.cpp, getXML)."""
+SIGNIFICANT = 6  # Significant digits that the tool prints of a number (configparams.cpp, getXML).
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +117,7 @@ KEYS = {key.name: key for key in (
 """The keys that `configure` writes, in the order of the file."""
 
 
+# What the loops depend on where a file is silent: the tool's own defaults.
 LOOP_DEFAULTS: Mapping[str, Number] = {
     "foc_pll_kp": 2000.0,
     "foc_pll_ki": 30000.0,
@@ -146,8 +133,6 @@ LOOP_DEFAULTS: Mapping[str, Number] = {
     "s_pid_ramp_erpms_s": 25000.0,
     "s_pid_speed_source": 0,
 }
-
-"""What the loops depend on where a file is silent: the tool's own defaults."""
 
 
 def as_printed(value: float) -> float:

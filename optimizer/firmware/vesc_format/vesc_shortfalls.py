@@ -19,27 +19,19 @@ from dqforge.optimizer.firmware.profile import LoopProfile
 from dqforge.optimizer.firmware.vesc_format.vesc_keys import loop_number
 
 _BACK_EMF_SHARE = 0.98
-
-
 _MUCH = 0.01
 
-
+# Share of the newest value in the speed that is fed forward (mcpwm_foc.c, m_speed_est_fast).
 FAST_SHARE = 0.01
-
-"""Share of the newest value in the speed that is fed forward (mcpwm_foc.c, m_speed_est_fast)."""
 
 
 def shortfalls(asked: Asked, held: Configuration, runs: LoopProfile) -> tuple[Shortfall, ...]:
     """What the configuration does not hold of what was asked, each with its price.
 
-    Parameters
-    ----------
-    asked:
-        What was asked.
-    held:
-        What was made of it.
-    runs:
-        The loops that VESC runs with it.
+    Args:
+        asked: What was asked.
+        held: What was made of it.
+        runs: The loops that VESC runs with it.
     """
     return (
         *_one_pair(asked, held, runs),

@@ -27,27 +27,19 @@ from dqforge.optimizer.loops.closed_margins import (
 from dqforge.optimizer.loops.pi_methods import current_pi
 
 Settings = TypeVar("Settings", CurrentLoopSettings, SpeedLoopSettings)
-
-BY_SEARCH = "optimised"
-
-"""The method whose gains are searched for, loop by loop."""
+BY_SEARCH = "optimised"  # The method whose gains are searched for, loop by loop.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurrentLoopAxis:
     """Current loops of one axis of N machines, arrays of shape (N,).
 
-    Parameters
-    ----------
-    r_s, inductance, t_s:
-        Ohm, H and s.
-    kp, ki:
-        Gains in V/A and V/(A s), NaN where no rule gives any.
-    margins:
-        NaN and not stable there.
-    holds:
-        True where a single loop would be accepted; of others `tune_current_loop` says what is wrong
-        or, by the method ``optimised``, finds the gains.
+    Args:
+        r_s, inductance, t_s: Ohm, H and s.
+        kp, ki: Gains in V/A and V/(A s), NaN where no rule gives any.
+        margins: NaN and not stable there.
+        holds: True where a single loop would be accepted; of others `tune_current_loop` says what
+            is wrong or, by the method ``optimised``, finds the gains.
     """
 
     r_s: FloatArray
@@ -62,12 +54,9 @@ class CurrentLoopAxis:
 def each_of(settings: Settings | Sequence[Settings], count: int) -> Sequence[Settings]:
     """Settings of every row: the ones given, or the one ``count`` times.
 
-    Parameters
-    ----------
-    settings:
-        One, or one per row.
-    count:
-        Number of rows.
+    Args:
+        settings: One, or one per row.
+        count: Number of rows.
     """
     if isinstance(settings, Sequence):
         return settings
@@ -77,10 +66,8 @@ def each_of(settings: Settings | Sequence[Settings], count: int) -> Sequence[Set
 def columns(*values: ArrayLike) -> tuple[FloatArray, ...]:
     """Numbers and columns as columns of one length.
 
-    Parameters
-    ----------
-    values:
-        Numbers, or arrays of shape (N,).
+    Args:
+        values: Numbers, or arrays of shape (N,).
     """
     given = [np.asarray(value, dtype=np.float64) for value in values]
     return tuple(np.atleast_1d(value) for value in np.broadcast_arrays(*given))
@@ -95,15 +82,11 @@ def tuned_current_loops(
 ) -> CurrentLoopAxis:
     """Gains of N machines by the methods of the settings, with their margins.
 
-    Parameters
-    ----------
-    r_s, inductance, t_s:
-        Ohm, H and s, numbers or shape (N,).
-    settings:
-        Method and its settings, of all rows or of each.
-    rule_inductance:
-        Inductance in H that the rule of a vendor takes for this axis
-        (`dqforge.optimizer.loops.vendor_methods.vendor_inductance`); None for the axis' own.
+    Args:
+        r_s, inductance, t_s: Ohm, H and s, numbers or shape (N,).
+        settings: Method and its settings, of all rows or of each.
+        rule_inductance: Inductance in H that the rule of a vendor takes for this axis
+            (`dqforge.optimizer.loops.vendor_methods.vendor_inductance`); None for the axis' own.
     """
     taken = inductance if rule_inductance is None else rule_inductance
     count = len(settings) if isinstance(settings, Sequence) else 1
@@ -139,17 +122,12 @@ def given_current_loops(
 ) -> CurrentLoopAxis:
     """Margins of N machines with given gains, such as those of one header on many machines.
 
-    Parameters
-    ----------
-    r_s, inductance, t_s:
-        Ohm, H and s, numbers or shape (N,).
-    kp, ki:
-        Gains in V/A and V/(A s), numbers or shape (N,).
-    gain:
-        Gain of the voltage, a number or shape (N,): link voltage that acts over the one that duty
-        cycles are computed with.
-    least:
-        Least phase margin in rad that a loop must have to hold.
+    Args:
+        r_s, inductance, t_s: Ohm, H and s, numbers or shape (N,).
+        kp, ki: Gains in V/A and V/(A s), numbers or shape (N,).
+        gain: Gain of the voltage, a number or shape (N,): link voltage that acts over the one that
+            duty cycles are computed with.
+        least: Least phase margin in rad that a loop must have to hold.
     """
     r_s, inductance, t_s, kp, ki, gain, least = columns(r_s, inductance, t_s, kp, ki, gain, least)
     proper = has_closed_margins(kp, ki)

@@ -36,25 +36,19 @@ from dqforge.optimizer.loops.loop_batch import (
 )
 from dqforge.optimizer.loops.pi_methods import speed_pi
 
+# Loops on one grid of frequencies: it bounds the memory, and how far their rates spread it.
 _AT_ONCE = 250
-
-"""Loops on one grid of frequencies: it bounds the memory, and how far their rates spread it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeedDrives:
     """What the speed loops of N machines depend on beside their own gains, arrays of shape (N,).
 
-    Parameters
-    ----------
-    drive:
-        Windings, inertias and what the controller takes wrongly.
-    friction:
-        In N m s/rad.
-    t_s:
-        Sampling periods of the current loops in s.
-    current_kp, current_ki:
-        Gains of the q axis in V/A and V/(A s).
+    Args:
+        drive: Windings, inertias and what the controller takes wrongly.
+        friction: In N m s/rad.
+        t_s: Sampling periods of the current loops in s.
+        current_kp, current_ki: Gains of the q axis in V/A and V/(A s).
     """
 
     drive: DriveVariants
@@ -80,16 +74,12 @@ class SpeedDrives:
 class SpeedLoopAxis:
     """Speed loops of N machines, arrays of shape (N,).
 
-    Parameters
-    ----------
-    kp, ki:
-        Gains in N m s/rad and N m/rad, NaN where no rule gives any.
-    margins:
-        In rad/s, rad, s; NaN where there are no gains.
-    stable:
-        Whether every pole lies inside the unit circle.
-    holds:
-        True where a single loop would be accepted; of others `tune_speed_loop` says what is wrong.
+    Args:
+        kp, ki: Gains in N m s/rad and N m/rad, NaN where no rule gives any.
+        margins: In rad/s, rad, s; NaN where there are no gains.
+        stable: Whether every pole lies inside the unit circle.
+        holds: True where a single loop would be accepted; of others `tune_speed_loop` says what is
+            wrong.
     """
 
     kp: FloatArray
@@ -102,12 +92,9 @@ class SpeedLoopAxis:
 def nominal_drives(q_axis: CurrentLoopAxis, inertia: ArrayLike, friction: ArrayLike) -> SpeedDrives:
     """Drives whose controllers know them, as `tune_speed_loop` takes a single one.
 
-    Parameters
-    ----------
-    q_axis:
-        Current loops of the q axis.
-    inertia, friction:
-        In kg m^2 and N m s/rad, numbers or shape (N,).
+    Args:
+        q_axis: Current loops of the q axis.
+        inertia, friction: In kg m^2 and N m s/rad, numbers or shape (N,).
     """
     inertia, friction, one = columns(inertia, friction, np.ones(q_axis.t_s.size))
     drive = DriveVariants(q_axis.r_s, q_axis.inductance, inertia, one, one, 0.0 * one)
@@ -124,19 +111,13 @@ def drives_of_one_controller(
     """Machines that are driven by the controller of another, at no load; without magnets with the
     torque of their saliency.
 
-    Parameters
-    ----------
-    machines:
-        N machines that are built, with their inertias.
-    nominal:
-        The machine that the controller was made for: its magnets make torque out of current, and
-        its back-EMF is fed forward.
-    t_s:
-        Sampling period of the current loops in s.
-    current_gains:
-        kp in V/A and ki in V/(A s) of the q axis.
-    gain:
-        Gain of the voltage, a number or shape (N,), as in `given_current_loops`.
+    Args:
+        machines: N machines that are built, with their inertias.
+        nominal: The machine that the controller was made for: its magnets make torque out of
+            current, and its back-EMF is fed forward.
+        t_s: Sampling period of the current loops in s.
+        current_gains: kp in V/A and ki in V/(A s) of the q axis.
+        gain: Gain of the voltage, a number or shape (N,), as in `given_current_loops`.
     """
     kp, ki, period, factor, _ = columns(*current_gains, t_s, gain, machines.r_s)
     rest = nominal.torque_per_ampere * machines.pole_pairs * (machines.psi_pm - nominal.psi_pm)
@@ -157,14 +138,10 @@ def tuned_speed_loops(
 ) -> SpeedLoopAxis:
     """Gains of N machines by the methods of the settings, with their margins.
 
-    Parameters
-    ----------
-    q_axis:
-        Current loops of the q axis.
-    inertia, friction:
-        In kg m^2 and N m s/rad, numbers or shape (N,).
-    settings:
-        Method and its settings, of all rows or of each.
+    Args:
+        q_axis: Current loops of the q axis.
+        inertia, friction: In kg m^2 and N m s/rad, numbers or shape (N,).
+        settings: Method and its settings, of all rows or of each.
     """
     drives = nominal_drives(q_axis, inertia, friction)
     rules = each_of(settings, drives.t_s.size)
@@ -201,14 +178,11 @@ def given_speed_loops(
 ) -> SpeedLoopAxis:
     """Margins of N machines with given gains.
 
-    Parameters
-    ----------
-    drives:
-        What they depend on; one whose inertia is not known (NaN) has no margins.
-    kp, ki:
-        Gains in N m s/rad and N m/rad, numbers or shape (N,).
-    settings:
-        Ratio of the sampling rates, filter and least phase margin, of all rows or of each.
+    Args:
+        drives: What they depend on; one whose inertia is not known (NaN) has no margins.
+        kp, ki: Gains in N m s/rad and N m/rad, numbers or shape (N,).
+        settings: Ratio of the sampling rates, filter and least phase margin, of all rows or of
+            each.
     """
     kp, ki, _ = columns(kp, ki, drives.t_s)
     rules = each_of(settings, kp.size)

@@ -31,19 +31,9 @@ from dqforge.optimizer.loops.tolerance_box import Axis, BoxPoints, DriveBox
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 
 FloatArray = NDArray[np.float64]
-
-
-TOLERANCE = 0.02
-
-"""Largest relative error of a gain in the firmware."""
-
-
+TOLERANCE = 0.02  # Largest relative error of a gain in the firmware.
 _SHOWN = 41
-
-
 _OPTIMISED_POINTS = 7
-
-
 _OFF_REFERENCE = 25
 
 
@@ -153,19 +143,14 @@ def schedule_gains(
     """Gains over |i_q| for the design's method, and what they and the constant
     gains keep at every current.
 
-    Parameters
-    ----------
-    design:
-        A design whose machine saturates.
-    box:
-        Its tolerances, None where it names none.
-    i_d, i_q:
-        The constant gains, which the firmware falls back on.
+    Args:
+        design: A design whose machine saturates.
+        box: Its tolerances, None where it names none.
+        i_d, i_q: The constant gains, which the firmware falls back on.
 
-    Raises
-    ------
-    NoSolutionError
-        A loop is unstable or misses its phase margin at a current, or the gains cannot be followed.
+    Raises:
+        NoSolutionError: A loop is unstable or misses its phase margin at a current, or the gains
+            cannot be followed.
     """
     path, t_s = _path(design.machine, design.i_max, design.strategy), design.control.t_s
     curves: dict[str, Curve] = {}

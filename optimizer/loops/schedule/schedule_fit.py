@@ -16,41 +16,20 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.fitting import Curve, SideConditions, fit_curve
 from dqforge.optimizer.curves.single_precision import MultiplyAdd, SingleArray, multiply_add
 
+# Gains in V/A in the order of the results; ki_ts is the integral gain times the sampling period.
 FloatArray = NDArray[np.float64]
-
-
 ScheduleForm = Literal["polynomial", "table"]
-
-
 GAIN_NAMES = ("kp_d", "ki_ts_d", "kp_q", "ki_ts_q")
-
-"""Gains in V/A in the order of the results; ki_ts is the integral gain
-times the sampling period."""
-
-
 _CONSTANT = 1e-6  # relative range below which a gain is one number
-
-
 _LARGEST_DEGREE = 6
-
-
 _LARGEST_TABLE = 129
-
-
 _BREAKPOINTS = np.linspace(0.1, 0.7, 13)
-
-
 _DENSE = 2001
-
-
 _FREE = SideConditions(exact_at_zero=False, continuous=True)
-
 
 # Thumb-2 with an FPU: bytes of a multiply and an add with their literal, of what every gain takes,
 # and of the rest.
 _PER_POWER, _PER_GAIN, _PER_SEGMENT = 16, 12, 12
-
-
 _TABLE_BASE, _TABLE_PER_GAIN = 44, 28
 
 
@@ -58,24 +37,16 @@ _TABLE_BASE, _TABLE_PER_GAIN = 44, 28
 class GainEvaluator:
     """What the firmware evaluates, in its order of operations; every number is a float32.
 
-    Parameters
-    ----------
-    end:
-        Largest |i_q| in A; beyond it the gains stay.
-    fallback:
-        Gains by name for a current that is not a number: the constant ones,
-        for the least inductance.
-    constants:
-        Gains that do not change with the current.
-    starts:
-        Of polynomials the first current of each segment, shape (S,).
-    polynomials:
-        Ascending coefficients by gain, shape (S, n + 1) each, of |i_q| less
-        the start of the segment.
-    inverse_step:
-        Of a table the points per ampere.
-    tables:
-        Values at even steps from 0 by gain, shape (N,) each.
+    Args:
+        end: Largest |i_q| in A; beyond it the gains stay.
+        fallback: Gains by name for a current that is not a number: the constant ones, for the least
+            inductance.
+        constants: Gains that do not change with the current.
+        starts: Of polynomials the first current of each segment, shape (S,).
+        polynomials: Ascending coefficients by gain, shape (S, n + 1) each, of |i_q| less the start
+            of the segment.
+        inverse_step: Of a table the points per ampere.
+        tables: Values at even steps from 0 by gain, shape (N,) each.
     """
 
     end: np.float32
@@ -153,21 +124,15 @@ def fit_gains(
 ) -> ScheduleFit:
     """Fit gains over |i_q| within a relative error, by the form that takes fewer bytes.
 
-    Parameters
-    ----------
-    curves:
-        The gains of `GAIN_NAMES` in V/A as functions of |i_q| in A.
-    end:
-        Largest current in A.
-    fallback:
-        Gains for a current that is not a number.
-    tolerance:
-        Largest relative error of a gain, in float32, with and without fused multiply-add.
+    Args:
+        curves: The gains of `GAIN_NAMES` in V/A as functions of |i_q| in A.
+        end: Largest current in A.
+        fallback: Gains for a current that is not a number.
+        tolerance: Largest relative error of a gain, in float32, with and without fused
+            multiply-add.
 
-    Raises
-    ------
-    NoSolutionError
-        Neither form keeps the tolerance.
+    Raises:
+        NoSolutionError: Neither form keeps the tolerance.
     """
     single_end = np.float32(end)
     dense = np.linspace(0.0, float(single_end), _DENSE)
@@ -220,12 +185,9 @@ def fit_gains(
 def errors_of(evaluator: GainEvaluator, curves: Mapping[str, Curve]) -> dict[str, float]:
     """Largest relative error of each gain on a dense grid of currents, in float32, fused or not.
 
-    Parameters
-    ----------
-    evaluator:
-        The gains as the firmware computes them.
-    curves:
-        Exact gains over the current in A, by name.
+    Args:
+        evaluator: The gains as the firmware computes them.
+        curves: Exact gains over the current in A, by name.
     """
     from dqforge.optimizer.curves.single_precision import fused_multiply_add
 

@@ -67,14 +67,10 @@ def design_ekf(
 
 
 _TURN = np.float32(6.2831855)
-
-
 _I_SQUARE = np.float32(1e30)
 
-
+# Largest variance of an angle in rad^2: one of which nothing is known has pi^2/3.
 _P_THETA = np.float32(10.0)
-
-"""Largest variance of an angle in rad^2: one of which nothing is known has pi^2/3."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,11 +88,10 @@ class EkfGains:
     omega_max: Annotated[float, Member("limit of the speed", "rad/s")]
 
 
+# Places of the covariance that are kept: behind i_d and i_q the upper triangle, row by row.
 _UPPER = tuple((n, m) for n in range(4) for m in range(n, 4))
 
-"""Places of the covariance that are kept: behind i_d and i_q the upper triangle, row by row."""
-
-
+# The scalars of the state: currents, and the covariance in the order of `_UPPER`.
 _MEMBERS = (
     ("i_d", Member("estimated current, d", "A")),
     ("i_q", Member("... and q", "A")),
@@ -111,21 +106,13 @@ _MEMBERS = (
     ("p_omega_theta", Member("covariance of speed and angle", "rad^2/s")),
     ("p_theta", Member("variance of the angle", "rad^2")),
 )
-"""The scalars of the state: currents, and the covariance in the order of `_UPPER`."""
-
 
 _ROWS, _COLUMNS = (np.array(places) for places in zip(*_UPPER, strict=True))
 
-
+# Where each entry of a covariance stands among those that are kept.
 _FULL = np.array([[_UPPER.index((min(n, m), max(n, m))) for m in range(4)] for n in range(4)])
-"""Where each entry of a covariance stands among those that are kept."""
-
-
 _DIAGONAL = _FULL.diagonal()
-
-
-_LOW_ROWS, _LOW_COLUMNS = [0, 0, 1], [0, 1, 1]
-"""Places of the covariance of the currents alone."""
+_LOW_ROWS, _LOW_COLUMNS = [0, 0, 1], [0, 1, 1]  # Places of the covariance of the currents alone.
 
 
 def ekf_gains(filter_: Ekf) -> EkfGains:
@@ -269,12 +256,9 @@ def ekf_step(
 def ekf_in_words(_tuning: ObserverTuning, gains: EkfGains, t_s: float) -> str:
     """What the innovations have tuned.
 
-    Parameters
-    ----------
-    gains:
-        Of `design_ekf`.
-    t_s:
-        Sampling period in s.
+    Args:
+        gains: Of `design_ekf`.
+        t_s: Sampling period in s.
     """
     return (
         f"tuned by its innovations: variance of the currents {gains.q_i:.3g} A^2 per sample, "

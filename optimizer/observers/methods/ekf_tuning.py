@@ -15,11 +15,10 @@ Consistency is then shown on other drives (Bar-Shalom, section 5.4): the normali
 squared (NIS) of a sample follows the chi-square distribution of 2 degrees of freedom, its mean over
 S drives or over a window of W samples that of 2 S or 2 W, divided by S or W.
 
-References
-----------
-Y. Bar-Shalom, X. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation",
-2001, section 5.4; R. Mehra, "On the identification of variances and adaptive Kalman filtering",
-IEEE Trans. Automatic Control 15, 1970.
+References:
+    Y. Bar-Shalom, X. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+    2001, section 5.4; R. Mehra, "On the identification of variances and adaptive Kalman filtering",
+    IEEE Trans. Automatic Control 15, 1970.
 """
 
 from __future__ import annotations
@@ -155,21 +154,14 @@ def tuned_ekf(
     """The filter whose innovations are likeliest on simulated drives around ``speed`` (electrical,
     rad/s).
 
-    Parameters
-    ----------
-    i_ref:
-        Currents (i_d, i_q) in A during the trial, shape (2,).
-    start:
-        Where the search begins, by default `first_guess`; the result does not depend on it.
-    omega_max:
-        Limit of the estimated electrical speed in rad/s.
-    seed:
-        Of the training drives.
+    Args:
+        i_ref: Currents (i_d, i_q) in A during the trial, shape (2,).
+        start: Where the search begins, by default `first_guess`; the result does not depend on it.
+        omega_max: Limit of the estimated electrical speed in rad/s.
+        seed: Of the training drives.
 
-    Raises
-    ------
-    NoSolutionError
-        The filter loses its own simulation whatever the covariances.
+    Raises:
+        NoSolutionError: The filter loses its own simulation whatever the covariances.
     """
     import nlopt
 

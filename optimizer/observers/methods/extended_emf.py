@@ -22,11 +22,10 @@ Its error obeys |e~[k]| = rho |e~[k-1]| at every speed. The three factors of i[k
 are functions of omega with an even real and an odd imaginary part; the firmware evaluates
 polynomials of degree 4 and 5 in omega t_s.
 
-References
-----------
-Z. Chen, M. Tomita, S. Doki, S. Okuma, "An extended electromotive force model for sensorless control
-of interior permanent-magnet synchronous motors", IEEE Trans. Industrial Electronics 50 (2), 2003
-(model); paper 001, 7.2.1.1.
+References:
+    Z. Chen, M. Tomita, S. Doki, S. Okuma, "An extended electromotive force model for sensorless
+    control of interior permanent-magnet synchronous motors", IEEE Trans. Industrial Electronics 50
+    (2), 2003 (model); paper 001, 7.2.1.1.
 """
 
 from __future__ import annotations
@@ -128,10 +127,8 @@ def design(
 ) -> EemfGains:
     """Gains for electrical speeds up to ``omega_max`` rad/s.
 
-    Raises
-    ------
-    NoSolutionError
-        The filter or the speed range is too fast for the sampling.
+    Raises:
+        NoSolutionError: The filter or the speed range is too fast for the sampling.
     """
     if tuning.bandwidth * t_s > 2.0:
         raise NoSolutionError(

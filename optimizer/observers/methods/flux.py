@@ -21,11 +21,10 @@ and a phase-locked loop (`dqforge.optimizer.observers.pll`) on psi_a. Without sa
 fast loop the errors decay with -g/2 +- sqrt(g^2/4 - omega^2): the observer holds from some speed
 upwards and keeps its flux, not its angle, at rest.
 
-References
-----------
-I. Boldea, M. C. Paicu, G.-D. Andreescu, "Active flux concept for motion-sensorless unified AC
-drives", IEEE Trans. Power Electronics 23 (5), 2008; M. Hinkkanen et al., the gains R (1/L_d +
-1/L_q)/4 + 0.2 |omega| of motulator; paper 001 (7.7), (7.8).
+References:
+    I. Boldea, M. C. Paicu, G.-D. Andreescu, "Active flux concept for motion-sensorless unified AC
+    drives", IEEE Trans. Power Electronics 23 (5), 2008; M. Hinkkanen et al., the gains R (1/L_d +
+    1/L_q)/4 + 0.2 |omega| of motulator; paper 001 (7.7), (7.8).
 """
 
 from __future__ import annotations
@@ -68,10 +67,9 @@ def design(
 ) -> FluxGains:
     """Gains for electrical speeds up to ``omega_max`` rad/s.
 
-    Raises
-    ------
-    NoSolutionError
-        The correction reaches 1 within the speed range: the voltage model would no longer count.
+    Raises:
+        NoSolutionError: The correction reaches 1 within the speed range: the voltage model would no
+            longer count.
     """
     alpha_0 = 1.0 - float(np.exp(-tuning.bandwidth * t_s))
     if alpha_0 + tuning.speed_gain * omega_max * t_s >= 1.0:
@@ -182,14 +180,10 @@ def usual_flux(machine: LinearMachine, t_s: float, omega_max: float) -> Observer
 def certified(gains: FluxGains, omega_low: float, omega_high: float, i_q: float) -> float:
     """Contraction that a common Lyapunov function proves, see `ObserverMethod`.
 
-    Parameters
-    ----------
-    gains:
-        Of `design`.
-    omega_low, omega_high:
-        Electrical speeds in rad/s.
-    i_q:
-        Largest |i_q| in A, at i_d = 0.
+    Args:
+        gains: Of `design`.
+        omega_low, omega_high: Electrical speeds in rad/s.
+        i_q: Largest |i_q| in A, at i_d = 0.
     """
     currents = (1j * i_q, -1j * i_q)
     return certify_flux_observer(

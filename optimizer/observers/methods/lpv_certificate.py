@@ -31,10 +31,9 @@ included.
 P comes from a semidefinite programme (cvxpy, Clarabel); the proof does not rest on it: all corners
 are checked afterwards in rational arithmetic by the pivots of lambda^2 P - A^T P A.
 
-References
-----------
-S. Boyd et al., "Linear matrix inequalities in system and control theory", SIAM 1994,
-chapter 5 (polytopic inclusions).
+References:
+    S. Boyd et al., "Linear matrix inequalities in system and control theory", SIAM 1994, chapter 5
+    (polytopic inclusions).
 """
 
 from __future__ import annotations
@@ -217,22 +216,16 @@ def certify_flux_observer(
     """Prove the flux observer's linearised error to decay at every speed of the range,
     however fast the speed changes.
 
-    Parameters
-    ----------
-    omega_low, omega_high:
-        Range of the electrical speed in rad/s, both positive.
-    currents:
-        Currents i_d + j i_q in A at which the machine may be. Two with the same i_d stand for all
-        between them: A is affine in i_q.
-    pieces, bisections:
-        Boxes along the speed, and tries for a smaller contraction:
-        the time is proportional to their product.
+    Args:
+        omega_low, omega_high: Range of the electrical speed in rad/s, both positive.
+        currents: Currents i_d + j i_q in A at which the machine may be. Two with the same i_d stand
+            for all between them: A is affine in i_q.
+        pieces, bisections: Boxes along the speed, and tries for a smaller contraction: the time is
+            proportional to their product.
 
-    Raises
-    ------
-    NoSolutionError
-        No common quadratic Lyapunov function was found, or what the solver found does
-        not stand the exact check.
+    Raises:
+        NoSolutionError: No common quadratic Lyapunov function was found, or what the solver found
+            does not stand the exact check.
     """
     corners = corner_parameters(gains, omega_low, omega_high, pieces)
     matrices = np.array(

@@ -44,10 +44,8 @@ class ShownErrors(NamedTuple):
 def shown_gains(observer: Matsui) -> ShownGains:
     """What the firmware needs to tell the errors.
 
-    Parameters
-    ----------
-    observer:
-        The estimator.
+    Args:
+        observer: The estimator.
     """
     machine = observer.model.machine
     return ShownGains(machine.l_d - machine.l_q, machine.psi_pm, observer.omega_min**2)
@@ -56,14 +54,10 @@ def shown_gains(observer: Matsui) -> ShownGains:
 def shown_errors(o: Arithmetic, shown: ShownGains, omega: Reals, v: Pair, i: Pair) -> ShownErrors:
     """Errors of angle and speed that a voltage difference in V in the middle of the period shows.
 
-    Parameters
-    ----------
-    shown:
-        Of `shown_gains`.
-    omega:
-        Electrical speed in rad/s.
-    v, i:
-        Voltage difference in V and currents in A, in rotor coordinates.
+    Args:
+        shown: Of `shown_gains`.
+        omega: Electrical speed in rad/s.
+        v, i: Voltage difference in V and currents in A, in rotor coordinates.
     """
     active = o.let("active", shown.psi_pm + shown.salient * i[0], "flux linkage, Wb")
     cross = o.let("cross", shown.salient * i[1])
@@ -93,16 +87,11 @@ def shown_gap(
 ) -> ShownGap:
     """What the period before a sample showed.
 
-    Parameters
-    ----------
-    model:
-        The sampled machine.
-    state:
-        Before the sample.
-    v, i:
-        Voltage in V that acted over the period, current in A at its end, alpha and beta.
-    maths:
-        The arithmetic.
+    Args:
+        model: The sampled machine.
+        state: Before the sample.
+        v, i: Voltage in V that acted over the period, current in A at its end, alpha and beta.
+        maths: The arithmetic.
     """
     o = maths
     turn = o.let("turn", o.rotation(state.theta_e))

@@ -52,10 +52,8 @@ class MatsuiCurrentGains:
 def current_gains(observer: Matsui) -> MatsuiCurrentGains:
     """What the firmware needs of an estimator of the kind ``current``.
 
-    Parameters
-    ----------
-    observer:
-        The estimator.
+    Args:
+        observer: The estimator.
     """
     g_d, g_q = (-1.0 / float(observer.model.table[row, 0]) for row in (4, 7))
     return MatsuiCurrentGains(
@@ -132,10 +130,8 @@ def matsui_current_step(
 def current_in_words(tuning: ObserverTuning, _gains: MatsuiCurrentGains, _t_s: float) -> str:
     """The poles of speed and angle.
 
-    Parameters
-    ----------
-    tuning:
-        Its numbers.
+    Args:
+        tuning: Its numbers.
     """
     return (
         f"pole of the speed {tuning.bandwidth:.5g} rad/s, of the angle "

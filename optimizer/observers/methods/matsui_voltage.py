@@ -52,10 +52,8 @@ class MatsuiVoltageGains:
 def voltage_gains(observer: Matsui) -> MatsuiVoltageGains:
     """What the firmware needs of an estimator of the kind ``voltage``.
 
-    Parameters
-    ----------
-    observer:
-        The estimator.
+    Args:
+        observer: The estimator.
     """
     return MatsuiVoltageGains(
         sampled_gains(observer.model),

@@ -18,12 +18,11 @@ so that psi = c psi_f. While kappa = speed_gain |x| the angle of c hardly depend
 angle is that of the active flux psi - L_q i, followed by a phase-locked loop; L_d and psi_pm do not
 enter it.
 
-References
-----------
-Paper 001, 7.2.2; J. Hu, B. Wu, "New integration algorithms for estimating motor flux over a wide
-speed range", IEEE Trans. Power Electronics 13 (5), 1998; M.-H. Shin et al., "An improved stator
-flux estimation for speed sensorless stator flux orientation control", IEEE Trans. Power Electronics
-15 (2), 2000 (corner that follows the speed).
+References:
+    Paper 001, 7.2.2; J. Hu, B. Wu, "New integration algorithms for estimating motor flux over a
+    wide speed range", IEEE Trans. Power Electronics 13 (5), 1998; M.-H. Shin et al., "An improved
+    stator flux estimation for speed sensorless stator flux orientation control", IEEE Trans. Power
+    Electronics 15 (2), 2000 (corner that follows the speed).
 """
 
 from __future__ import annotations
@@ -77,10 +76,8 @@ def design(
 ) -> OpenLoopFluxGains:
     """Gains for electrical speeds up to ``omega_max`` rad/s.
 
-    Raises
-    ------
-    NoSolutionError
-        The filter leaves too little of the flux linkage.
+    Raises:
+        NoSolutionError: The filter leaves too little of the flux linkage.
     """
     if (
         max(tuning.bandwidth / max(tuning.omega_floor, 1e-300), tuning.speed_gain) > 20.0

@@ -23,9 +23,8 @@ from dqforge.machines.names import (
 from dqforge.optimizer.observers import methods
 from dqforge.optimizer.observers.method import ObserverMethod
 
+# Rooms of the optimizer in which methods live that do not live here.
 _ROOMS: dict[str, str] = dict.fromkeys(LEARNED_OBSERVERS, "learned_correction")
-
-"""Rooms of the optimizer in which methods live that do not live here."""
 
 
 def _record(name: str) -> ObserverMethod:
@@ -41,19 +40,14 @@ _RECORDS: dict[str, ObserverMethod] = {
     if name not in (SPEED_OBSERVER, *TRACKER_NAMES, *SIX_STEP_METHODS)
 }
 
-
-METHODS: Mapping[str, ObserverMethod] = MappingProxyType(_RECORDS)
-
-"""The methods by name."""
+METHODS: Mapping[str, ObserverMethod] = MappingProxyType(_RECORDS)  # The methods by name.
 
 
 def method_named(name: str) -> ObserverMethod:
     """The method of that name.
 
-    Raises
-    ------
-    InputError
-        There is none.
+    Raises:
+        InputError: There is none.
     """
     if name not in METHODS:
         raise InputError(
@@ -67,17 +61,13 @@ def method_named(name: str) -> ObserverMethod:
 def registered(method: ObserverMethod, keys: tuple[str, ...]) -> Iterator[None]:
     """Let a further method count as one of the package, as long as the context lasts.
 
-    Parameters
-    ----------
-    method:
-        Its record, whose name is new.
-    keys:
-        The keys of ``control.observer`` that it takes, see `dqforge.machines.names.OBSERVER_KEYS`.
+    Args:
+        method: Its record, whose name is new.
+        keys: The keys of ``control.observer`` that it takes, see
+            `dqforge.machines.names.OBSERVER_KEYS`.
 
-    Raises
-    ------
-    ValueError
-        The name is taken.
+    Raises:
+        ValueError: The name is taken.
     """
     if method.name in OBSERVER_KEYS:
         raise ValueError(f"there is an observer {method.name} already")

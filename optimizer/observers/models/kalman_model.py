@@ -27,12 +27,11 @@ Deviations from paper 001: it measures i_d and i_q as if the angle were known, (
 lacks the last column; it takes the induced voltage (7.29) as an input, although it is a function of
 the state.
 
-References
-----------
-S. Bolognani, R. Oboe, M. Zigliotto, "Sensorless full-digital PMSM drive EKF estimation of speed and
-rotor position", IEEE Trans. Ind. Electronics 46, 1999 ([74] of paper 001); Y. Bar-Shalom, X. Li, T.
-Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, sections 5.4
-(consistency) and 10.3 (EKF).
+References:
+    S. Bolognani, R. Oboe, M. Zigliotto, "Sensorless full-digital PMSM drive EKF estimation of speed
+    and rotor position", IEEE Trans. Ind. Electronics 46, 1999 ([74] of paper 001); Y. Bar-Shalom,
+    X. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, sections
+    5.4 (consistency) and 10.3 (EKF).
 """
 
 from __future__ import annotations
@@ -62,18 +61,12 @@ _BOTH = np.eye(2)
 class Ekf:
     """An extended Kalman filter.
 
-    Parameters
-    ----------
-    model:
-        The sampled machine.
-    q_i:
-        Process variance of each current per sample in A^2.
-    q_a:
-        Density of the white acceleration (electrical) in rad^2/s^3.
-    r:
-        Variance of each measured current in A^2.
-    theta_0, omega_0:
-        Standard deviations of angle (rad) and speed (rad/s) at the start.
+    Args:
+        model: The sampled machine.
+        q_i: Process variance of each current per sample in A^2.
+        q_a: Density of the white acceleration (electrical) in rad^2/s^3.
+        r: Variance of each measured current in A^2.
+        theta_0, omega_0: Standard deviations of angle (rad) and speed (rad/s) at the start.
     """
 
     model: SampledMachine
@@ -146,12 +139,9 @@ def ekf(
 ) -> Ekf:
     """A filter with given noise; ``omega_max`` in rad/s (electrical) limits the estimate.
 
-    Raises
-    ------
-    InputError
-        A variance is not positive.
-    NoSolutionError
-        The machine shows its angle neither by a magnet nor by saliency.
+    Raises:
+        InputError: A variance is not positive.
+        NoSolutionError: The machine shows its angle neither by a magnet nor by saliency.
     """
     for name, value in (("q_i", q_i), ("q_a", q_a), ("r", r)):
         if not (value > 0.0 and np.isfinite(value)):

@@ -104,19 +104,13 @@ def steady_error(
     """Steady error without approximation, and the poles of the error loop around it,
     shape (2,) or (3,).
 
-    Parameters
-    ----------
-    true:
-        The machine as it is; the observer's is what the firmware believes.
-    omega:
-        Electrical speed in rad/s, not zero.
-    i_dq:
-        True currents (i_d, i_q) in A, held.
+    Args:
+        true: The machine as it is; the observer's is what the firmware believes.
+        omega: Electrical speed in rad/s, not zero.
+        i_dq: True currents (i_d, i_q) in A, held.
 
-    Raises
-    ------
-    NoSolutionError
-        The estimator finds no rest there.
+    Raises:
+        NoSolutionError: The estimator finds no rest there.
     """
     from scipy.optimize import root
 
@@ -162,10 +156,8 @@ def least_speed(observer: Matsui, i_dq: tuple[float, float], dv: float, angle: f
     From the closed form of the voltage model: dv/(omega sqrt(n)) = angle; the current model adds
     what its speed loop makes of it, dv t_s/(l_theta sqrt(n)), which no speed makes smaller.
 
-    Raises
-    ------
-    NoSolutionError
-        The current model errs by more at every speed.
+    Raises:
+        NoSolutionError: The current model errs by more at every speed.
     """
     machine = observer.model.machine
     salient = machine.l_d - machine.l_q

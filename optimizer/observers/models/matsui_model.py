@@ -47,11 +47,11 @@ assumed angle is ahead, as the text says, but (7.40) then adds to the speed wher
 (7.35) and (7.37) lack i_delta behind R + L d/dt; (7.42) and (7.44) lack 1/L before the second and
 third term.
 
-References
-----------
-N. Matsui, "Sensorless PM brushless DC motor drives", IEEE Trans. Ind. Electronics 43, 1996 ([99] of
-paper 001); S. Morimoto et al., "Sensorless control strategy for salient-pole PMSM based on extended
-EMF in rotating reference frame", IEEE Trans. Ind. Applications 38, 2002 (psi_a).
+References:
+    N. Matsui, "Sensorless PM brushless DC motor drives", IEEE Trans. Ind. Electronics 43, 1996
+    ([99] of paper 001); S. Morimoto et al., "Sensorless control strategy for salient-pole PMSM
+    based on extended EMF in rotating reference frame", IEEE Trans. Ind. Applications 38, 2002
+    (psi_a).
 """
 
 from __future__ import annotations
@@ -80,20 +80,14 @@ MatsuiModel = Literal["voltage", "current"]
 class Matsui:
     """One of Matsui's estimators.
 
-    Parameters
-    ----------
-    model:
-        The sampled machine as the firmware believes it to be.
-    kind:
-        ``voltage`` or ``current``.
-    omega_min:
-        Electrical speed in rad/s below which the angle is corrected less and less.
-    speed_share:
-        Share l, or l_omega, of the speed error that one period removes.
-    k_p, k_i:
-        Of the voltage model: speed per angle error in 1/s, and its increment per period in 1/s.
-    l_theta:
-        Of the current model: share of the angle error that one period removes.
+    Args:
+        model: The sampled machine as the firmware believes it to be.
+        kind: ``voltage`` or ``current``.
+        omega_min: Electrical speed in rad/s below which the angle is corrected less and less.
+        speed_share: Share l, or l_omega, of the speed error that one period removes.
+        k_p, k_i: Of the voltage model: speed per angle error in 1/s, and its increment per period
+            in 1/s.
+        l_theta: Of the current model: share of the angle error that one period removes.
     """
 
     model: SampledMachine
@@ -170,23 +164,16 @@ def matsui(
 ) -> Matsui:
     """An estimator by pole placement of its sampled error loop (method ``pole-placement``).
 
-    Parameters
-    ----------
-    kind:
-        ``voltage`` or ``current``.
-    bandwidth:
-        Natural frequency in rad/s of the angle's poles: exp(s t_s) of s^2 + 2 damping bandwidth s +
-        bandwidth^2 = 0 for the voltage model, the single pole exp(-bandwidth t_s) for the current
-        model.
-    speed_bandwidth:
-        Pole of the speed in rad/s, by default the same.
-    omega_min:
-        Electrical speed in rad/s of `Matsui`, by default a fiftieth of the largest.
+    Args:
+        kind: ``voltage`` or ``current``.
+        bandwidth: Natural frequency in rad/s of the angle's poles: exp(s t_s) of s^2 + 2 damping
+            bandwidth s + bandwidth^2 = 0 for the voltage model, the single pole exp(-bandwidth t_s)
+            for the current model.
+        speed_bandwidth: Pole of the speed in rad/s, by default the same.
+        omega_min: Electrical speed in rad/s of `Matsui`, by default a fiftieth of the largest.
 
-    Raises
-    ------
-    InputError, NoSolutionError
-        No magnet, or a pole too fast for the sampling.
+    Raises:
+        InputError, NoSolutionError: No magnet, or a pole too fast for the sampling.
     """
     model = sampled_machine(machine, t_s, omega_max)
     of_speed = bandwidth if speed_bandwidth is None else speed_bandwidth

@@ -10,27 +10,14 @@ from dqforge.machines.dq_machines.synchronous import Machine, torque_from_flux
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.local_terms import Terms, newton_step, voltage_terms
 
+# First ray towards positive q currents. Most torque lies there: without a magnet, or with a weak
+# one and l_d < l_q, the opposite currents make as much or a little less.
 RAYS = 31
-
-
 ANGLES = np.linspace(-0.5 * np.pi, np.pi, RAYS)
-
-
 UPPER = int(np.searchsorted(ANGLES, -1e-9))
-
-"""First ray towards positive q currents. Most torque lies there: without a magnet, or with a weak
-one and l_d < l_q, the opposite currents make as much or a little less."""
-
-
 _RADIAL_STEPS = 12
-
-
 INSIDE = 1.0 - 1e-6
-
-
 BoolArray = NDArray[np.bool_]
-
-
 IndexArray = NDArray[np.intp]
 
 
@@ -83,12 +70,9 @@ def least_flux_current(machine: Machine, i_max: float) -> float:
     """Current on the d axis in A where the flux linkage vanishes, or the end of the limit
     that comes nearest to it.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    i_max:
-        Current limit in A (peak).
+    Args:
+        machine: Any machine.
+        i_max: Current limit in A (peak).
     """
     grid = np.linspace(-i_max, i_max, 2001)
     psi_d, _ = machine.flux(grid, np.zeros_like(grid))
@@ -107,16 +91,11 @@ def make_limits(machine: Machine, omega_e: FloatArray, v_max: FloatArray, i_max:
 
     The two differ by the resistance; the second matters near the end of the speed range only.
 
-    Parameters
-    ----------
-    machine:
-        Any machine.
-    omega_e:
-        Electrical speeds in rad/s, shape (N,).
-    v_max:
-        Largest phase-voltage amplitudes in V (peak), shape (N,).
-    i_max:
-        Current limit in A (peak).
+    Args:
+        machine: Any machine.
+        omega_e: Electrical speeds in rad/s, shape (N,).
+        v_max: Largest phase-voltage amplitudes in V (peak), shape (N,).
+        i_max: Current limit in A (peak).
     """
     least = least_flux_current(machine, i_max)
     limits = Limits(
@@ -155,14 +134,10 @@ def voltage_radius(
     machine, so that the steps approach from one side; a bracket keeps the steps of saturated
     machines safe. Returns the radius and whether the voltage limit was met.
 
-    Parameters
-    ----------
-    limits:
-        Limits with their centre.
-    angle:
-        Angles of the rays in rad, shape (N,).
-    radius:
-        Where the rays end at most, in A, shape (N,).
+    Args:
+        limits: Limits with their centre.
+        angle: Angles of the rays in rad, shape (N,).
+        radius: Where the rays end at most, in A, shape (N,).
     """
     cosine, sine = np.cos(angle), np.sin(angle)
     low, high, found = np.zeros_like(radius), radius.copy(), radius.copy()
@@ -189,12 +164,9 @@ def voltage_radius(
 def boundary(limits: Limits, angle: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Radius in A, torque in N m and whether the voltage limit binds, on rays of shape (N,).
 
-    Parameters
-    ----------
-    limits:
-        Limits with their centre.
-    angle:
-        Angles of the rays in rad, shape (N,).
+    Args:
+        limits: Limits with their centre.
+        angle: Angles of the rays in rad, shape (N,).
     """
     radius, at_voltage = voltage_radius(limits, angle, limits.circle_radius(angle))
     return radius, torque_at(limits.machine, *limits.point(angle, radius)), at_voltage

@@ -39,14 +39,10 @@ def hold_by_data(problem: Problem, state: State, region: CurrentRegion) -> None:
 
     ``state`` is changed in place.
 
-    Parameters
-    ----------
-    problem:
-        Machine, torques and limits of the points.
-    state:
-        Currents and multipliers of the points so far.
-    region:
-        Where the data of the flux map are.
+    Args:
+        problem: Machine, torques and limits of the points.
+        state: Currents and multipliers of the points so far.
+        region: Where the data of the flux map are.
     """
     outside = np.flatnonzero(~region.contains(state.i_d, state.i_q))
     if outside.size == 0:

@@ -26,10 +26,8 @@ def kept_by_build(text: str, source: str, symbols: Collection[str]) -> str:
 
     A condition on anything but symbols counts as true.
 
-    Raises
-    ------
-    InputError
-        Conditions are not closed, or closed without being opened; with the line.
+    Raises:
+        InputError: Conditions are not closed, or closed without being opened; with the line.
     """
     branches: list[tuple[bool, bool]] = []  # whether this branch counts, whether one has
     opened: list[int] = []  # lines of the conditions that are open

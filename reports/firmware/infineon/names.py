@@ -13,15 +13,14 @@ from dqforge.optimizer.firmware.infineon_format.infineon_keys import (
     Kind,
 )
 
+# Members that are read, by name, with their kinds.
 KINDS: Mapping[str, Kind] = {
     name: key.kind for keys in (KEYS, TABLE_KEYS, READ_ONLY) for name, key in keys.items()
 }
 
-"""Members that are read, by name, with their kinds."""
-
-
 _TWO_PI = 2.0 * math.pi
 
+# Functions and conversions of General.h.
 FUNCTIONS: Mapping[str, Callable[..., float]] = {
     "HZ_TO_RADSEC": lambda x: _TWO_PI * x,
     "RADSEC_TO_HZ": lambda x: x / _TWO_PI,
@@ -47,9 +46,6 @@ FUNCTIONS: Mapping[str, Callable[..., float]] = {
     "sqrtf": math.sqrt,
 }
 
-"""Functions and conversions of General.h."""
-
-
 CONSTANTS: Mapping[str, float] = {
     "TWO_PI": _TWO_PI,
     "PI": math.pi,
@@ -61,10 +57,8 @@ CONSTANTS: Mapping[str, float] = {
     "LUT_1D_WIDTH": 128.0,
 }
 
-
+# What leads to a member: params itself, or a pointer to it.
 STRUCTURE = re.compile(r"(?:^|\.)params(?:_ptr)?\.", re.ASCII)
-
-"""What leads to a member: params itself, or a pointer to it."""
 
 
 def member(assigned: str) -> str | None:

@@ -21,37 +21,23 @@ from dqforge.reports.firmware.text_file import IN_RANGE, in_range, no_number, pl
 
 ROTOR_FRAME = ("CTRL_METHOD_RFO",)
 
+# Symbols of the two builds: the first is read, of the second its table alone.
 STATOR_FRAME = ("CTRL_METHOD_SFO",)
-
-"""Symbols of the two builds: the first is read, of the second its table alone."""
-
-
 _MARKS = re.compile(r"\bparams(?:_ptr)?(?:->|\.)(?:motor|ctrl)\.", re.ASCII)
-
-
 _PATH = re.compile(r"[A-Za-z_]\w*(?:(?:->|\.)[A-Za-z_]\w*|\[\d{1,6}\])*", re.ASCII)
-
-
 _POINTS = re.compile(r"_mtpa_flux_Wb\[\s*\d+U?\s*\]\s*=\s*\{([^{}]{0,20000})\}", re.ASCII)
 
-
+# Names as headers give them to the constants of a board.
 _ELSEWHERE = re.compile(r"[A-Z][A-Z0-9_]*", re.ASCII)
-
-"""Names as headers give them to the constants of a board."""
-
-
 _LONGEST = 500
 
 
 def recognise(name: str, text: str) -> bool:
     """Whether a file assigns parameters of motor-ctrl-lib.
 
-    Parameters
-    ----------
-    name:
-        Its name.
-    text:
-        Its text.
+    Args:
+        name: Its name.
+        text: Its text.
     """
     return name.lower().endswith((".c", ".h", ".hpp", ".txt")) and _MARKS.search(text) is not None
 
@@ -59,17 +45,12 @@ def recognise(name: str, text: str) -> bool:
 def read(text: str, place: str) -> Configuration:
     """The parameters in a file, as the build with rotor frame orientation takes them.
 
-    Parameters
-    ----------
-    text:
-        The file's text.
-    place:
-        Its path, for messages.
+    Args:
+        text: The file's text.
+        place: Its path, for messages.
 
-    Raises
-    ------
-    InputError
-        It assigns none of them, or something that is no number; with the line.
+    Raises:
+        InputError: It assigns none of them, or something that is no number; with the line.
     """
     own, origins, left = _members(assignments(text, place))
     points = _table(text, place)

@@ -36,16 +36,12 @@ _PER_LINE = 8
 def write(found: Configuration, title: FileTitle, existing_text: str | None) -> dict[str, bytes]:
     """``<prefix>_params.h``.
 
-    Parameters
-    ----------
-    found:
-        The configuration; of its own values those that a design decides are written.
-    title:
-        What stands at the head of the file.
-    existing_text:
-        A ParamsDefault.c or a header as written before: what it assigns to members that the design
-        decides is replaced, but for those for starting the motor; everything else stays. None
-        without one.
+    Args:
+        found: The configuration; of its own values those that a design decides are written.
+        title: What stands at the head of the file.
+        existing_text: A ParamsDefault.c or a header as written before: what it assigns to members
+            that the design decides is replaced, but for those for starting the motor; everything
+            else stays. None without one.
     """
     name = f"{title.prefix}_params.h"
     if existing_text is not None:

@@ -8,12 +8,9 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.machines.wording import shown
 
+# Empty lines, comments, other commands, and the end of what ``conf enumerate`` answers.
 _SET = re.compile(r"(?P<lead>\s*(?:conf\s+set\s+)?)(?P<key>[A-Za-z]\w*(?:\.\w+)+)(?P<rest>.*)")
-
-
 _OTHER = re.compile(r"\s*(?:(?:conf|tel|d|aux[12]|id)\b.*|OK\s*|#.*)?")
-
-"""Empty lines, comments, other commands, and the end of what ``conf enumerate`` answers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,17 +31,12 @@ class ConfigLine:
 def config_lines(text: str, place: str) -> list[ConfigLine]:
     """The lines of a text that set values, in their order.
 
-    Parameters
-    ----------
-    text:
-        Of the file.
-    place:
-        Its path, for messages.
+    Args:
+        text: Of the file.
+        place: Its path, for messages.
 
-    Raises
-    ------
-    InputError
-        A line is none of moteus' console, or lacks its value; with its number.
+    Raises:
+        InputError: A line is none of moteus' console, or lacks its value; with its number.
     """
     found = []
     for number, line in enumerate(text.split("\n"), 1):

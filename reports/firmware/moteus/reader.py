@@ -21,34 +21,21 @@ from dqforge.reports.firmware.moteus.config_lines import ConfigLine, config_line
 from dqforge.reports.firmware.text_file import no_number, plain_number
 
 ENDING = ".moteus.cfg"
-
-
 _MARK = re.compile(r"^\s*(?:conf\s+set\s+)?(?:motor|servo)\.[A-Za-z_]\w*(?:\.\w+)*[ \t]+\S", re.M)
 
-
+# Kv times ``motor.v_per_hz`` of firmware before ABI 0x010a, as moteus_tool converts it.
 _FORMER_SCALE = 1.09 * 0.5 * 60.0
-
-"""Kv times ``motor.v_per_hz`` of firmware before ABI 0x010a, as moteus_tool converts it."""
-
-
 _SAME_FOR_BOTH = ("motor.inductance_d_H", "motor.inductance_q_H")
-
-
 _SIX_DECIMALS = re.compile(r"0\.(?=\d{6}$)0*([1-9]\d*)")
-
-
 _ENOUGH_DIGITS = 3
 
-
+# What may be nan or inf: there is no such limit then.
 _UNLIMITED = (
     "servo.max_velocity",
     "servo.default_accel_limit",
     "servo.max_current_desired_rate",
     SLIP,
 )
-
-"""What may be nan or inf: there is no such limit then."""
-
 
 _FIELDS = {
     "pole_pairs": "motor.poles",
@@ -67,7 +54,6 @@ _FIELDS = {
     "pll.ki": FILTER,
 }
 
-
 _CONVERSIONS = {
     "pole_pairs": "poles / 2",
     "psi_pm": "60/(sqrt(3) 2 pi p Kv)",
@@ -81,12 +67,9 @@ _CONVERSIONS = {
 def recognise(name: str, text: str) -> bool:
     """Whether a file is a configuration of moteus.
 
-    Parameters
-    ----------
-    name:
-        Its name.
-    text:
-        Its text.
+    Args:
+        name: Its name.
+        text: Its text.
     """
     return name.lower().endswith(ENDING) or (
         _MARK.search(text) is not None and not text.lstrip().startswith(("<", "{"))
@@ -96,17 +79,12 @@ def recognise(name: str, text: str) -> bool:
 def read(text: str, place: str) -> Configuration:
     """The configuration in a file of commands, or in a dump.
 
-    Parameters
-    ----------
-    text:
-        The file's text.
-    place:
-        Its path, for messages.
+    Args:
+        text: The file's text.
+        place: Its path, for messages.
 
-    Raises
-    ------
-    InputError
-        It is none, or a value of it does not fit its key; with the line.
+    Raises:
+        InputError: It is none, or a value of it does not fit its key; with the line.
     """
     # A later line sets again what an earlier one has set.
     lines = {line.key: line for line in config_lines(text, place)}

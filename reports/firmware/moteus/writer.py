@@ -19,25 +19,17 @@ if TYPE_CHECKING:
     from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
     from dqforge.reports.firmware.target import FileTitle
 
-SAVE = "conf write"
-
-"""Command that keeps the values over a restart."""
-
-
+SAVE = "conf write"  # Command that keeps the values over a restart.
 _EXISTING = "existing file"
 
 
 def write(found: Configuration, title: FileTitle, existing_text: str | None) -> dict[str, bytes]:
     """``<prefix>.moteus.cfg``. Comments are none: moteus_tool sends every line to the drive.
 
-    Parameters
-    ----------
-    found:
-        The configuration; of its own values those that a design decides are written.
-    title:
-        Its prefix names the file.
-    existing_text:
-        File whose other lines are to stay; None without one.
+    Args:
+        found: The configuration; of its own values those that a design decides are written.
+        title: Its prefix names the file.
+        existing_text: File whose other lines are to stay; None without one.
     """
     numbers = {key: value for key in KNOWN if (value := found.own.get(key)) is not None}
     if existing_text is None:

@@ -47,17 +47,12 @@ class CommentObject:
 def objects(text: str, place: str) -> list[CommentObject]:
     """JSON objects among the comments of a header, in their order.
 
-    Parameters
-    ----------
-    text:
-        The text of the header.
-    place:
-        Its path, for messages.
+    Args:
+        text: The text of the header.
+        place: Its path, for messages.
 
-    Raises
-    ------
-    InputError
-        A comment begins as one and is none; with the line.
+    Raises:
+        InputError: A comment begins as one and is none; with the line.
     """
     return [
         CommentObject(found.start(1), found.end(1), _alone(text, found, place))
@@ -90,15 +85,11 @@ def with_inputs(found: list[CommentObject]) -> CommentObject | None:
 def json_inputs(json: JsonText) -> Iterator[tuple[str, float | bool, str, int | None]]:
     """Inputs that are there: key, value, text and line.
 
-    Parameters
-    ----------
-    json:
-        The object of inputs.
+    Args:
+        json: The object of inputs.
 
-    Raises
-    ------
-    InputError
-        An input is neither a number nor empty; with its line.
+    Raises:
+        InputError: An input is neither a number nor empty; with its line.
     """
     spelled = {key: key for keys in INPUTS.values() for key in keys} | SPELLINGS
     for section in INPUTS:
@@ -123,17 +114,12 @@ def json_inputs(json: JsonText) -> Iterator[tuple[str, float | bool, str, int | 
 def line_inputs(text: str, place: str) -> Iterator[InputLine]:
     """Inputs of the line comments of older headers.
 
-    Parameters
-    ----------
-    text:
-        The text of the header.
-    place:
-        Its path, for messages.
+    Args:
+        text: The text of the header.
+        place: Its path, for messages.
 
-    Raises
-    ------
-    InputError
-        A known input is followed by something that is no number; with the line.
+    Raises:
+        InputError: A known input is followed by something that is no number; with the line.
     """
     loop: tuple[str, ...] = ()
     for number, line in enumerate(text.split("\n"), 1):

@@ -6,11 +6,10 @@ import re
 
 from dqforge.optimizer.firmware.nxp_mcat.mcat_names import MACROS
 
+# Macros that are read and written, as of the first motor.
 KNOWN = frozenset(macro for macros in MACROS.values() for macro in macros)
 
-"""Macros that are read and written, as of the first motor."""
-
-
+# Inputs by what stands before the sign of equality in a comment.
 COMMENTED = {
     "pole-pair number": "parametersPP",
     "pole-pair numbers": "parametersPP",
@@ -22,18 +21,14 @@ COMMENTED = {
     "nominal current": "parametersIphNom",
 }
 
-"""Inputs by what stands before the sign of equality in a comment."""
-
-
+# Inputs of the comments on bandwidth, attenuation and sample time, by the heading above them.
 COMMENTED_LOOPS = {
     "current loop control": ("currentLoopF0", "currentLoopKsi", "currentLoopSampleTime"),
     "speed loop control": ("speedLoopF0", "speedLoopKsi", "speedLoopSampleTime"),
     "sensorless bemf": ("sensorlessBemfObsrvF0", "sensorlessBemfObsrvKsi", ""),
 }
 
-"""Inputs of the comments on bandwidth, attenuation and sample time, by the heading above them."""
-
-
+# Macros of headers that are kept by hand, inputs that they stand for, and whether as one over.
 BY_HAND = (
     ("R", "parametersRs", False),
     ("LD", "parametersLd", False),
@@ -48,23 +43,16 @@ BY_HAND = (
     ("SLOWLOOP_FREQ", "speedLoopSampleTime", True),
 )
 
-"""Macros of headers that are kept by hand, inputs that they stand for, and whether as one over."""
-
-
 LOOP_WORDS = ("loop bandwidth", "loop attenuation", "loop sample time")
-
 HEADING_LINE = re.compile(r"^[ \t]*(?://|/?\*+)[ \t]*([A-Za-z][^=\n]*)$")
-
 _PREFIX = re.compile(r"^[ \t]*#[ \t]*define[ \t]+M([1-9])_(?:MOTOR_PP|I_MAX|D_KP_GAIN)\b", re.M)
 
 
 def motor_of(text: str) -> str | None:
     """The prefix of the macros, such as ``M1_``; None where no motor's macros stand there.
 
-    Parameters
-    ----------
-    text:
-        The text of the header.
+    Args:
+        text: The text of the header.
     """
     found = _PREFIX.search(text)
     return None if found is None else f"M{found[1]}_"

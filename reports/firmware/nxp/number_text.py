@@ -10,14 +10,10 @@ DIGITS = 6
 def constant_text(value: float, kind: str, *, commented: bool) -> str:
     """The text behind a macro.
 
-    Parameters
-    ----------
-    value:
-        Its number.
-    kind:
-        ``plain``, ``float``, ``FRAC16``, ``FRAC32`` or ``ACC32``.
-    commented:
-        Whether it is that of the older age, which prints all digits.
+    Args:
+        value: Its number.
+        kind: ``plain``, ``float``, ``FRAC16``, ``FRAC32`` or ``ACC32``.
+        commented: Whether it is that of the older age, which prints all digits.
     """
     if kind == "plain":
         return f"({plain(value)})"

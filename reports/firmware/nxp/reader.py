@@ -21,33 +21,21 @@ from dqforge.reports.firmware.nxp.names import BY_HAND, KNOWN, motor_of
 from dqforge.reports.firmware.text_file import plain_number
 
 FRACTIONS = ("FRAC16", "FRAC32", "ACC32")
+MOST_DIGITS = 7  # Significant digits beyond which a header is one of the older age.
 
-MOST_DIGITS = 7
-
-"""Significant digits beyond which a header is one of the older age."""
-
-
+# What the headers of the library define for all that include them.
 _PI = "\n#define FLOAT_PI 3.14159265358979\n#define PI FLOAT_PI\n"
-
-"""What the headers of the library define for all that include them."""
-
-
 _NUMBER = re.compile(r"\d*\.\d+")
-
 _NAME = re.compile(r"(?<![\w.])[A-Z_][A-Z0-9_]*\b", re.ASCII)
-
 _KEPT = dict.fromkeys(FRACTIONS, float)
 
 
 def recognise(name: str, text: str) -> bool:
     """Whether a file is a header of MCAT for one motor.
 
-    Parameters
-    ----------
-    name:
-        Its name.
-    text:
-        Its text.
+    Args:
+        name: Its name.
+        text: Its text.
     """
     if not name.lower().endswith((".h", ".hpp", ".txt", ".c")):
         return False
@@ -57,17 +45,12 @@ def recognise(name: str, text: str) -> bool:
 def read(text: str, place: str) -> Configuration:
     """The configuration in a header of MCAT.
 
-    Parameters
-    ----------
-    text:
-        The file's text.
-    place:
-        Its path, for messages.
+    Args:
+        text: The file's text.
+        place: Its path, for messages.
 
-    Raises
-    ------
-    InputError
-        It is none, or a constant or an input is no number; with the line.
+    Raises:
+        InputError: It is none, or a constant or an input is no number; with the line.
     """
     return read_file(text, place).configuration()
 

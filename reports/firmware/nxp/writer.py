@@ -29,20 +29,14 @@ _BEFORE_USER = re.compile(r"^[ \t]*/\* USER INPUT START \*/", re.MULTILINE)
 def write(found: Configuration, title: FileTitle, existing_text: str | None) -> dict[str, bytes]:
     """``m1_pmsm_appconfig.h``, or that of the motor of an existing file.
 
-    Parameters
-    ----------
-    found:
-        The configuration.
-    title:
-        What stands at its head.
-    existing_text:
-        A header of the project, whose macros, comments and user's lines stay; the constants are
-        made for its age. None for a new one.
+    Args:
+        found: The configuration.
+        title: What stands at its head.
+        existing_text: A header of the project, whose macros, comments and user's lines stay; the
+            constants are made for its age. None for a new one.
 
-    Raises
-    ------
-    InputError
-        The existing file is that of another arithmetic, or none of MCAT.
+    Raises:
+        InputError: The existing file is that of another arithmetic, or none of MCAT.
     """
     file = McatFile.of(found)
     if existing_text is None:

@@ -16,16 +16,10 @@ from dqforge.optimizer.firmware.one_bandwidth.odrive_keys import (
 from dqforge.optimizer.firmware.one_bandwidth.odrive_sentences import GIMBAL
 from dqforge.reports.firmware.json_text import JsonText, parsed_json
 
+# Where ODrive 0.6 (Pro, S1, Micro) keeps its motor; its backups name it in one key each.
 ENDING = "_odrive.json"
-
-
 AXES = ("axis0", "axis1")
-
-
 _LATER = ("axis0.config.motor", "axis1.config.motor")
-
-"""Where ODrive 0.6 (Pro, S1, Micro) keeps its motor; its backups name it in one key each."""
-
 
 _FIELDS = {
     "pole_pairs": "motor.config.pole_pairs",
@@ -46,7 +40,6 @@ _FIELDS = {
     "pll.ki": "encoder.config.bandwidth",
 }
 
-
 _CONVERSIONS = {
     "psi_pm": "torque_constant over 1.5 pole_pairs",
     "inertia": "over 2 pi",
@@ -59,21 +52,16 @@ _CONVERSIONS = {
     "speed.ki": "over 2 pi and the torque constant",
 }
 
-
+# What may be infinite: there is no such limit then.
 _WITHOUT_LIMIT = ("controller.config.vel_limit", "controller.config.vel_ramp_rate")
-
-"""What may be infinite: there is no such limit then."""
 
 
 def recognise(name: str, text: str) -> bool:
     """Whether a file is a configuration of an ODrive.
 
-    Parameters
-    ----------
-    name:
-        Its name.
-    text:
-        Its text.
+    Args:
+        name: Its name.
+        text: Its text.
     """
     if not text.lstrip().startswith("{"):
         return False
@@ -83,17 +71,13 @@ def recognise(name: str, text: str) -> bool:
 def read(text: str, place: str) -> Configuration:
     """The configuration of an axis.
 
-    Parameters
-    ----------
-    text:
-        The file's text.
-    place:
-        Its path, for messages.
+    Args:
+        text: The file's text.
+        place: Its path, for messages.
 
-    Raises
-    ------
-    InputError
-        It is none, or of another version, or a value does not fit its property; with the line.
+    Raises:
+        InputError: It is none, or of another version, or a value does not fit its property; with
+            the line.
     """
     tree = parsed_json(text, place, constants=True)
     _refuse_later(tree)
@@ -130,10 +114,8 @@ def read(text: str, place: str) -> Configuration:
 def chosen_axis(tree: JsonText) -> str:
     """The axis that a file is about: axis0, but axis1 where only that has a (calibrated) motor.
 
-    Parameters
-    ----------
-    tree:
-        The file.
+    Args:
+        tree: The file.
     """
     if not isinstance(tree.root, dict):
         tree.refuse((), "is no object; save it again with odrivetool backup-config")

@@ -23,14 +23,10 @@ def write(found: Configuration, title: FileTitle, existing_text: str | None) -> 
     """``<prefix>_odrive.json`` with the properties that a design decides; odrivetool leaves all
     others of the drive as they are.
 
-    Parameters
-    ----------
-    found:
-        The configuration; of its own values those that the format holds are written.
-    title:
-        Its prefix names the file.
-    existing_text:
-        File whose other properties are to stay; None without one.
+    Args:
+        found: The configuration; of its own values those that the format holds are written.
+        title: Its prefix names the file.
+        existing_text: File whose other properties are to stay; None without one.
     """
     values = {key: value for key in KINDS if (value := found.own.get(key)) is not None}
     if existing_text is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import MEMBERS
 
+# Enumerators by the member that takes them, in the order of their numbers.
 ENUMERATORS = {
     "torque_controller": (
         "TorqueControlType::voltage",
@@ -26,24 +27,14 @@ ENUMERATORS = {
     ),
 }
 
-"""Enumerators by the member that takes them, in the order of their numbers."""
-
-
+# Members that the header works out from the link.
 VOLTAGES = ("voltage_limit", "PID_current_q.limit", "PID_current_d.limit")
 
-"""Members that the header works out from the link."""
-
-
+# Members by their line of the Commander.
 COMMANDS = {member.command: name for name, member in MEMBERS.items() if member.command}
+READ = (*MEMBERS, "phase_inductance")  # Members that are read.
 
-"""Members by their line of the Commander."""
-
-
-READ = (*MEMBERS, "phase_inductance")
-
-"""Members that are read."""
-
-
+# Other ways to write members.
 FORMER = {
     "LPF_velocity": "LPF_velocity.Tf",
     "LPF_current_q": "LPF_current_q.Tf",
@@ -52,9 +43,7 @@ FORMER = {
     "phase_inductance_dq.q": "axis_inductance.q",
 }
 
-"""Other ways to write members."""
-
-
+# What the arguments of BLDCMotor set: the q axis before the d axis.
 CONSTRUCTOR = (
     "pole_pairs",
     "phase_resistance",
@@ -63,18 +52,12 @@ CONSTRUCTOR = (
     "axis_inductance.d",
 )
 
-"""What the arguments of BLDCMotor set: the q axis before the d axis."""
-
-
+# Ends of the names of the macros for the link in V and the period of the loop in s.
 LINK, PERIOD = "V_DC", "LOOP_PERIOD"
 
-"""Ends of the names of the macros for the link in V and the period of the loop in s."""
-
-
+# Functions of the motor that set a limit, with the member that they set.
 LIMIT_CALLS = {
     "updateVoltageLimit": "voltage_limit",
     "updateCurrentLimit": "current_limit",
     "updateVelocityLimit": "velocity_limit",
 }
-
-"""Functions of the motor that set a limit, with the member that they set."""

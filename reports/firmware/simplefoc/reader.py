@@ -18,12 +18,9 @@ if TYPE_CHECKING:
 def recognise(name: str, text: str) -> bool:
     """Whether a file sets members of a motor of SimpleFOC.
 
-    Parameters
-    ----------
-    name:
-        Its name.
-    text:
-        Its text.
+    Args:
+        name: Its name.
+        text: Its text.
     """
     if "BLDCMotor" in text:
         return name.lower().endswith((".h", ".hpp", ".ino", ".cpp", ".cc", ".c"))
@@ -33,17 +30,12 @@ def recognise(name: str, text: str) -> bool:
 def read(text: str, place: str) -> Configuration:
     """The configuration of the motor in a file.
 
-    Parameters
-    ----------
-    text:
-        The file's text.
-    place:
-        Its path, for messages.
+    Args:
+        text: The file's text.
+        place: Its path, for messages.
 
-    Raises
-    ------
-    InputError
-        It has no motor of SimpleFOC, or a value is no number; with the line.
+    Raises:
+        InputError: It has no motor of SimpleFOC, or a value is no number; with the line.
     """
     name = PurePath(place).stem
     if "BLDCMotor" not in text and script.is_script(text):

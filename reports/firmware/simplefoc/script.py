@@ -26,21 +26,10 @@ from dqforge.reports.firmware.text_file import number_text, plain_number
 if TYPE_CHECKING:
     from dqforge.reports.firmware.target import FileTitle
 
-LETTER = "M"
-
-"""Letter under which a sketch has added its motor, as in the library's examples."""
-
-
-LONGEST = 19
-
-"""Characters of a line, so that it fits with its end into the Commander's 20."""
-
-
+LETTER = "M"  # Letter under which a sketch has added its motor, as in the library's examples.
+LONGEST = 19  # Characters of a line, so that it fits with its end into the Commander's 20.
 _LINE = re.compile(r"([A-Za-z])([A-Z]{1,2})([-+.\d][^\s]*)", re.ASCII)
-
-
 _NOTES = {V_DC: "link {}V", LOOP_PERIOD: "loop {}s", "pole_pairs": "pole pairs {}"}
-
 
 _NOTED = {
     name: re.compile("; *" + words.replace("{}", r"(\S+)"), re.ASCII)
@@ -60,10 +49,8 @@ def is_script(text: str) -> bool:
 def members_of(text: str, place: str) -> tuple[dict[str, Number], dict[str, Origin]]:
     """Values and origins of the members that a script sets.
 
-    Raises
-    ------
-    InputError
-        A value is no number; with its line.
+    Raises:
+        InputError: A value is no number; with its line.
     """
     own: dict[str, Number] = {}
     origins: dict[str, Origin] = {}
@@ -83,14 +70,10 @@ def members_of(text: str, place: str) -> tuple[dict[str, Number], dict[str, Orig
 def script(values: Mapping[str, OwnValue], title: FileTitle, existing: str | None) -> str:
     """Lines that set the values; lines of an existing script keep their place and their letter.
 
-    Parameters
-    ----------
-    values:
-        Members, link and period of the loop.
-    title:
-        What stands at the head of a new script.
-    existing:
-        A script whose other lines are to stay.
+    Args:
+        values: Members, link and period of the loop.
+        title: What stands at the head of a new script.
+        existing: A script whose other lines are to stay.
     """
     letter = _letter(existing)
     lines = {

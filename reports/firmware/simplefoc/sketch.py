@@ -44,11 +44,9 @@ _CONSTRUCTED = re.compile(
     re.ASCII,
 )
 
-
 _CALLED = re.compile(
     r"\b(\w+)(?:\.|->)(" + "|".join(LIMIT_CALLS) + r")[ \t]*\(([^;(){}]*+)\)[ \t]*;", re.ASCII
 )
-
 
 _SUPPLY = "voltage_power_supply"
 
@@ -83,10 +81,8 @@ class Sketch:
 def sketch_of(text: str, place: str) -> Sketch:
     """What a text of C++ says of its motor.
 
-    Raises
-    ------
-    InputError
-        It has no motor of SimpleFOC, or is damaged.
+    Raises:
+        InputError: It has no motor of SimpleFOC, or is damaged.
     """
     plain = without_comments(text, place)
     constructed = list(_CONSTRUCTED.finditer(plain))
@@ -127,9 +123,7 @@ def _refuse_pins(arguments: tuple[str, ...], plain: str, place: str, line: int) 
         raise InputError(message, source=place, line=line)
 
 
-FROM_LINK = math.nan
-
-"""Value of a voltage that the text works out from the link."""
+FROM_LINK = math.nan  # Value of a voltage that the text works out from the link.
 
 
 def members_of(sketch: Sketch) -> Found:

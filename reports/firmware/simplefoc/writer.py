@@ -29,15 +29,11 @@ _EXISTING = "existing file"
 def write(found: Configuration, title: FileTitle, existing_text: str | None) -> dict[str, bytes]:
     """``<prefix>_simplefoc.h`` and ``<prefix>_simplefoc.txt``.
 
-    Parameters
-    ----------
-    found:
-        The configuration.
-    title:
-        What stands at the head of the header, and shortened of the script.
-    existing_text:
-        A sketch, a header or a script whose other lines are to stay; None without one. The other
-        one of the two files is written anew.
+    Args:
+        found: The configuration.
+        title: What stands at the head of the header, and shortened of the script.
+        existing_text: A sketch, a header or a script whose other lines are to stay; None without
+            one. The other one of the two files is written anew.
     """
     own = found.own
     as_script = existing_text is not None and is_script(existing_text)

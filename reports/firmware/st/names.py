@@ -58,22 +58,16 @@ VARIABLES = {
     "SL - Minimum start-up output speed": Variable("OBS_MINIMUM_SPEED_RPM"),
 }
 
-
+# A list whose value is the place of the chosen item.
 EXECUTION_RATE = "Torque&Flux - Execution rate"
 
-"""A list whose value is the place of the chosen item."""
-
-
+# List of the kinds of machine, and the tag of those without saliency, which have Ls alone.
 STRUCTURE, SURFACE = "I/SM-PMSM", "0"
 
-"""List of the kinds of machine, and the tag of those without saliency, which have Ls alone."""
-
-
+# List of the kinds of current measurement, and the tag of sensors without a shunt.
 TOPOLOGY, SENSORS = "Current reading topology", "2"
 
-"""List of the kinds of current measurement, and the tag of sensors without a shunt."""
-
-
+# What is no macro of the headers and is turned into those that are.
 OWN_NAMES = (
     "Ld",
     "Lq",
@@ -84,18 +78,14 @@ OWN_NAMES = (
     "sensor_slope",
 )
 
-"""What is no macro of the headers and is turned into those that are."""
-
-
+# What must be true for Workbench to leave gains as they are.
 BY_HAND = (
     "Torque&Flux - Manual editing enabled",
     "SpeedCtrl_Manual_editing",
     "Main - ObsPLL - Manual editing enabled",
 )
 
-"""What must be true for Workbench to leave gains as they are."""
-
-
+# Least and largest value of a macro; all others lie between -65536 and 65536.
 POSSIBLE = {
     "POLE_PAIR_NUM": (1.0, 200.0),
     "RS": (1e-6, 1e3),
@@ -128,12 +118,9 @@ POSSIBLE = {
     (1.0, 65536.0),
 )
 
-"""Least and largest value of a macro; all others lie between -65536 and 65536."""
-
-
 BEYOND = (-65536.0, 65536.0)
 
-
+# Macros behind the values of a configuration, and how they are converted.
 FIELDS = {
     "pole_pairs": ("POLE_PAIR_NUM", ""),
     "r_s": ("RS", ""),
@@ -164,5 +151,3 @@ FIELDS = {
     "pll.kp": ("PLL_KP_GAIN", "over PLL_KPDIV, per control period"),
     "pll.ki": ("PLL_KI_GAIN", "over PLL_KIDIV, per control period"),
 }
-
-"""Macros behind the values of a configuration, and how they are converted."""

@@ -41,10 +41,8 @@ def is_project(text: str) -> bool:
 def read_project(text: str, place: str) -> Configuration:
     """The configuration of the first motor of a project.
 
-    Raises
-    ------
-    InputError
-        It is no XML, has no motor, or a value is impossible; with the line.
+    Raises:
+        InputError: It is no XML, has no motor, or a value is impossible; with the line.
     """
     found = _variables(text, place)
     raw: dict[str, OwnValue] = {}

@@ -32,27 +32,14 @@ from dqforge.reports.firmware.json_text import JsonText, parsed_json
 from dqforge.reports.firmware.st.names import BEYOND, FIELDS, POSSIBLE
 from dqforge.reports.firmware.st.project import is_project, read_project
 
+# Macros of the firmware that its parameter headers use.
 KNOWN = {"SPEED_UNIT": "10", "U_01HZ": "10", "_01HZ": "10", "U_RPM": "60", "_RPM": "60"}
-
-"""Macros of the firmware that its parameter headers use."""
-
-
 _SIGNS = ("PID_TORQUE_KP_DEFAULT", "MOTOR_VOLTAGE_CONSTANT", "AMPLIFICATION_GAIN", "TF_KPDIV")
+_OLD_MODE = "STC_"  # How the names of control modes begin up to version 5.
+MILLIHENRIES = "ls in mH"  # What the motor file of dqforge says of its inductance.
 
-
-_OLD_MODE = "STC_"
-
-"""How the names of control modes begin up to version 5."""
-
-
-MILLIHENRIES = "ls in mH"
-
-"""What the motor file of dqforge says of its inductance."""
-
-
+# ls/rs above which ls is taken for mH: in the middle between time constants of 1 ms.
 _BETWEEN = 0.0316
-
-"""ls/rs above which ls is taken for mH: in the middle between time constants of 1 ms."""
 
 
 def recognise(name: str, text: str) -> bool:
@@ -67,10 +54,8 @@ def recognise(name: str, text: str) -> bool:
 def read(text: str, place: str) -> Configuration:
     """The configuration in one file.
 
-    Raises
-    ------
-    InputError
-        It is none of the three, or a value in it is impossible; with the line.
+    Raises:
+        InputError: It is none of the three, or a value in it is impossible; with the line.
     """
     if is_project(text):
         return read_project(text, place)

@@ -43,16 +43,12 @@ _GROUPS = (
 def write(found: Configuration, title: FileTitle, existing_text: str | None) -> dict[str, bytes]:
     """``<prefix>_st_parameters.h`` and ``<prefix>_st_motor.json``.
 
-    Parameters
-    ----------
-    found:
-        The configuration.
-    title:
-        What stands at the head of the header.
-    existing_text:
-        A header of a project, a motor file, or a project of Workbench 5 (then a further file,
-        ``<prefix>_st.stmcx``) whose other values and comments stay; None without one. Only macros
-        and variables that it has are changed.
+    Args:
+        found: The configuration.
+        title: What stands at the head of the header.
+        existing_text: A header of a project, a motor file, or a project of Workbench 5 (then a
+            further file, ``<prefix>_st.stmcx``) whose other values and comments stay; None without
+            one. Only macros and variables that it has are changed.
     """
     files = {
         f"{title.prefix}_st_parameters.h": _header(found, title),

@@ -6,11 +6,9 @@ import re
 
 from dqforge.optimizer.firmware.ti_format.ti_keys import BOARD_PREFIX, KEYS, MOTOR_PREFIX, READ_ONLY
 
-READ = (*KEYS, *READ_ONLY)
+READ = (*KEYS, *READ_ONLY)  # Macros that are read; all others of a file are kept and not looked at.
 
-"""Macros that are read; all others of a file are kept and not looked at."""
-
-
+# What older labs called a macro of the motor, by its name of today.
 _FORMER_MOTOR = {
     "Rr_Ohm": ("Rr",),
     "Rs_Ohm": ("Rs",),
@@ -31,14 +29,10 @@ _FORMER_MOTOR = {
     "KI_IQ_HIGH_SF": ("KI_IQ_SF",),
 }
 
-"""What older labs called a macro of the motor, by its name of today."""
-
-
 _FORMER_BOARD = {
     "PWM_FREQ_kHz": ("NUM_PWM_FREQ_kHz",),
     "NUM_ISR_TICKS_PER_SPEED_TICK": ("NUM_CTRL_TICKS_PER_SPEED_TICK",),
 }
-
 
 _PREFIXES = (
     ("USER_MOTOR1_", "USER_M1_"),
@@ -46,13 +40,11 @@ _PREFIXES = (
     ("USER_MOTOR_", "USER_"),
 )
 
-
+# One block of a file that holds several motors: the macro that chooses, and the motor's name.
 CHOICE = re.compile(
     r"^[ \t]*#[ \t]*(?:el)?if\b[^\n]*?\b(USER_MOTOR[12]?)[ \t]*==[ \t]*\(?([A-Za-z_]\w{0,80})",
     re.MULTILINE | re.ASCII,
 )
-
-"""One block of a file that holds several motors: the macro that chooses, and the motor's name."""
 
 
 def prefixes_of(text: str) -> tuple[str, str] | None:

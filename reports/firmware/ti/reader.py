@@ -18,6 +18,7 @@ from dqforge.optimizer.firmware.ti_format.ti_keys import (
 from dqforge.reports.firmware.c_macros import Macros, read_macros
 from dqforge.reports.firmware.ti.names import CHOICE, READ, candidates, prefixes_of
 
+# What a project defines outside of the file, so that all that its loops need is looked at.
 KNOWN = {
     "MOTOR1_ESMO": "1",
     "MOTOR1_PI_TUNE": "1",
@@ -25,27 +26,17 @@ KNOWN = {
     "MATH_PI": "3.141592653589793",
 }
 
-"""What a project defines outside of the file, so that all that its loops need is looked at."""
-
-
 _LISTED = 12
-
-
 _ABSENT = ("NULL", "(NULL)", "( NULL )")
-
-
 _PERMANENT_MAGNETS = "MOTOR_TYPE_PM"
 
 
 def recognise(name: str, text: str) -> bool:
     """Whether a file holds a motor block of TI's lab.
 
-    Parameters
-    ----------
-    name:
-        Its name.
-    text:
-        Its text.
+    Args:
+        name: Its name.
+        text: Its text.
     """
     header = name.lower().endswith((".h", ".hpp", ".txt", ".c"))
     return header and prefixes_of(text) is not None and "POLE_PAIRS" in text
@@ -54,17 +45,13 @@ def recognise(name: str, text: str) -> bool:
 def read(text: str, place: str) -> Configuration:
     """The motor that a file chooses.
 
-    Parameters
-    ----------
-    text:
-        The file's text.
-    place:
-        Its path, for messages.
+    Args:
+        text: The file's text.
+        place: Its path, for messages.
 
-    Raises
-    ------
-    InputError
-        It holds none, several and chooses none, or a value of it is no number; with the line.
+    Raises:
+        InputError: It holds none, several and chooses none, or a value of it is no number; with the
+            line.
     """
     macros, name = chosen_motor(text, place)
     prefixes = prefixes_of(text)
@@ -76,10 +63,8 @@ def read(text: str, place: str) -> Configuration:
 def chosen_motor(text: str, place: str) -> tuple[Macros, str]:
     """The macros of a file with those of one motor, and that motor's name ("" for a block alone).
 
-    Raises
-    ------
-    InputError
-        As `read`.
+    Raises:
+        InputError: As `read`.
     """
     prefixes = prefixes_of(text)
     if prefixes is None:

@@ -23,24 +23,18 @@ if TYPE_CHECKING:
     from dqforge.reports.firmware.target import FileTitle
 
 _EXISTING = "existing file"
-
-SLOT = "my_pm_motor_1"
-
-"""The motor that TI's file keeps for one's own."""
+SLOT = "my_pm_motor_1"  # The motor that TI's file keeps for one's own.
 
 
 def write(found: Configuration, title: FileTitle, existing_text: str | None) -> dict[str, bytes]:
     """``<prefix>_user_mtr1.h``.
 
-    Parameters
-    ----------
-    found:
-        The configuration; of its own values those that a design decides are written.
-    title:
-        What stands at the head of the file.
-    existing_text:
-        A user_mtr1.h or a header as written before: the values of the motor that it chooses are
-        replaced, but for those for starting it; everything else stays. None without one.
+    Args:
+        found: The configuration; of its own values those that a design decides are written.
+        title: What stands at the head of the file.
+        existing_text: A user_mtr1.h or a header as written before: the values of the motor that it
+            chooses are replaced, but for those for starting it; everything else stays. None without
+            one.
     """
     name = f"{title.prefix}_user_mtr1.h"
     if existing_text is not None:

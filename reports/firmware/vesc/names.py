@@ -13,7 +13,6 @@ _OTHERWISE = {
     "s_pid_min_erpm": "MCCONF_S_PID_MIN_RPM",
 }
 
-
 _FURTHER = ("foc_encoder_ratio", "foc_fw_current_max", "l_erpm_start", "s_pid_min_erpm")
 
 
@@ -22,31 +21,27 @@ def define(name: str) -> str:
     return _OTHERWISE.get(name, f"MCCONF_{name.upper()}")
 
 
+# Keys that are read; all others of a file are kept and not looked at.
 READ = tuple(dict.fromkeys((*KEYS, *LOOP_DEFAULTS, *_FURTHER)))
 
-"""Keys that are read; all others of a file are kept and not looked at."""
-
-
+# Keys that hold whole numbers.
 WHOLE = frozenset(
     {name for name, key in KEYS.items() if key.kind == "whole"}
     | {"foc_observer_type", "foc_sensor_mode"}
 )
 
-"""Keys that hold whole numbers."""
-
-
+# Names that older versions used, and those of today.
 FORMER = {
     "foc_f_sw": "foc_f_zv",
     "foc_sample_v0_v7": "foc_control_sample_mode",
 }
-
-"""Names that older versions used, and those of today."""
 
 
 def _numbered(*names: str) -> dict[str, float]:
     return {name: float(index) for index, name in enumerate(names)}
 
 
+# Enumerators of the firmware (datatypes.h) with their numbers.
 WORDS = (
     {"true": 1.0, "false": 0.0}
     | _numbered("MOTOR_TYPE_BLDC", "MOTOR_TYPE_DC", "MOTOR_TYPE_FOC")
@@ -95,5 +90,3 @@ WORDS = (
         "PID_RATE_10000_HZ",
     )
 )
-
-"""Enumerators of the firmware (datatypes.h) with their numbers."""

@@ -15,14 +15,8 @@ from dqforge.reports.firmware.safe_xml import parsed_xml
 from dqforge.reports.firmware.text_file import no_number, plain_number
 from dqforge.reports.firmware.vesc.names import FORMER, READ, WHOLE, WORDS, define
 
-ROOT = "MCConfiguration"
-
-"""Root element of the XML of a motor configuration."""
-
-
-FIELD_ORIENTED = 2
-
-"""motor_type of field-oriented control."""
+ROOT = "MCConfiguration"  # Root element of the XML of a motor configuration.
+FIELD_ORIENTED = 2  # motor_type of field-oriented control.
 
 
 def is_xml(text: str) -> bool:
@@ -33,12 +27,9 @@ def is_xml(text: str) -> bool:
 def recognise(name: str, text: str) -> bool:
     """Whether a file holds a motor configuration of VESC.
 
-    Parameters
-    ----------
-    name:
-        Its name.
-    text:
-        Its text.
+    Args:
+        name: Its name.
+        text: Its text.
     """
     if is_xml(text):
         return f"<{ROOT}" in text
@@ -48,17 +39,12 @@ def recognise(name: str, text: str) -> bool:
 def read(text: str, place: str) -> Configuration:
     """The configuration in a file of VESC Tool.
 
-    Parameters
-    ----------
-    text:
-        The file's text.
-    place:
-        Its path, for messages.
+    Args:
+        text: The file's text.
+        place: Its path, for messages.
 
-    Raises
-    ------
-    InputError
-        It is none, or a value of it is no number; with the line.
+    Raises:
+        InputError: It is none, or a value of it is no number; with the line.
     """
     xml = is_xml(text)
     own, origins, written = _in_xml(text, place) if xml else _in_header(text, place)

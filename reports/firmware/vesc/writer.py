@@ -20,23 +20,18 @@ if TYPE_CHECKING:
 
 _EXISTING = "existing file"
 
+# Limits that a file keeps where it allows less.
 OF_PROJECT = ("l_current_min", "l_abs_current_max")
-
-"""Limits that a file keeps where it allows less."""
 
 
 def write(found: Configuration, title: FileTitle, existing_text: str | None) -> dict[str, bytes]:
     """``<prefix>_mcconf.xml`` and ``<prefix>_mcconf.h``.
 
-    Parameters
-    ----------
-    found:
-        The configuration; of its own values those that a design decides are written.
-    title:
-        What stands at the head of the files.
-    existing_text:
-        XML or header whose other values and comments are to stay; None without one. The other one
-        of the two files is written anew.
+    Args:
+        found: The configuration; of its own values those that a design decides are written.
+        title: What stands at the head of the files.
+        existing_text: XML or header whose other values and comments are to stay; None without one.
+            The other one of the two files is written anew.
     """
     own = found.own if existing_text is None else _as_careful(found.own, existing_text)
     values = {name: printed(value) for name in KEYS if (value := own.get(name)) is not None}

@@ -32,13 +32,9 @@ from dqforge.reports.verification.cycle_model import (
 )
 
 CORES = ("cortex-m4", "cortex-m33", "cortex-m7", "cortex-m0plus")
+CLOCK_MHZ = 84.0  # Of the paper's Cortex-M4F.
 
-
-CLOCK_MHZ = 84.0
-
-"""Of the paper's Cortex-M4F."""
-
-
+# Table 3 in us; ``powers`` are the polynomials without Horner's rule.
 PRINTED_MICROSECONDS = {
     "direct": 0.43087,
     "morimoto": 19.31,
@@ -50,12 +46,7 @@ PRINTED_MICROSECONDS = {
     "powers_4": 465.53,
 }
 
-"""Table 3 in us; ``powers`` are the polynomials without Horner's rule."""
-
-
 _TORQUES = (30.0, 90.0, 150.0, 220.0)
-
-
 _CHUNK = 1 << 22
 
 
@@ -121,14 +112,10 @@ def method_sources(
 ) -> dict[str, bytes]:
     """C files of all functions and of the program that calls them.
 
-    Parameters
-    ----------
-    machine:
-        For bases and breakpoints.
-    headers:
-        The emitted headers of the printed polynomials and of a reference in Q15, by name.
-    prefix, fixed_prefix:
-        Their prefixes.
+    Args:
+        machine: For bases and breakpoints.
+        headers: The emitted headers of the printed polynomials and of a reference in Q15, by name.
+        prefix, fixed_prefix: Their prefixes.
     """
     base = per_unit_base(machine)
     parts = [
@@ -246,10 +233,8 @@ def core_costs(
 ) -> CoreCosts:
     """Costs on every core; what cannot be run is left out with its reason.
 
-    Parameters
-    ----------
-    machine, headers, prefix, fixed_prefix:
-        As `method_sources`.
+    Args:
+        machine, headers, prefix, fixed_prefix: As `method_sources`.
     """
     sources = method_sources(machine, headers, prefix, fixed_prefix)
     jobs = [(core, level) for core in CORES for level in ("-O0", "-O2")]

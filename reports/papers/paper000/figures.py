@@ -36,14 +36,8 @@ if TYPE_CHECKING:
 
 
 _COLOURS = (ORANGE, BLUE, TEAL)
-
-
 _POINTS = 600
-
-
-_SPLIT = 2.5
-
-"""Where Figure 2 divides both curves; the paper says: anywhere."""
+_SPLIT = 2.5  # Where Figure 2 divides both curves; the paper says: anywhere.
 
 
 def figures_of(found: WholePaper) -> dict[str, Callable[[], Figure]]:

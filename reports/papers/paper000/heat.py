@@ -21,19 +21,11 @@ from dqforge.optimizer.losses.drive_budget import drive_budget
 from dqforge.reports.papers.paper000.load_test import ALTERNATIVES, LoadTest
 from dqforge.reports.papers.paper000.loss_columns import PRINTED_TABLE_4, calibrated_inverter
 
-TIME_CONSTANT = 0.1
+TIME_CONSTANT = 0.1  # Of junction against coolant in s: assumed.
 
-"""Of junction against coolant in s: assumed."""
-
-
+# The largest time constant in s with which the last 0.1 s still are Table 4's steady state.
 SLOWEST = 0.4
-
-"""The largest time constant in s with which the last 0.1 s still are Table 4's steady state."""
-
-
 SWITCHES = 6
-
-
 _POINTS = 1200
 
 
@@ -68,13 +60,11 @@ def warmed(
 ) -> FloatArray:
     """Temperature in degC behind one resistance and one capacity, from the ambient one on.
 
-    Parameters
-    ----------
-    time, loss:
-        Instants in s, evenly spaced, and the loss in W that flows from each to the next, shape
-        (N,).
-    resistance, ambient, constant:
-        Thermal resistance in K/W, temperature in degC, time constant in s.
+    Args:
+        time, loss: Instants in s, evenly spaced, and the loss in W that flows from each to the
+            next, shape (N,).
+        resistance, ambient, constant: Thermal resistance in K/W, temperature in degC, time constant
+            in s.
     """
     left = np.exp(-np.diff(time) / constant)
     rise = np.zeros_like(loss)
@@ -118,12 +108,9 @@ def _curve(design: Design, inverter: Inverter, test: LoadTest, alternative: int)
 def heat_curves(design: Design, tests: Sequence[LoadTest]) -> tuple[HeatCurve, ...]:
     """Losses and temperatures of all alternatives.
 
-    Parameters
-    ----------
-    design:
-        The drive.
-    tests:
-        Its runs, in the order of `ALTERNATIVES`.
+    Args:
+        design: The drive.
+        tests: Its runs, in the order of `ALTERNATIVES`.
     """
     inverter = calibrated_inverter(design)
     return tuple(_curve(design, inverter, test, k) for k, test in enumerate(tests))

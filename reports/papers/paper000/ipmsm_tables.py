@@ -19,22 +19,17 @@ from dqforge.optimizer.operating_points.mtpa import mtpa_currents, mtpa_per_unit
 from dqforge.reports.papers.paper000.loss_columns import LossRow, table_4
 
 DESIGN_NAME = "paper000-ipmsm-100kw"
+_DOMAIN = 5.0  # End of the per-unit torque domain of the paper.
 
-
-_DOMAIN = 5.0
-
-"""End of the per-unit torque domain of the paper."""
-
-
+# Degree: (phi_d, phi_q, reduction of epsilon in %).
 PRINTED_TABLE_1 = {
     2: (1.5545, 2.7667, 98.6767),
     3: (1.8455, 1.5545, 99.6578),
     4: (1.9424, 1.4576, 98.9986),
 }
 
-"""Degree: (phi_d, phi_q, reduction of epsilon in %)."""
-
-
+# (Axis, degree): the two segments, highest power first, in A/(N m)^k. The paper's row m = 0 is the
+# highest power.
 PRINTED_TABLE_2 = {
     ("d", 2): ((-3.33e-3, -101e-3, 0.0), (225e-6, -786e-3, 32.9)),
     ("d", 3): ((18.1e-6, -6.17e-3, -736e-6, 0.0), (463e-9, -60e-6, -736e-3, 30.9)),
@@ -46,10 +41,6 @@ PRINTED_TABLE_2 = {
     ("q", 3): ((-4.17e-6, -1.27e-3, 1.62, 0.0), (1.89e-6, -2.26e-3, 1.62, 3.82)),
     ("q", 4): ((80e-9, -21.9e-6, -71.7e-6, 1.59, 0.0), (-3.92e-9, 5.43e-6, -3.41e-3, 1.77, -3.61)),
 }
-
-"""(Axis, degree): the two segments, highest power first, in A/(N m)^k.
-The paper's row m = 0 is the highest power."""
-
 
 _CURVE_END = 250.0
 
@@ -94,7 +85,6 @@ _CURVES = {
     "d": lambda torque: mtpa_per_unit(torque)[0],
     "q": lambda torque: mtpa_per_unit(torque)[1],
 }
-
 
 _FREE = SideConditions(exact_at_zero=False, continuous=False)
 

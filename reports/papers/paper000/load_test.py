@@ -106,9 +106,7 @@ def _expected(
 def load_tests() -> tuple[LoadTest, ...]:
     """All three alternatives.
 
-    Raises
-    ------
-    VerificationError
-        There is no compiler for the simulation.
+    Raises:
+        VerificationError: There is no compiler for the simulation.
     """
     return tuple(_test(*alternative) for alternative in ALTERNATIVES)

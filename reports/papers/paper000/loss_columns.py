@@ -24,46 +24,32 @@ from dqforge.optimizer.operating_points.mtpa import id0_currents, mtpa_currents
 
 Column = tuple[Strategy, ModulationName, float, float, float]
 
-
+# Strategy, modulator, total loss in W, junction temperature in degC, largest torque ripple in N m.
 PRINTED_TABLE_4: tuple[Column, ...] = (
     ("id0", "spwm", 1064.0, 112.32, 3.17),
     ("mtpa", "spwm", 934.0, 106.54, 3.21),
     ("mtpa", "ddt-gdpwm", 759.0, 98.73, 3.59),
 )
 
-"""Strategy, modulator, total loss in W, junction temperature in degC,
-largest torque ripple in N m."""
-
-
+# Operating point of the table in N m and rad/s; 500 V and 100 kHz are those of the library drive.
 POINT_TORQUE = 130.0
-
-
 POINT_SPEED = 300.0
-
-"""Operating point of the table in N m and rad/s; 500 V and 100 kHz are
-those of the library drive."""
 
 
 @dataclass(frozen=True, slots=True)
 class LossRow:
     """One column of Table 4, printed and recomputed.
 
-    Parameters
-    ----------
-    strategy, modulation:
-        What the column compares.
-    printed_loss, loss:
-        Total loss in W.
-    implied_loss:
-        Total in W that the printed temperature implies, on the straight line of temperature over
-        inverter loss through the first two columns as they are printed.
-    copper, conduction, switching:
-        Parts of the recomputed total in W.
-    printed_junction, junction:
-        Junction temperature in degC.
-    printed_ripple, switching_ripple:
-        Largest peak-to-peak torque in N m: printed, which has the slots of a finite-element machine
-        in it, and what the switched voltages make in the linear machine.
+    Args:
+        strategy, modulation: What the column compares.
+        printed_loss, loss: Total loss in W.
+        implied_loss: Total in W that the printed temperature implies, on the straight line of
+            temperature over inverter loss through the first two columns as they are printed.
+        copper, conduction, switching: Parts of the recomputed total in W.
+        printed_junction, junction: Junction temperature in degC.
+        printed_ripple, switching_ripple: Largest peak-to-peak torque in N m: printed, which has the
+            slots of a finite-element machine in it, and what the switched voltages make in the
+            linear machine.
     """
 
     strategy: Strategy

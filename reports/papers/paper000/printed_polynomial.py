@@ -33,19 +33,9 @@ from dqforge.reports.papers.paper000.stated_method import CURVE_END, DOMAIN, edg
 from dqforge.reports.verification.host import verify_files
 
 PREFIX = "paper000_mtpa"
-
-
 FIXED_PREFIX = "paper000_q15"
-
-
-DEGREE = 4
-
-"""The degree that the paper recommends and drives its machine with."""
-
-
+DEGREE = 4  # The degree that the paper recommends and drives its machine with.
 _VECTORS = 256
-
-
 _SAMPLES = 25_001
 
 
@@ -159,10 +149,8 @@ def _errors(reference: CurrentReference, machine: LinearMachine) -> tuple[AxisEr
 def printed_header(design: Design) -> PrintedPolynomial:
     """Emit, run and judge the header of the printed polynomials of degree 4.
 
-    Raises
-    ------
-    VerificationError
-        The compiled header differs from its model.
+    Raises:
+        VerificationError: The compiled header differs from its model.
     """
     export = replace(design.export, prefix=PREFIX, vectors=_VECTORS)
     # What the header holds beside the currents is not asked for here.

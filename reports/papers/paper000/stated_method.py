@@ -18,30 +18,16 @@ from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
 from dqforge.optimizer.operating_points.mtpa import mtpa_currents, mtpa_per_unit, per_unit_base
 from dqforge.reports.papers.paper000.ipmsm_tables import PRINTED_TABLE_1, PRINTED_TABLE_2
 
-DOMAIN = 5.0
+DOMAIN = 5.0  # End of the per-unit torque domain.
+CURVE_END = 250.0  # Largest torque in N m of Figure 4.
 
-"""End of the per-unit torque domain."""
-
-
-CURVE_END = 250.0
-
-"""Largest torque in N m of Figure 4."""
-
-
+# Largest error of degree 2 in A, and its share of the reference (section 7.2).
 STATED_LARGEST, STATED_SHARE = 1.09, 0.0153
 
-"""Largest error of degree 2 in A, and its share of the reference (section 7.2)."""
-
-
+# From this share on a coefficient is marked: 5 %, beyond three printed digits and the identified
+# machine.
 DIFFERS = 0.05
-
-"""From this share on a coefficient is marked: 5 %, beyond three printed digits and the identified
-machine."""
-
-
 _FREE = SideConditions(exact_at_zero=False, continuous=False)
-
-
 _MAP_POINTS = 61
 
 

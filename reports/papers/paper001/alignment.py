@@ -18,25 +18,13 @@ from dqforge.reports.papers.paper001.thesis_program import ProgramBench, program
 from dqforge.reports.papers.transients import RPM, settling_time
 from dqforge.reports.simulation.recorded_run import Simulation
 
-SECONDS = 0.4
+SECONDS = 0.4  # Of the alignment here.
 
-"""Of the alignment here."""
-
-
+# Torques in N m that resist the motion; the machine's rated torque is 0.47 N m.
 FRICTIONS = (0.0, 0.05, 0.2)
-
-"""Torques in N m that resist the motion; the machine's rated torque is 0.47 N m."""
-
-
-START_ANGLES = tuple(range(0, 360, 15))
-
-"""In degrees (electrical), at which the rotor lies before."""
-
-
+START_ANGLES = tuple(range(0, 360, 15))  # In degrees (electrical), at which the rotor lies before.
 _TYPICAL = 105  # of the angles: the one from which the starts are shown
-
 _AFTER = 0.8  # s from the end of the alignment
-
 _STUCK = 90.0  # degrees: the rotor stayed where the torque of the current is nought
 
 
@@ -98,15 +86,11 @@ def _aligned(place: ProgramBench, friction: float, torque_per_ampere: float) -> 
 def alignments(design: Design) -> tuple[Alignment, ...]:
     """The start of section 8.3 against every friction.
 
-    Parameters
-    ----------
-    design:
-        The bench.
+    Args:
+        design: The bench.
 
-    Raises
-    ------
-    VerificationError
-        There is no compiler for the simulation.
+    Raises:
+        VerificationError: There is no compiler for the simulation.
     """
     with program_bench(design, round(SECONDS / design.control.t_s)) as place:
         torque = design.machine.torque_per_ampere

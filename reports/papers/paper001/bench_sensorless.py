@@ -28,35 +28,16 @@ from dqforge.reports.simulation.compiled_plant import simulator
 from dqforge.reports.simulation.design_run import angle_error, controller_files
 from dqforge.reports.simulation.recorded_run import Simulation
 
+# Errors at 1500 rpm: of the speed, and of the electrical position in turns (section 8.5.1).
 PRINTED_SPEED, PRINTED_ANGLE = 0.04, 0.10
-
-"""Errors at 1500 rpm: of the speed, and of the electrical position in turns (section 8.5.1)."""
-
-
 EXACT = "exact parameters, no dead time"
-
-
 DEAD_TIME = "dead time 4.88 us (program)"
-
-
 BENCH = "dead time 4.88 us, psi_pm 0.7 % larger"
-
-
 WARM = "dead time 4.88 us, psi_pm 0.7 % larger, R 30 % larger"
-
-
 HELD = "as in the line of 0.7 %, position read out at every speed sample"
-
-
 NEEDED = "dead time 12.6 us"
-
-
 _RPM = 1500.0
-
-
 _DURATION, _STEADY = 1.2, 1.0
-
-
 _NEEDED_DEAD_TIME = 12.6e-6
 
 
@@ -96,15 +77,11 @@ def _errors(found: Simulation, hold: int = 1) -> tuple[float, float, float]:
 def estimator_errors(gains: Mapping[str, Any]) -> tuple[tuple[Estimator, ...], Simulation]:
     """Errors for several causes, and the run with dead time and 1.5 % more magnet flux.
 
-    Parameters
-    ----------
-    gains:
-        Members of the controller's gains that make it that of the thesis.
+    Args:
+        gains: Members of the controller's gains that make it that of the thesis.
 
-    Raises
-    ------
-    VerificationError
-        There is no compiler for the simulation.
+    Raises:
+        VerificationError: There is no compiler for the simulation.
     """
     bench = replace(catalogue.load("paper001-pmsm-bench"), losses=None, simulation=None)
     known = bench.control.observer

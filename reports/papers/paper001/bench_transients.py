@@ -34,46 +34,26 @@ from dqforge.reports.simulation.recorded_run import Simulation
 
 DESIGN_NAME = "paper001-pmsm-bench"
 
-
+# Table 8.1 in the formats of the program: Q10, Q10, Q10, Q15.
 PRINTED_INTEGERS = {"speed kp": 20000, "speed ki h": 2500, "current kp": 136, "current ki h": 26}
 
-"""Table 8.1 in the formats of the program: Q10, Q10, Q10, Q15."""
-
-
+# Start to 1200 rpm and reversal between +-1200 rpm, s ("around 400 ms", section 8.4).
 PRINTED_TIME = 0.4
 
-"""Start to 1200 rpm and reversal between +-1200 rpm, s ("around 400 ms", section 8.4)."""
-
-
+# Largest v_q of the program over v_dc/sqrt(3); "limits the largest speed to about 2600 rpm", says
+# its comment.
 ENCODER_LINES = 1024
-
-
 VOLTAGE_LIMIT = 13_000 / 32_768
 
-"""Largest v_q of the program over v_dc/sqrt(3); "limits the largest speed to about 2600 rpm",
-says its comment."""
-
-
+# Largest i_q reference of the program over the full scale of the current, 12.8 A.
 CURRENT_LIMIT = 32_000 / 32_768
 
-"""Largest i_q reference of the program over the full scale of the current, 12.8 A."""
-
-
+# Limits of the current reference in A for which the transients take the printed time; the thesis
+# states none.
 _BAND = 0.02
-
-
 _TARGET = 1200.0
-
-
 START_CURRENT, REVERSAL_CURRENT = 1.7, 3.5
-
-"""Limits of the current reference in A for which the transients take the printed time;
-the thesis states none."""
-
-
 _SENSORLESS_RPM = 1500.0
-
-
 _REACHED = 1.8  # s: a climb has come to its end
 
 
@@ -354,10 +334,8 @@ def _stated_errors(place: Bench) -> dict[str, float]:
 def reproduce_paper() -> Reproduction:
     """Everything that is shown of the thesis.
 
-    Raises
-    ------
-    VerificationError
-        There is no compiler for the simulation.
+    Raises:
+        VerificationError: There is no compiler for the simulation.
     """
     design = bench_design()
     with bench(design) as place:

@@ -109,10 +109,8 @@ def _settling(found: Simulation, start: float, target: float) -> float:
 def emitted_control() -> EmittedControl:
     """Every format on the bench.
 
-    Raises
-    ------
-    VerificationError
-        There is no compiler for the simulation.
+    Raises:
+        VerificationError: There is no compiler for the simulation.
     """
     shipped = catalogue.load(DESIGN_NAME)
     design = replace(

@@ -19,15 +19,11 @@ from dqforge.optimizer.estimator_comparison.candidate import (
 from dqforge.optimizer.estimator_comparison.registry import estimators
 from dqforge.optimizer.estimator_comparison.solve import ask, reason_of
 
-SHARES = (0.1, 0.5)
+SHARES = (0.1, 0.5)  # Of the largest speed, at which angle errors are shown.
 
-"""Of the largest speed, at which angle errors are shown."""
-
-
+# What errors are shown of, and for how much of each: a tenth of a parameter, a volt that the dead
+# time takes; at half the speed and half the torque.
 CAUSES = {"r_s": 0.1, "l_q": 0.1, "psi_pm": 0.1, "dead_time": 1.0}
-
-"""What errors are shown of, and for how much of each: a tenth of a parameter, a volt that the dead
-time takes; at half the speed and half the torque."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,10 +110,8 @@ def _found(stated: Stated, candidate: Candidate | None, asked: Question) -> Meth
 def methods_found(design_name: str) -> tuple[MethodFound, ...]:
     """Every method of the chapter on a drive of the library.
 
-    Parameters
-    ----------
-    design_name:
-        Of the bench.
+    Args:
+        design_name: Of the bench.
     """
     asked = ask(catalogue.load(design_name))
     known = {candidate.name: candidate for candidate in estimators()}

@@ -28,10 +28,8 @@ def _number(value: float, form: str = ".3g", missing: str = "-") -> str:
 def methods_table(rows: tuple[MethodFound, ...]) -> Table:
     """Every method of chapter 7.
 
-    Parameters
-    ----------
-    rows:
-        What was found.
+    Args:
+        rows: What was found.
     """
     lines: list[tuple[str, ...]] = []
     for row in rows:
@@ -79,10 +77,8 @@ def methods_table(rows: tuple[MethodFound, ...]) -> Table:
 def alignment_table(rows: tuple[Alignment, ...]) -> Table:
     """The start of section 8.3.
 
-    Parameters
-    ----------
-    rows:
-        What was found, by friction.
+    Args:
+        rows: What was found, by friction.
     """
     lines = tuple(
         (
@@ -125,10 +121,8 @@ def alignment_table(rows: tuple[Alignment, ...]) -> Table:
 def sensorless_table(rows: tuple[Finding, ...]) -> Table:
     """Figures 8.29 to 8.33.
 
-    Parameters
-    ----------
-    rows:
-        What was found.
+    Args:
+        rows: What was found.
     """
     lines = tuple(
         (
@@ -155,10 +149,8 @@ def sensorless_table(rows: tuple[Finding, ...]) -> Table:
 def plain_methods(rows: tuple[MethodFound, ...]) -> list[PlainData]:
     """Chapter 7 as plain data.
 
-    Parameters
-    ----------
-    rows:
-        What was found.
+    Args:
+        rows: What was found.
     """
     return [
         {
@@ -178,10 +170,8 @@ def plain_methods(rows: tuple[MethodFound, ...]) -> list[PlainData]:
 def plain_alignment(rows: tuple[Alignment, ...]) -> list[PlainData]:
     """The start of section 8.3 as plain data.
 
-    Parameters
-    ----------
-    rows:
-        What was found.
+    Args:
+        rows: What was found.
     """
     return [
         {
@@ -201,10 +191,8 @@ def plain_alignment(rows: tuple[Alignment, ...]) -> list[PlainData]:
 def plain_findings(rows: tuple[Finding, ...]) -> list[PlainData]:
     """Figures as plain data.
 
-    Parameters
-    ----------
-    rows:
-        What was found.
+    Args:
+        rows: What was found.
     """
     return [
         {

@@ -19,11 +19,7 @@ if TYPE_CHECKING:
 
 
 _POINTS = 900
-
-
-Line = tuple[FloatArray, str, str]
-
-"""Values, colour, label (empty: none)."""
+Line = tuple[FloatArray, str, str]  # Values, colour, label (empty: none).
 
 
 def _draw(

@@ -282,10 +282,8 @@ def _faster(sine: Simulation, steps: Simulation) -> Iterable[Finding]:
 def program_results(design: Design) -> Program:
     """Runs and findings on the bench of a design.
 
-    Raises
-    ------
-    VerificationError
-        There is no compiler for the simulation.
+    Raises:
+        VerificationError: There is no compiler for the simulation.
     """
     with program_bench(design) as place:
         runs = simulated_runs(place)

@@ -19,27 +19,15 @@ from dqforge.reports.papers.transients import RPM, settling_time
 from dqforge.reports.simulation.recorded_run import Simulation
 
 TARGET = 1200.0
+REVERSAL = 1.5  # Instant of the reversal in s.
 
-
-REVERSAL = 1.5
-
-"""Instant of the reversal in s."""
-
-
+# Of the program's sine reference in Hz; the thesis says 2.
 SINE_FREQUENCY = SINE_INCREMENT / 32_768 * 5_000.0
 
-"""Of the program's sine reference in Hz; the thesis says 2."""
-
-
+# Limits of the i_q reference in A for which the start, the reversal, and both alike take about the
+# printed time; the thesis states none but 32000 of 32768.
 START_LIMIT, REVERSAL_LIMIT, COMMON_LIMIT = 2.2, 3.0, 2.5
-
-"""Limits of the i_q reference in A for which the start, the reversal, and both alike take about
-the printed time; the thesis states none but 32000 of 32768."""
-
-
-BAND = 0.02
-
-"""Share of a speed within which it counts as reached."""
+BAND = 0.02  # Share of a speed within which it counts as reached.
 
 
 @dataclass(frozen=True, slots=True)

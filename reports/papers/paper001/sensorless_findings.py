@@ -25,14 +25,10 @@ def sensorless_findings(
 ) -> tuple[Finding, ...]:
     """What is read off the runs.
 
-    Parameters
-    ----------
-    without:
-        The start with the speed of the encoder.
-    observed:
-        The start with the speed of the exact observer.
-    bench:
-        The drive on its estimator, with the errors of the bench.
+    Args:
+        without: The start with the speed of the encoder.
+        observed: The start with the speed of the exact observer.
+        bench: The drive on its estimator, with the errors of the bench.
     """
     target = float(bench.reference[-1])
     last = np.asarray(bench.t >= _STEADY)

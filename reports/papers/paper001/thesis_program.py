@@ -31,45 +31,23 @@ from dqforge.reports.simulation.design_run import drive_of
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import Simulation
 
+# Full scales of the program's codes of current in A and of speed in rpm.
 PREFIX = "thesis"
-
-
 BASE_CURRENT, BASE_RPM = 12.8, 6750.0
+CLOCK = 29.4912e6  # Of the signal processor in Hz: 33.9 ns.
 
-"""Full scales of the program's codes of current in A and of speed in rpm."""
-
-
-CLOCK = 29.4912e6
-
-"""Of the signal processor in Hz: 33.9 ns."""
-
-
+# Of the pulse-width modulation, up and down: 29.4912 MHz x 200 us / 2, its fraction dropped.
 TIMER_PERIOD = 2949
 
-"""Of the pulse-width modulation, up and down: 29.4912 MHz x 200 us / 2, its fraction dropped."""
-
-
+# 2^20 / 6750 with its fraction dropped; 155.34 would be exact, so that references are 0.22 % low.
 INVERSE_BASE = 155
 
-"""2^20 / 6750 with its fraction dropped; 155.34 would be exact, so that references are 0.22 %
-low."""
-
-
+# Of 32768 a turn and period: 2 Hz are 13.1, so that the sine reference has 1.98 Hz.
 SINE_INCREMENT = 13
+CONVERTER = CurrentSensor(bits=10, full_scale=6.4)  # 10 bits from -6.4 to 6.4 A.
 
-"""Of 32768 a turn and period: 2 Hz are 13.1, so that the sine reference has 1.98 Hz."""
-
-
-CONVERTER = CurrentSensor(bits=10, full_scale=6.4)
-
-"""10 bits from -6.4 to 6.4 A."""
-
-
+# Angle by counts; the adapter times the lines by the exact speed, as the capture unit does.
 ENCODER = Encoder(1024, speed="exact")
-
-"""Angle by counts; the adapter times the lines by the exact speed, as the capture unit does."""
-
-
 _SINE_ENTRIES = 256
 
 
@@ -89,10 +67,9 @@ class Constants:
         return np.array(list(asdict(self).values()), dtype=np.int32).tobytes()
 
 
+# As the listing's active line works it out: 32767 x 200e-6 x 3.967285 = 25.999 becomes 25; 26
+# stands in the line beside it, which is a comment.
 LISTED_LINE = Constants(kih_iq=25)
-
-"""As the listing's active line works it out: 32767 x 200e-6 x 3.967285 = 25.999 becomes 25; 26
-stands in the line beside it, which is a comment."""
 
 
 def reference_code(rpm: float) -> int:
@@ -117,15 +94,11 @@ def dead_band(constants: Constants) -> float:
 def program_files(torque_per_ampere: float, period: float, align: int = 0) -> dict[str, bytes]:
     """The two headers by name.
 
-    Parameters
-    ----------
-    torque_per_ampere:
-        Of the machine in N m/A, for the recorded torque reference.
-    period:
-        Of the interrupt in s.
-    align:
-        Periods for which the first phase is fed before the program begins, and after which the
-        encoder's count is set to zero; 0 for a program that knows the angle.
+    Args:
+        torque_per_ampere: Of the machine in N m/A, for the recorded torque reference.
+        period: Of the interrupt in s.
+        align: Periods for which the first phase is fed before the program begins, and after which
+            the encoder's count is set to zero; 0 for a program that knows the angle.
     """
     turn = 2.0 * np.pi * np.arange(_SINE_ENTRIES + 1) / _SINE_ENTRIES
     context = {
@@ -191,10 +164,8 @@ def program_bench(design: Design, align: int = 0) -> Iterator[ProgramBench]:
     """The bench of a design with the program of the thesis, as long as the block; with its
     alignment over so many periods, where it is to find the angle itself.
 
-    Raises
-    ------
-    VerificationError
-        There is no compiler.
+    Raises:
+        VerificationError: There is no compiler.
     """
     files = program_files(design.machine.torque_per_ampere, design.control.t_s, align)
     with simulator(files, PREFIX) as program:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dqforge.machines.records import dataclass
 
+# Everything in numbers that chapter 6 states: value, unit, place.
 PRINTED_CONDITIONS = {
     "poles": (4.0, "", "Table 6.1"),
     "rated power": (750.0, "W", "Table 6.1"),
@@ -20,8 +21,6 @@ PRINTED_CONDITIONS = {
     "sampling period": (100.0, "us", "section 6.2"),
     "switching frequency": (10.0, "kHz", "section 6.2"),
 }
-"""Everything in numbers that chapter 6 states: value, unit, place."""
-
 
 DEFINED = "from the definitions"
 INFERRED = "inferred data"
@@ -42,7 +41,6 @@ class ThesisFigure:
 
 
 _CURVES = "the measured curve"
-
 
 FIGURES = (
     ThesisFigure(

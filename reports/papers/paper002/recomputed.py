@@ -33,12 +33,8 @@ from dqforge.reports.papers.paper002_loops.closed_loops import BENCH_SPEED, Clos
 from dqforge.reports.papers.paper002_loops.diode_path import DiodePath, diode_path
 from dqforge.reports.papers.paper002_loops.loss_ratios import LoopRatio, loop_ratios
 
-TERMS_TORQUE = 3.5
-"""N m, at which the terms of Figure 4.3 are shown; chosen near the rated torque."""
-
-
-TERMS_SPEED = 1800.0
-"""rpm, the rated speed."""
+TERMS_TORQUE = 3.5  # N m, at which the terms of Figure 4.3 are shown; chosen near the rated torque.
+TERMS_SPEED = 1800.0  # rpm, the rated speed.
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,16 +17,14 @@ from dqforge.reports.papers.paper002_definitions.misprints import Misprint, Mode
 from dqforge.reports.papers.paper002_loops.loop_tables import left_out_table, loop_tables
 from dqforge.reports.papers.paper002_loops.loss_ratios import SHIPPED
 
-ORDERS = (1, 3, 5, 7, 9)
-"""Of the harmonics that are shown."""
-
+ORDERS = (1, 3, 5, 7, 9)  # Of the harmonics that are shown.
 
 INFERRED_NOTE = (
     "The thesis prints a name plate and no other data of its machine: amperes, volts and rpm rest "
     "on inferred data."
 )
 
-
+# Quantity: label, unit, decimals.
 _RANGES = {
     "a_x": ("a_x", "", 3),
     "a_y": ("a_y", "", 3),
@@ -40,7 +38,6 @@ _RANGES = {
     "coupling_q": ("(4.17): H omega i_qy", "V", 1),
     "coupling_0": ("(4.15): F omega i_qy", "V", 1),
 }
-"""Quantity: label, unit, decimals."""
 
 
 def _components(rows: tuple[ComponentRow, ...]) -> Table:

@@ -20,7 +20,7 @@ from dqforge.machines.records import dataclass
 
 ANGLES = 7200
 
-
+# R.m.s. of the components of the back-EMF of unit amplitude.
 PRINTED_TABLE_3_1 = {
     "balanced sine": {"d": 0.0, "q": 1.22, "qx": 1.22, "qy": 1.22, "zero": 0.0},
     "one phase at half amplitude": {"d": 0.14, "q": 1.02, "qx": 1.03, "qy": 1.06, "zero": 0.20},
@@ -28,14 +28,9 @@ PRINTED_TABLE_3_1 = {
     "trapezoid": {"d": 0.15, "q": 1.49, "qx": 1.83, "qy": 1.92, "zero": 0.30},
 }
 
-"""R.m.s. of the components of the back-EMF of unit amplitude."""
+COMPONENTS = ("d", "q", "qx", "qy", "zero")  # Columns of the table, as `dq_frames` names them.
 
-
-COMPONENTS = ("d", "q", "qx", "qy", "zero")
-
-"""Columns of the table, as `dq_frames` names them."""
-
-
+# The frame of each figure of the back-EMF; the phases themselves in the first.
 FRAMES: dict[str, Frame | None] = {
     "2.3": None,
     "2.4": "alphabeta0",
@@ -43,9 +38,6 @@ FRAMES: dict[str, Frame | None] = {
     "2.6": "dqx",
     "3.2": "dqy",
 }
-
-"""The frame of each figure of the back-EMF; the phases themselves in the first."""
-
 
 _FRAME_POINTS = 720
 

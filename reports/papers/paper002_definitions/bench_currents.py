@@ -19,12 +19,7 @@ from dqforge.optimizer.waveforms.comparison import require_phases
 from dqforge.optimizer.waveforms.phase_currents import spectrum, unit_currents
 
 DESIGN_NAME = "paper002-phase-waveforms"
-
-
-BENCH_TORQUE = 1.0
-"""N m, section 6.2."""
-
-
+BENCH_TORQUE = 1.0  # N m, section 6.2.
 HIGHEST_ORDER = 13
 
 
@@ -69,10 +64,8 @@ class CurveFigure:
 def bench_machine() -> PhaseMachine:
     """The shipped machine, without saliency.
 
-    Raises
-    ------
-    InputError
-        The shipped design has become one with saliency.
+    Raises:
+        InputError: The shipped design has become one with saliency.
     """
     machine = require_phases(catalogue.load(DESIGN_NAME))
     if isinstance(machine, SalientPhaseMachine):

@@ -25,10 +25,8 @@ from dqforge.reports.papers.paper002_definitions.model_equations import (
     model_blocks,
 )
 
+# Largest flux in Wb of the machine with a trapezoid that stands beside the shipped one; chosen.
 TRAPEZOID_FLUX = 0.2
-"""Largest flux in Wb of the machine with a trapezoid that stands beside the shipped one; chosen."""
-
-
 _ANGLES = 7200
 
 

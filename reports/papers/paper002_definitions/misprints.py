@@ -20,8 +20,6 @@ from dqforge.reports.papers.paper002_definitions.model_equations import (
 )
 
 _SAMPLES = 4000
-
-
 _ORDERS = (2, 3, 5, 6, 7, 9)
 
 
@@ -127,6 +125,7 @@ def agreement(machine: ShapedMachine, motion: FloatArray, omega_e: float) -> flo
     return float(np.max(np.abs(difference)) / np.max(np.abs(voltages)))
 
 
+# Equation, what it prints, what holds, and the error's name.
 _TEXTS = (
     ("(4.10)", "A = sin theta_y (L_s + 2 M_s) (theta_x' + 1)", "(L_s - M_s)", "A"),
     ("(4.12)", "C = -sin theta_y (L_s + 2 M_s) (theta_x' + 1)", "(L_s - M_s)", "C"),
@@ -147,8 +146,6 @@ _TEXTS = (
         "e",
     ),
 )
-"""Equation, what it prints, what holds, and the error's name."""
-
 
 _NO_VOLTAGES = (
     ("(4.11)", "B = -cos theta_y .. omega i_0y, times omega i_0x", "omega i_0y once"),

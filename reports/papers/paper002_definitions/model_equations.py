@@ -22,7 +22,7 @@ from dqforge.machines.transforms import POWER_INVARIANT
 
 BLOCKS = ("A", "B", "C", "D", "E", "F", "G", "H", "I")
 
-
+# Axis of the voltage and axis of the current of each block: 0 dy, 1 qy, 2 0y.
 PLACES = {
     "A": (0, 1),
     "B": (0, 2),
@@ -34,7 +34,6 @@ PLACES = {
     "H": (1, 1),
     "I": (2, 2),
 }
-"""Axis of the voltage and axis of the current of each block: 0 dy, 1 qy, 2 0y."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,14 +188,10 @@ def stationary_voltages(
     """Voltages that currents of alpha, beta and 0 need, in V and in dqy, shape (3, N), and the
     motion in dqy that these currents are.
 
-    Parameters
-    ----------
-    machine:
-        The machine.
-    currents, slopes:
-        Power-invariant, in A and A/s, shape (3, N).
-    omega_e:
-        In rad/s.
+    Args:
+        machine: The machine.
+        currents, slopes: Power-invariant, in A and A/s, shape (3, N).
+        omega_e: In rad/s.
     """
     plane, zero = machine.l_s - machine.m_s, machine.l_s + 2.0 * machine.m_s
     inductance = np.array([[plane], [plane], [zero]])

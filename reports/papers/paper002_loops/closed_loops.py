@@ -28,18 +28,9 @@ from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import Simulation
 
 RPM = np.pi / 30.0
-
-
-BENCH_SPEED = 750.0 * RPM
-"""rad/s, section 6.2."""
-
-
+BENCH_SPEED = 750.0 * RPM  # rad/s, section 6.2.
 _STEADY, _TAIL = 1.2, 0.4  # s: until the integrators have settled, and what is judged
-
-
 _WORKERS = 2
-
-
 _STEP_AT, _STEP_END = 0.3, 0.7  # s: once the start has died away, and the end
 
 
@@ -110,6 +101,7 @@ def _shape_at(machine: PhaseMachine, theta: FloatArray) -> FloatArray:
     return np.asarray(flux / np.max(np.abs(machine.flux)), dtype=np.float64)
 
 
+# 1 N m at 750 rpm, the shaft held.
 STEADY = Scenario(
     _STEADY,
     "torque",
@@ -118,15 +110,10 @@ STEADY = Scenario(
     inverter="switched",
     omega_m=BENCH_SPEED,
 )
-"""1 N m at 750 rpm, the shaft held."""
 
-
+# The same without switching and dead time.
 AVERAGED = replace(STEADY, inverter="averaged", dead_time=0.0)
-"""The same without switching and dead time."""
-
-
-TAIL = 1.0 - _TAIL / _STEADY
-"""Share of a steady run from which on it is judged."""
+TAIL = 1.0 - _TAIL / _STEADY  # Share of a steady run from which on it is judged.
 
 
 def _load_step(program: Simulator, drive: Drive) -> Simulation:
@@ -178,12 +165,9 @@ def _curves(machine: PhaseMachine, steady: Simulation, step: Simulation, count: 
 def run_case(case: LoopCase) -> LoopRun:
     """Compile a case's controller into its circuit and run it.
 
-    Raises
-    ------
-    VerificationError
-        There is no compiler.
-    NoSolutionError
-        The currents leave all bounds.
+    Raises:
+        VerificationError: There is no compiler.
+        NoSolutionError: The currents leave all bounds.
     """
     design, machine = case_design(case), bench_machine()
     headers = controller_files(case, design, machine)

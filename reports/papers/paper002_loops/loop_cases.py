@@ -38,22 +38,16 @@ from dqforge.reports.papers.paper002_definitions.bench_currents import DESIGN_NA
 from dqforge.reports.phase_control.header import header_context, preamble
 from dqforge.reports.phase_control.plain import Surroundings, plain_phase_control
 
+# Of the current loops in Hz, kp = omega_c L and ki = kp omega_c/10 on every axis; chosen, the
+# thesis prints no gains.
 BANDWIDTH = 500.0
-"""Of the current loops in Hz, kp = omega_c L and ki = kp omega_c/10 on every axis; chosen, the
-thesis prints no gains."""
 
-
+# Of the speed loop in rad/s, kp = J omega_c and ki = kp omega_c/4; chosen likewise.
 SPEED_BANDWIDTH = 50.0
-"""Of the speed loop in rad/s, kp = J omega_c and ki = kp omega_c/4; chosen likewise."""
 
-
+# Orders in alpha and beta, and of the zero sequence, where phases are alike and where not.
 _EQUAL = ((-5, 7, -11, 13), (3, 9))
-
-
 _UNEQUAL = ((-1, 3, -3, -5, 7, -11, 13), (1, 3, 9))
-"""Orders in alpha and beta, and of the zero sequence, where phases are alike and where not."""
-
-
 _RATE, _ERROR_MAX = 60.0, 1.0  # 1/s; A
 
 
@@ -78,7 +72,7 @@ class LoopCase:
 
 _DIODES, _LEGS = "diodes (5.4)", "four legs (5.2)"
 
-
+# What is run, the thesis's own circuit and controllers first.
 CASES = (
     LoopCase(
         "diodes_pi", _DIODES, "dqy, PI", "diode-neutral", "split-capacitor", "dqy", "none",
@@ -109,7 +103,6 @@ CASES = (
         "references", harmonics=True,
     ),
 )  # fmt: skip
-"""What is run, the thesis's own circuit and controllers first."""
 
 
 def _axis(inductance: float) -> AxisGains:

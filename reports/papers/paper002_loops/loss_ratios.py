@@ -102,10 +102,8 @@ def loop_ratios(
 ) -> tuple[LoopRatio, ...]:
     """All shapes on a circuit, by default an averaged inverter without dead time, 750 rpm, 1 N m.
 
-    Raises
-    ------
-    VerificationError
-        There is no compiler.
+    Raises:
+        VerificationError: There is no compiler.
     """
     with ThreadPoolExecutor(len(_FRAMES)) as pool:
         of_x, of_y = pool.map(partial(_of_circuit, circuit, scenario), _FRAMES)

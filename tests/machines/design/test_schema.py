@@ -77,14 +77,11 @@ def test_json_schema_shows_choices_and_defaults() -> None:
     assert "12 V/krpm line-to-line rms" in constant["examples"]
 
 
+# Settings that have no key of their own: ``counts_observer`` follows from an open spread.
 BESIDE = {"budget", "full_scale", "counts_observer"}
 
-"""Settings that have no key of their own: ``counts_observer`` follows from an open spread."""
-
-
+# Keys of the file that differ from the names of the settings.
 OTHERWISE = {"torque_max": "max_torque"}
-
-"""Keys of the file that differ from the names of the settings."""
 
 
 @pytest.mark.parametrize(

@@ -22,8 +22,7 @@ from dqforge.machines.files import positioned_yaml as yaml_source
 from dqforge.machines.losses import mission
 from dqforge.reports.pages import files
 
-DRIVE = "paper000-ipmsm-100kw"
-"""A library drive, for options that need a design beside their file."""
+DRIVE = "paper000-ipmsm-100kw"  # A library drive, for options that need a design beside their file.
 
 MAP = """dqforge: 1
 name: Map
@@ -258,8 +257,8 @@ def test_a_file_in_order_is_refused_beyond_the_limit_and_never_cut(
     assert "at most" in refused(entry, tmp_path, monkeypatch, capsys)
 
 
+# Commands that read a folder, and the file of it that they read first.
 FOLDERS = ((("verify", "out"), "dqforge-manifest.json"), (("compare", "out", DRIVE), "result.json"))
-"""Commands that read a folder, and the file of it that they read first."""
 
 
 @pytest.mark.thinned

@@ -32,9 +32,8 @@ ANGLES = np.arange(0.0, 60.0, 4.0)
 MESH_D, MESH_Q = np.meshgrid(AXIS_D, AXIS_Q, indexing="ij")
 PSI_D, PSI_Q = MACHINE.flux(MESH_D, MESH_Q)
 TORQUE = 1.5 * PAIRS * (PSI_D * MESH_Q - PSI_Q * MESH_D)
+# Shape of the ripple over the angle in degrees, over one whole period.
 WAVE = np.sin(np.radians(6.0 * ANGLES))
-"""Shape of the ripple over the angle in degrees, over one whole period."""
-
 Cells = Sequence[Sequence[object]]
 
 

@@ -26,6 +26,7 @@ I_D, I_Q = (
 )
 PSI_D, PSI_Q = VENDOR.flux(I_D, I_Q)
 TORQUE = 1.5 * PAIRS * (PSI_D * I_Q - PSI_Q * I_D)
+# Names of a torque in N m of the whole machine.
 NAMES = " ".join(
     (
         "torque Torque TORQUE tau tau_m tau_M tau_e tau_em tau_M_map T_e Te T_em Tem T_el",
@@ -39,9 +40,9 @@ NAMES = " ".join(
         "generated_torque torque_at_terminals Moment_an_der_Welle calibratedTorque",
     )
 ).split()
-"""Names of a torque in N m of the whole machine."""
 
 SYMBOLS = ("τ", "τ_m")
+# Titles with units and what they make of a torque in N m.
 TITLES = {
     "T [Nm]": 1.0,
     "T (N m)": 1.0,
@@ -64,7 +65,6 @@ TITLES = {
     "Drehmoment pro Polpaar [Nm]": 1.0 / PAIRS,
     "couple par paire de pôles [Nm]": 1.0 / PAIRS,
 }
-"""Titles with units and what they make of a torque in N m."""
 
 FORMATS: dict[str, tuple[Callable[[Arrays], bytes], str]] = {
     "text": (text, "map.csv"),

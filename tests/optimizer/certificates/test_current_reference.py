@@ -40,14 +40,13 @@ from dqforge.optimizer.current_reference.forms import (
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint
 
+# Random torques per case, to which an eighth of log-spaced ones and the neighbours of the edges
+# come.
 TORQUES = 180_000
-"""Random torques per case, to which an eighth of log-spaced ones and the
-neighbours of the edges come."""
-
 IPM_SCALES = (215.0, 283.0)
+# At 4775 rpm the voltage limits the current of paper 000's machine from some third of its torque
+# on.
 FAST = SpeedPoint(500.0, 240.0)
-"""At 4775 rpm the voltage limits the current of paper 000's machine from
-some third of its torque on."""
 
 
 def free(machine: LinearMachine, speed: SpeedPoint | None = None) -> CurrentChoice:

@@ -68,13 +68,13 @@ def same(found: Any, expected: Fraction) -> None:
     assert expected <= got <= expected * (1 + Fraction(1, 2**26)) + Fraction(1, 2**200)
 
 
+# Middle, radius and rounding error.
 OPERANDS = [
     (Fraction(3), Fraction(1, 4), Fraction(1, 8)),
     (Fraction(-5), Fraction(1, 2), Fraction(1, 16)),
     (Fraction(7, 2), Fraction(0), Fraction(1, 2)),
     (Fraction(-11, 8), Fraction(1, 8), Fraction(0)),
 ]
-"""Middle, radius and rounding error."""
 
 
 def operand(data: tuple[Fraction, Fraction, Fraction]) -> Rounded:
@@ -295,8 +295,7 @@ def test_exact_currents_of_the_constants(sign: int) -> None:
 
 FIRST = FixedSegment(0, 3, (5, 9), (1, 2))
 SECOND = FixedSegment(4, -7, (-40, 300), (3, 0))
-UNIT_A = Fraction(64, 2**15)
-"""A code of the current; one of the torque is 128 N m / 2^15."""
+UNIT_A = Fraction(64, 2**15)  # A code of the current; one of the torque is 128 N m / 2^15.
 
 
 def integer_piece(code: Fraction, polynomial: FixedPolynomial) -> Any:

@@ -118,6 +118,8 @@ def as_fraction(bound: Any) -> Fraction:
 
 FORMS = ["proportional", "reluctance", "polynomials", "torque-exact", "closed-form"]
 
+# Ends of the domain in N m and sizes of the currents in A; those far from 1 meet subnormal and huge
+# numbers.
 SCALES = [
     (1e2, 1e2),
     (1e-3, 1e-2),
@@ -127,8 +129,6 @@ SCALES = [
     (1e30, 1e15),
     (1e3, 1e18),
 ]
-"""Ends of the domain in N m and sizes of the currents in A; those far from 1 meet
-subnormal and huge numbers."""
 
 
 @pytest.mark.thinned

@@ -27,9 +27,7 @@ from dqforge.reports.observers.speed_loop_text import (
     with_promise,
 )
 
-FEW = Tolerances(l_q=0.1, psi_pm=0.1)
-
-"""Four corners, so that a drive is judged within a second."""
+FEW = Tolerances(l_q=0.1, psi_pm=0.1)  # Four corners, so that a drive is judged within a second.
 
 
 def by_rule(seed: int, method: ObserverMethodName, tolerances: Tolerances | None = FEW) -> Design:

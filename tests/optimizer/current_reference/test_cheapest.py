@@ -229,8 +229,8 @@ def test_full_scales_that_do_not_hold_leave_fixed_point_out() -> None:
     assert {trial.format for trial in found.trials} == {"float32"}
 
 
+# A torque domain of some 1e-5 N m, whose sixth power floats cannot hold.
 TINY = LinearMachine(1, 0.1, 62.63e-3, 59.67e-3, 1.155e-3, 5.65e-3)
-"""A torque domain of some 1e-5 N m, whose sixth power floats cannot hold."""
 
 
 @pytest.mark.parametrize("method", ["lagrange", "least-squares", "minimax"])

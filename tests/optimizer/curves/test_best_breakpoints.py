@@ -405,12 +405,12 @@ def test_coefficients_of_a_tiny_machine_stay_floats() -> None:
     assert fit.errors.i_q < 0.02 * 0.2
 
 
+# Axes that the forms fit, written out here once more.
 FORM_AXES: dict[FitForm, tuple[str, ...]] = {
     "polynomial": ("d", "q"),
     "torque-exact": ("d",),
     "closed-form": ("q",),
 }
-"""Axes that the forms fit, written out here once more."""
 
 
 def machine_up_to(ratio: float) -> LinearMachine:
@@ -468,6 +468,8 @@ def breakpoints_are_best(
     assert reached <= 1.01 * swept + 1e-9 * size * (1.0 if method == "minimax" else end**0.5)
 
 
+# Largest over base torque, form and degree; the first eight have two segmentations with a worse one
+# between them.
 HARD: list[tuple[float, FitForm, int]] = [
     (7.24, "torque-exact", 4),
     (6.5, "torque-exact", 4),
@@ -481,8 +483,6 @@ HARD: list[tuple[float, FitForm, int]] = [
     (30.0, "polynomial", 6),
     (0.05, "polynomial", 4),
 ]
-"""Largest over base torque, form and degree; the first eight have two segmentations with
-a worse one between them."""
 
 
 @pytest.mark.thinned
@@ -532,12 +532,11 @@ def test_breakpoint_of_other_methods_is_best_from_tiny_to_huge_torques(
 
 TORQUES = (0.05, 0.5, 1.2246, 3.5568, 7.24, 10.33, 21.03, 30.0)
 
-
+# Breakpoints over the domain's end where others ended before; the method below begins there.
 VALLEYS: dict[FitForm, tuple[float, float]] = {
     "torque-exact": (0.0837, 0.331),
     "closed-form": (0.2263, 0.4607),
 }
-"""Breakpoints over the domain's end where others ended before; the method below begins there."""
 
 
 def breakpoints_are_best_of_many(

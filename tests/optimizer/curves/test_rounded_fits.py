@@ -18,9 +18,9 @@ from dqforge.optimizer.curves.single_precision import (
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 HALF_ULP = 2.0**-24
+# Half units in the last place of the largest current that evaluation adds where nothing else is
+# left.
 FLOOR = 2.5
-"""Half units in the last place of the largest current that evaluation adds
-where nothing else is left."""
 
 
 def random_machine(generator: np.random.Generator) -> LinearMachine:

@@ -18,14 +18,12 @@ from dqforge.optimizer.field_weakening import fit as fitting
 from dqforge.optimizer.field_weakening.fit import WeakeningFit, fit_weakening
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE, voltage_region
 
+# Most torque in N m, and least squared current in A^2 for torques in N m, at an electrical speed in
+# rad/s along the torque and a voltage in V.
 SHARES = (LEAST_VOLTAGE, 0.9, 1.0, 1.1, 1.2)
 BUDGET = 0.005
 SLOW = pytest.mark.slow
-
 Best = Callable[[Machine, FloatArray, float, float], tuple[float, FloatArray]]
-"""Most torque in N m, and least squared current in A^2 for torques in N m, at an electrical speed
-in rad/s along the torque and a voltage in V.
-"""
 
 
 def drawn(seed: int) -> tuple[Machine, float, float]:

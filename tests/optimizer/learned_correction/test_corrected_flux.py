@@ -17,6 +17,7 @@ from dqforge.optimizer.observers.methods import flux
 from dqforge.optimizer.observers.parts import EXACT
 from dqforge.optimizer.observers.steady_states import steady_observer
 
+# Training a network takes some seconds: the rules by default, both in the campaign.
 EVERY = pytest.mark.parametrize(
     "method",
     [
@@ -24,7 +25,6 @@ EVERY = pytest.mark.parametrize(
         for name in LEARNED_OBSERVERS
     ],
 )
-"""Training a network takes some seconds: the rules by default, both in the campaign."""
 WARM = {"r_s": 0.3, "psi_pm": -0.04}
 
 

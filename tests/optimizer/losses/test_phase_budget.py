@@ -29,20 +29,14 @@ from dqforge.optimizer.losses.phase_budget import phase_budget
 from dqforge.optimizer.waveforms.phase_currents import CurrentRule, dq_waveform, unit_currents
 
 OMEGA_M = 750.0 * np.pi / 30.0
-
-
 RATED = 3.98
-
-
 IGBT = catalogue.load("paper002-pmsm-nonsinusoidal").inverter
 
-
+# Of 40 mOhm; conduction alone.
 MOSFET = replace(
     IGBT,
     device=SwitchDevice("mosfet", 40e-3, 0.0, 0.0, 20.0, 300.0, 2.0),
 )
-
-"""Of 40 mOhm; conduction alone."""
 
 
 def _budget(
@@ -71,7 +65,6 @@ def _total(found: PhaseBudget) -> float:
 
 CARRIERS, PLACES = 400, 400
 
-
 LEGS: dict[Topology, list[list[float]]] = {
     "three-wire": np.eye(3).tolist(),
     "split-capacitor": np.eye(3).tolist(),
@@ -79,7 +72,6 @@ LEGS: dict[Topology, list[list[float]]] = {
     "six-leg": np.hstack([np.eye(3), -np.eye(3)]).tolist(),
     "six-leg-isolated": np.hstack([np.eye(3), -np.eye(3)]).tolist(),
 }
-
 
 ZERO_SEQUENCE = {"four-leg", "split-capacitor", "six-leg"}
 

@@ -20,8 +20,8 @@ from dqforge.optimizer.study_results.sobol_indices import (
     sobol_indices,
 )
 
+# Of Ishigami's function with a = 7, b = 0.1 (Saltelli and others 2008, section 4.6).
 FIRST, TOTAL = (0.3139, 0.4424, 0.0), (0.5576, 0.4424, 0.2437)
-"""Of Ishigami's function with a = 7, b = 0.1 (Saltelli and others 2008, section 4.6)."""
 
 
 def ishigami(x: FloatArray) -> FloatArray:

@@ -116,6 +116,7 @@ def test_a_generation_without_any_values_ends_nothing() -> None:
     assert np.all(np.isfinite(np.concatenate(points)))
 
 
+# The drive's own device, and those of the library that have its voltage.
 DEVICES = (
     "",
     "fuji-2mbi300xbe120-50",
@@ -125,7 +126,6 @@ DEVICES = (
     "microchip-mscsm70am10ct3ag",
     "wolfspeed-c2m0045170d",
 )
-"""The drive's own device, and those of the library that have its voltage."""
 
 MODULATIONS = get_args(ModulationName)
 FREQUENCIES = np.geomspace(8e3, 100e3, 20)

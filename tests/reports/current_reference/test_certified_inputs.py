@@ -26,8 +26,7 @@ from dqforge.reports.pages.templating import render
 
 INPUTS = 3_000_000
 CHUNK = 1_000_000
-ROUNDING = 2e-13
-"""Of the largest current or torque: what Newton's method in doubles leaves open."""
+ROUNDING = 2e-13  # Of the largest current or torque: what Newton's method in doubles leaves open.
 
 CASES: dict[str, tuple[LinearMachine, FitSettings]] = {
     "polynomial": (IPM, FitSettings(form="polynomial", degree=4)),

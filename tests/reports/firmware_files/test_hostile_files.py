@@ -138,6 +138,7 @@ def into(path: Path, fit: FirmwareFit) -> None:
         firmware_files(scooter(), fit, read_text_file(path))
 
 
+# What reached a user without a line, or ended in an OverflowError.
 INJURED: dict[str, list[bytes]] = {
     "scooter_params.h": [
         b"#ifdef A\nparams.motor.P = 8.0f;\n",
@@ -148,7 +149,6 @@ INJURED: dict[str, list[bytes]] = {
         b"<MCConfiguration>\n<foc_f_zv>1e-309</foc_f_zv>\n</MCConfiguration>",
     ],
 }
-"""What reached a user without a line, or ended in an OverflowError."""
 
 
 @pytest.mark.parametrize("changes", [CHANGES, pytest.param(100, marks=pytest.mark.slow)])

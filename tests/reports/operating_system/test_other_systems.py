@@ -52,13 +52,14 @@ OTHERS = (
     Other("aarch64-macos", "", b"\xcf\xfa\xed\xfe"),
 )
 
+# Those of one system in one process: the first of them builds its libraries.
 RUN = [
     pytest.param(other, marks=pytest.mark.xdist_group(other.target), id=other.target)
     for other in OTHERS
     if other.emulator
 ]
-"""Those of one system in one process: the first of them builds its libraries."""
 
+# Drives with settings, whose headers are many kinds at once.
 DESIGNS = {
     "float32": ("paper000-ipmsm-100kw", "export.control=[float32]"),
     "q15": (
@@ -70,7 +71,6 @@ DESIGNS = {
     ),
     "phases": ("paper002-phase-waveforms", "export.control=[float32]"),
 }
-"""Drives with settings, whose headers are many kinds at once."""
 
 
 def named(other: Other) -> object:
@@ -150,7 +150,6 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 SIMULATED = ("simulate", "paper001-pmsm-bench", "-o", "out")
-
 Samples = dict[str, NDArray[Any]]
 
 

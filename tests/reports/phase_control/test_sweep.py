@@ -33,10 +33,7 @@ from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.simulation.recorded_run import Summary
 
 MACHINES = 500
-
-SOME = 2
-"""Drives of every program that are tried in further ways."""
-
+SOME = 2  # Drives of every program that are tried in further ways.
 Groups = dict[tuple[Any, ...], list[SweptDrive]]
 
 

@@ -160,13 +160,12 @@ def test_averaged_plant_equals_phase_equations(
         assert np.all(np.isnan(found.phases.v_midpoint))
 
 
+# Currents out of the legs for those of the phases.
 OUT_OF: dict[int, FloatArray] = {
     3: np.eye(3),
     4: np.vstack([np.eye(3), [-1.0, -1.0, -1.0]]),
     6: np.vstack([np.eye(3), -np.eye(3)]),
 }
-
-"""Currents out of the legs for those of the phases."""
 
 
 def rested(

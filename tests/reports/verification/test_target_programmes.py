@@ -42,9 +42,9 @@ from dqforge.reports.verification.target_programmes import reached, run_on_targe
 from dqforge.reports.verification.text import target_text
 from dqforge.reports.written_headers import programmes
 
+# Of each harness; all of them take a quarter of an hour on a core without floating point.
 BENCH = "paper001-pmsm-bench"
 ROWS = 2000
-"""Of each harness; all of them take a quarter of an hour on a core without floating point."""
 
 
 @pytest.fixture(autouse=True)

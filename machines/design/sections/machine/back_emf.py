@@ -39,10 +39,9 @@ def read_phase_machine(
 ) -> PhaseMachine:
     """Machine in phase quantities; ``common`` holds what all models share.
 
-    Raises
-    ------
-    InputError
-        The back-EMF is given twice or not at all, contradicts itself, or its capture is not sound.
+    Raises:
+        InputError: The back-EMF is given twice or not at all, contradicts itself, or its capture is
+            not sound.
     """
     given = section.back_emf
     sources = () if given is None else (given.harmonics, given.file, given.files)
@@ -102,11 +101,9 @@ def read_saliency(
 ) -> SalientPhaseMachine | None:
     """The machine with the harmonics of its inductances, None where they are constant.
 
-    Raises
-    ------
-    InputError
-        An order is listed twice, the inductances store no energy in some current, or the d axis
-        that they are written about is not that of the back-EMF.
+    Raises:
+        InputError: An order is listed twice, the inductances store no energy in some current, or
+            the d axis that they are written about is not that of the back-EMF.
     """
     given = section.inductance_harmonics
     if given is None:

@@ -25,11 +25,9 @@ _SQRT3 = math.sqrt(3.0)
 def check_connection(section: MachineSection, reading: Reading) -> None:
     """Refuse what a delta cannot have or leaves open, and tell what was converted.
 
-    Raises
-    ------
-    InputError
-        The model is one in phase quantities or by coefficients, or a flux map
-        does not say what it holds.
+    Raises:
+        InputError: The model is one in phase quantities or by coefficients, or a flux map does not
+            say what it holds.
     """
     given = section.flux_map
     if section.connection == "star":

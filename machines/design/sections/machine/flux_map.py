@@ -29,16 +29,12 @@ if TYPE_CHECKING:  # the readers are needed for maps only
 
 _PATH: KeyPath = ("machine", "flux_map")
 
-
+# Asymmetry over the largest flux linkage below which the halves of a map are the same.
 _SYMMETRIC = 1e-6
 
-"""Asymmetry over the largest flux linkage below which the halves of a map are the same."""
-
-
+# Torque over that of the points of the file from which on it is none of theirs, and the currents at
+# which it is looked for.
 _FAR_TORQUE, _ANGLES, _SHARES = 1.5, 91, 13
-
-"""Torque over that of the points of the file from which on it is none of theirs, and the currents
-at which it is looked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,23 +59,16 @@ def read_flux_maps(
 ) -> FluxMaps:
     """Flux maps of the files that the section names, at the temperature of the magnets.
 
-    Parameters
-    ----------
-    section:
-        With the key flux_map.
-    pole_pairs:
-        Of the machine; the torque in a file is held against them.
-    reading:
-        Takes the findings, and slope and misfit of the torque.
-    expected:
-        Known flux linkage of the magnets in Wb, or None.
-    i_max:
-        Current limit in A (peak), at which the asymmetry is told where no rated current is given.
+    Args:
+        section: With the key flux_map.
+        pole_pairs: Of the machine; the torque in a file is held against them.
+        reading: Takes the findings, and slope and misfit of the torque.
+        expected: Known flux linkage of the magnets in Wb, or None.
+        i_max: Current limit in A (peak), at which the asymmetry is told where no rated current is
+            given.
 
-    Raises
-    ------
-    InputError
-        A file cannot be read, or is no map of a machine as it is declared.
+    Raises:
+        InputError: A file cannot be read, or is no map of a machine as it is declared.
     """
     from dqforge.machines.flux_maps.magnet_temperatures import flux_map_of_maps
 

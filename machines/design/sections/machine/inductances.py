@@ -15,10 +15,8 @@ def read_inductances(section: MachineSection, reading: Reading) -> tuple[float, 
     The inductance that a data sheet has for both lies between the two, whatever the position of the
     rotor: between two terminals twice as much.
 
-    Raises
-    ------
-    InputError
-        One axis alone is given, or what is given for both contradicts the two.
+    Raises:
+        InputError: One axis alone is given, or what is given for both contradicts the two.
     """
     axes = {
         key: reading.per_phase(entry, f"machine.{key}")

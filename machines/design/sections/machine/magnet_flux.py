@@ -10,9 +10,8 @@ from dqforge.machines.design.values import InputValue
 from dqforge.machines.entries.rules import Quantity
 from dqforge.machines.units.quantities import format_quantity
 
+# Keys that imply the flux linkage of the magnets, in order of trust.
 FLUX_KEYS = ("magnet_flux", "back_emf_constant", "torque_constant", "kv")
-
-"""Keys that imply the flux linkage of the magnets, in order of trust."""
 
 
 def read_magnet_flux(section: MachineSection, pole_pairs: int, reading: Reading) -> float:

@@ -34,14 +34,10 @@ from dqforge.machines.places import about
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
+# Relative change of the resistance of copper per kelvin, at 20 degC (IEC 60034-1 uses 1/(235 + 20)
+# K).
 _COPPER = 0.00393
-
-"""Relative change of the resistance of copper per kelvin, at 20 degC (IEC
-60034-1 uses 1/(235 + 20) K)."""
-
-
 _REFERENCE = 20.0
-
 
 _NEEDED: dict[MachineModel, tuple[tuple[str, str], ...]] = {
     "linear": (("inductance_d", "1.61 mH"), ("inductance_q", "1.74 mH")),
@@ -52,7 +48,6 @@ _NEEDED: dict[MachineModel, tuple[tuple[str, str], ...]] = {
         ("back_emf", "{harmonics: [{order: 1, amplitude: 0.2 Wb}]}"),
     ),
 }
-
 
 _OWN: dict[str, MachineModel] = {
     "inductance": "linear",
@@ -84,11 +79,9 @@ class MachineReading:
 def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
     """Machine per phase and peak, at its operating temperatures.
 
-    Raises
-    ------
-    InputError
-        Keys are missing or belong to another model, constants contradict each other,
-        or a flux map is not sound.
+    Raises:
+        InputError: Keys are missing or belong to another model, constants contradict each other, or
+            a flux map is not sound.
     """
     _check_model(section, reading)
     reading.connection = section.connection

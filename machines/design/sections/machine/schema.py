@@ -43,7 +43,6 @@ from dqforge.machines.names import MachineModel
 _CONNECTIONS = get_args(Connection)
 _WINDINGS = {"y": "star", "wye": "star", "d": "delta", "δ": "delta", "triangle": "delta"}
 
-
 WindingConnection = Annotated[
     Connection,
     BeforeValidator(partial(in_other_words, names=_CONNECTIONS, words=_WINDINGS)),
@@ -69,10 +68,9 @@ class RatedSection(Section):
     frequency: Frequency | None = Field(default=None, description="rated electrical frequency (Hz)")
 
 
+# Published exponents are at most 7; far beyond, powers of flux linkages vanish, and the magnets
+# with them.
 Exponent = Annotated[Nonnegative, Field(le=20.0)]
-
-"""Published exponents are at most 7; far beyond, powers of flux linkages vanish,
-and the magnets with them."""
 
 
 class BridgeSection(Section):

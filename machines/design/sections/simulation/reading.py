@@ -236,11 +236,9 @@ def read_scenario(
     ``waveform`` says whether the machine is one in phase quantities, ``program`` whether the
     program around the functions is emitted.
 
-    Raises
-    ------
-    InputError
-        No or several references, a profile that is none, or something that the design lacks for it;
-        with a position.
+    Raises:
+        InputError: No or several references, a profile that is none, or something that the design
+            lacks for it; with a position.
     """
     if section is None:
         return None

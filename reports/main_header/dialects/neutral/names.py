@@ -29,6 +29,7 @@ _LOOPS = {
     "speed": _loop("SPEED", "NMS_PER_RAD", "NM_PER_RAD"),
 }
 
+# Names without prefix by quantity; ``bits`` are the fractional bits of a code.
 NAMES = {
     "machine.pole_pairs": "POLE_PAIRS",
     "machine.r_s": "R_S_OHM",
@@ -53,8 +54,6 @@ NAMES = {
     "observer.c": "OBSERVER_C_RAD_PER_AS",
     **{f"{loop}.{key}": name for loop, names in _LOOPS.items() for key, name in names.items()},
 }
-
-"""Names without prefix by quantity; ``bits`` are the fractional bits of a code."""
 
 
 def neutral_entry(constant: Constant) -> Entry:

@@ -41,19 +41,18 @@ from dqforge.optimizer.observers.steady_states import closed_form_error, steady_
 from dqforge.optimizer.observers.tuning import optimise, tune_position_observer
 from dqforge.optimizer.observers.tuning_numbers import Disturbances, ObserverTuning
 
+# Of the EMF observer; those by the flux take 20 rad/s at rest, Matsui's models their usual poles.
+#
+# The filter takes the covariances that the stated noise implies; `test_ekf` has
+# the search for better ones.
 T_S = 1e-4
 OMEGA_MAX = 3000.0
 EVERY = pytest.mark.parametrize("method", METHODS.values(), ids=list(METHODS))
 TUNING = ObserverTuning(800.0, 200.0, omega_floor=60.0)
-"""Of the EMF observer; those by the flux take 20 rad/s at rest, Matsui's models their usual poles.
-
-The filter takes the covariances that the stated noise implies; `test_ekf` has
-the search for better ones.
-"""
+# Least lag in rad that a ramp of 3000 rad/s^2 shows; 0.02 otherwise, and none with Matsui's voltage
+# model.
 NO_DISTURBANCE = Disturbances(0.0, 0.0, 0.0, 0.0)
 LAGS = {"matsui-current": 0.01, "ekf": 4e-5}
-"""Least lag in rad that a ramp of 3000 rad/s^2 shows; 0.02 otherwise,
-and none with Matsui's voltage model."""
 WRONG = {
     "r_s": [30.0, 0.0, 30.0],
     "l_d": [0.1, -0.1, 0.0],
