@@ -11,15 +11,24 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
     from dqforge.machines.design.from_machine import make_design
-    from dqforge.machines.dq_machines.flux_map import FluxMap
-    from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+    from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
     from dqforge.machines.dq_machines.synchronous import LinearMachine
     from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError, VerificationError
     from dqforge.machines.flux_map_files.inputs import make_flux_map, read_flux_map
     from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-    from dqforge.reports.session.control import SimulatedDrive, Tuning, simulate, tune
-    from dqforge.reports.session.drives import library, load_design
-    from dqforge.reports.session.emission import Emission, Solution, Verified, emit, solve, verify
+    from dqforge.reports.session.drives import (
+        Characteristics,
+        Fit,
+        OperatingMap,
+        OperatingPoints,
+        certify,
+        characteristics,
+        fit,
+        library,
+        load_design,
+        operating_map,
+        operating_points,
+    )
     from dqforge.reports.session.firmware import (
         FirmwareExport,
         FirmwareFile,
@@ -27,17 +36,23 @@ if TYPE_CHECKING:
         export_for,
         read_firmware,
     )
-    from dqforge.reports.session.losses import Losses, LossMap, loss_map, losses
-    from dqforge.reports.session.points import (
-        Characteristics,
-        OperatingMap,
-        OperatingPoints,
-        characteristics,
-        operating_map,
-        operating_points,
+    from dqforge.reports.session.losses import (
+        BackEmf,
+        Emission,
+        Losses,
+        LossMap,
+        Solution,
+        Verified,
+        Waveforms,
+        emit,
+        loss_map,
+        losses,
+        read_back_emf,
+        solve,
+        verify,
+        waveforms,
     )
-    from dqforge.reports.session.references import Fit, certify, fit
-    from dqforge.reports.session.waveforms import BackEmf, Waveforms, read_back_emf, waveforms
+    from dqforge.reports.session.result import SimulatedDrive, Tuning, simulate, tune
 
 __version__ = "0.1.0"
 
@@ -93,15 +108,57 @@ __all__ = [
 _HOMES = {
     "machines.design.design": ("Design",),
     "machines.design.from_machine": ("make_design",),
-    "machines.errors": ("DqforgeError", "InputError", "NoSolutionError", "VerificationError"),
-    "machines.dq_machines.flux_map": ("FluxMap",),
-    "machines.dq_machines.saturated_machine": ("SaturatedMachine",),
-    "machines.flux_map_files.inputs": ("make_flux_map", "read_flux_map"),
+    "machines.errors": (
+        "DqforgeError",
+        "InputError",
+        "NoSolutionError",
+        "VerificationError",
+    ),
+    "machines.dq_machines.flux_map": (
+        "FluxMap",
+        "SaturatedMachine",
+    ),
+    "machines.flux_map_files.inputs": (
+        "make_flux_map",
+        "read_flux_map",
+    ),
     "machines.phase_machines.phase_machine": ("PhaseMachine",),
     "machines.dq_machines.synchronous": ("LinearMachine",),
-    "reports.session.control": ("SimulatedDrive", "Tuning", "simulate", "tune"),
-    "reports.session.drives": ("library", "load_design"),
-    "reports.session.emission": ("Emission", "Solution", "Verified", "emit", "solve", "verify"),
+    "reports.session.result": (
+        "SimulatedDrive",
+        "Tuning",
+        "simulate",
+        "tune",
+    ),
+    "reports.session.drives": (
+        "Characteristics",
+        "Fit",
+        "OperatingMap",
+        "OperatingPoints",
+        "certify",
+        "characteristics",
+        "fit",
+        "library",
+        "load_design",
+        "operating_map",
+        "operating_points",
+    ),
+    "reports.session.losses": (
+        "BackEmf",
+        "Emission",
+        "LossMap",
+        "Losses",
+        "Solution",
+        "Verified",
+        "Waveforms",
+        "emit",
+        "loss_map",
+        "losses",
+        "read_back_emf",
+        "solve",
+        "verify",
+        "waveforms",
+    ),
     "reports.session.firmware": (
         "FirmwareExport",
         "FirmwareFile",
@@ -109,17 +166,6 @@ _HOMES = {
         "export_for",
         "read_firmware",
     ),
-    "reports.session.losses": ("LossMap", "Losses", "loss_map", "losses"),
-    "reports.session.points": (
-        "Characteristics",
-        "OperatingMap",
-        "OperatingPoints",
-        "characteristics",
-        "operating_map",
-        "operating_points",
-    ),
-    "reports.session.references": ("Fit", "certify", "fit"),
-    "reports.session.waveforms": ("BackEmf", "Waveforms", "read_back_emf", "waveforms"),
 }
 """Modules of the public names; the same as above, which only type checkers and editors read."""
 

@@ -18,13 +18,9 @@ except ModuleNotFoundError as error:  # before there is anything that could say 
 
 from dqforge.reports import answers
 from dqforge.reports.command_line import flags as given
-from dqforge.reports.command_line.designs import forget, load, locate
-from dqforge.reports.command_line.empty_app import application
-from dqforge.reports.command_line.exit_codes import exit_code
-from dqforge.reports.command_line.questions import asked_sheet
-from dqforge.reports.command_line.respond import respond
-from dqforge.reports.command_line.sheet_options import Sheet, with_sheet
-from dqforge.reports.operating_system.own_process import prepare_process
+from dqforge.reports.command_line.designs import asked_sheet, forget, load, locate, respond
+from dqforge.reports.command_line.flags import Sheet, application, exit_code, with_sheet
+from dqforge.reports.operating_system.system import prepare_process
 
 app = application()
 

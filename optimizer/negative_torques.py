@@ -5,8 +5,7 @@ from __future__ import annotations
 from dqforge.machines.design.design import Design
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.current_reference import Certificate, certify
-from dqforge.optimizer.current_reference.fit import ReferenceFit
-from dqforge.optimizer.current_reference.signed import signed_designs
+from dqforge.optimizer.current_reference.fit import ReferenceFit, signed_designs
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.operating_points.solve import Curves, current_choice, solve_curves
 

@@ -11,36 +11,39 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.current_reference import Certificate, certify
 from dqforge.optimizer.control_design.gain_set import GainSet, gains_or_reason
-from dqforge.optimizer.current_reference.alternatives import Alternative, alternatives
-from dqforge.optimizer.current_reference.data_use import COVERED, DataUse
-from dqforge.optimizer.current_reference.signed import signed_designs, signed_reference
-from dqforge.optimizer.current_reference.solve import solve_fit
-from dqforge.optimizer.field_weakening.solve import solve_weakening
+from dqforge.optimizer.current_reference.fit import (
+    Alternative,
+    alternatives,
+    signed_designs,
+    signed_reference,
+)
+from dqforge.optimizer.current_reference.solve import COVERED, DataUse, solve_fit
+from dqforge.optimizer.field_weakening.fit import solve_weakening
 from dqforge.optimizer.firmware.solve import FirmwareFit, solve_firmware
 from dqforge.optimizer.fixed_phase_control.solve import IntegerFit, solve_integers
-from dqforge.optimizer.fixed_reference.solve import solve_fixed_references
+from dqforge.optimizer.fixed_reference.fit import solve_fixed_references
 from dqforge.optimizer.losses.solve import solve_losses, solve_mission
 from dqforge.optimizer.negative_torques import NegativeHalf, solve_negative
 from dqforge.optimizer.operating_points.solve import Curves, current_choice, solve_curves
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
-    from dqforge.optimizer.application.application_plan import ApplicationPlan
+    from dqforge.optimizer.application import ApplicationPlan
     from dqforge.optimizer.current_feedback.solve import CurrentFeedback
-    from dqforge.optimizer.current_reference.cheapest import Trial
     from dqforge.optimizer.current_reference.fit import ReferenceFit
     from dqforge.optimizer.current_reference.forms import Emitted
+    from dqforge.optimizer.current_reference.solve import Trial
     from dqforge.optimizer.field_weakening.fit import WeakeningFit
     from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
         FixedObserverFit,
     )
     from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
-    from dqforge.optimizer.frame_tables.fit import FrameTables
-    from dqforge.optimizer.losses.mission_budget import MissionComparison
+    from dqforge.optimizer.frame_tables import FrameTables
+    from dqforge.optimizer.losses.drive_comparison import MissionComparison
     from dqforge.optimizer.losses.point_comparison import LossComparison
     from dqforge.optimizer.modulation_choice.solve import ModulationChoice
     from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad
-    from dqforge.optimizer.overmodulation.solve import Overmodulation
+    from dqforge.optimizer.overmodulation import Overmodulation
     from dqforge.optimizer.six_step.design import SixStepDesign
     from dqforge.optimizer.start_up.solve import StartUp
     from dqforge.optimizer.waveforms.comparison import (
@@ -193,7 +196,7 @@ def _fixed_observers(design: Design, gains: GainSet | None) -> tuple[FixedObserv
 def _frame_tables(design: Design) -> FrameTables | None:
     if not design.export.frame_tables:
         return None
-    from dqforge.optimizer.frame_tables.fit import solve_frame_tables
+    from dqforge.optimizer.frame_tables import solve_frame_tables
 
     return solve_frame_tables(design)
 
@@ -201,7 +204,7 @@ def _frame_tables(design: Design) -> FrameTables | None:
 def _overmodulation(design: Design) -> Overmodulation | None:
     if design.inverter.overmodulation == "none":
         return None
-    from dqforge.optimizer.overmodulation.solve import solve_overmodulation
+    from dqforge.optimizer.overmodulation import solve_overmodulation
 
     return solve_overmodulation(design)
 
@@ -233,7 +236,7 @@ def _current_feedback(design: Design) -> CurrentFeedback | None:
 def _application(design: Design) -> ApplicationPlan | None:
     if design.export.application is None:
         return None
-    from dqforge.optimizer.application.application_plan import application_plan
+    from dqforge.optimizer.application import application_plan
 
     return application_plan(design)
 

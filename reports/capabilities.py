@@ -4,32 +4,32 @@ from __future__ import annotations
 
 from typing import Any
 
-from dqforge.reports.application.capability import APPLICATION
+from dqforge.reports.application.header import APPLICATION
 from dqforge.reports.capability import Capability
-from dqforge.reports.current_feedback.capability import CURRENT_FEEDBACK
+from dqforge.reports.current_feedback.tables import CURRENT_FEEDBACK
 from dqforge.reports.current_reference.capability import (
     CURRENT_REFERENCE,
     NEGATIVE_POINTS,
     NEGATIVE_REFERENCE,
 )
-from dqforge.reports.dynamic_references.capability import DYNAMIC_REFERENCES
-from dqforge.reports.field_weakening.capability import WEAKENING
-from dqforge.reports.firmware_files.capability import FIRMWARE
-from dqforge.reports.fixed_observers.capability import FIXED_OBSERVER
-from dqforge.reports.fixed_reference.capability import FIXED_REFERENCE
+from dqforge.reports.dynamic_references import DYNAMIC_REFERENCES
+from dqforge.reports.field_weakening.header import WEAKENING
+from dqforge.reports.firmware_files.plain import FIRMWARE
+from dqforge.reports.fixed_observers.fixed_observer_header import FIXED_OBSERVER
+from dqforge.reports.fixed_reference.header import FIXED_REFERENCE
 from dqforge.reports.frame_tables.capability import FRAME_TABLES
 from dqforge.reports.loops.capability import GAIN_SCHEDULE, LOOPS, NO_LOOPS, STABILITY
-from dqforge.reports.losses.capability import LOSSES, MISSION
-from dqforge.reports.modulation_choice.capability import MODULATION_CHOICE
-from dqforge.reports.observers.capability import POSITION_OBSERVER, SPEED_OBSERVER
-from dqforge.reports.operating_points.capability import OPERATING_POINTS
+from dqforge.reports.losses.map_figures import LOSSES, MISSION
+from dqforge.reports.modulation_choice.figures import MODULATION_CHOICE
+from dqforge.reports.observers.tracker_header import POSITION_OBSERVER, SPEED_OBSERVER
+from dqforge.reports.operating_points.html import OPERATING_POINTS
 from dqforge.reports.overmodulation.capability import OVERMODULATION
-from dqforge.reports.phase_control.capability import FIXED_CONTROL, FLOAT32_CONTROL
-from dqforge.reports.simulation.capability import FORMATS_NOT_SIMULATED, SIMULATION
-from dqforge.reports.six_step.capability import SIX_STEP
-from dqforge.reports.speed_measurement.capability import SPEED_MEASUREMENT
-from dqforge.reports.start_up.capability import START_UP
-from dqforge.reports.waveforms.capability import PHASE_REFERENCE, WAVEFORMS
+from dqforge.reports.phase_control.emitted_integers import FIXED_CONTROL, FLOAT32_CONTROL
+from dqforge.reports.simulation.tables import FORMATS_NOT_SIMULATED, SIMULATION
+from dqforge.reports.six_step.header import SIX_STEP
+from dqforge.reports.speed_measurement.tables import SPEED_MEASUREMENT
+from dqforge.reports.start_up.tables import START_UP
+from dqforge.reports.waveforms.tables import PHASE_REFERENCE, WAVEFORMS
 
 CAPABILITIES: tuple[Capability[Any], ...] = (
     OPERATING_POINTS,

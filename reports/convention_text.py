@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.pages.html_text import symbols
 

@@ -18,14 +18,19 @@ from dqforge.reports.convention_text import convention_lines
 from dqforge.reports.main_header.dialect import Dialect
 from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
 from dqforge.reports.main_header.header import header_context
-from dqforge.reports.page_frame.file_list import ListedFile, files_table
-from dqforge.reports.page_frame.page_scripts import FIGURES, FOLDING, page_scripts
-from dqforge.reports.pages.chapters import CHAPTERS
-from dqforge.reports.pages.html_table import HtmlTable, counted
-from dqforge.reports.pages.html_text import NARROW, count, number, quantity, symbols, unit_text
-from dqforge.reports.pages.page_figure import page_figure
+from dqforge.reports.page_frame import FIGURES, FOLDING, ListedFile, files_table, page_scripts
+from dqforge.reports.pages.html_text import (
+    NARROW,
+    HtmlTable,
+    count,
+    counted,
+    number,
+    quantity,
+    symbols,
+    unit_text,
+)
 from dqforge.reports.pages.table import NUMBER_AND_UNIT
-from dqforge.reports.pages.templating import render
+from dqforge.reports.pages.templating import CHAPTERS, page_figure, render
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.summary import flashed, watched
 from dqforge.reports.verification.text import compared

@@ -18,15 +18,15 @@ from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Outcome, asked_for
 from dqforge.reports.firmware.design_simulation import simulate_with_firmware
-from dqforge.reports.firmware.text_file import TextFile
-from dqforge.reports.firmware_files.exported import firmware_files
+from dqforge.reports.firmware.target import TextFile
+from dqforge.reports.firmware_files.plain import firmware_files
 from dqforge.reports.firmware_files.settled import settling_verdicts
 from dqforge.reports.main_header.dialect import Dialect
 from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.observers.speed_loop_text import promise_lines, with_promise
 from dqforge.reports.pages.console import shares, stage
-from dqforge.reports.pages.envelope import to_text
+from dqforge.reports.pages.templating import to_text
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.report import render_report
 from dqforge.reports.result import plain_outcome, plain_solution

@@ -8,7 +8,7 @@ import posixpath
 from collections.abc import Mapping
 
 from dqforge.machines.design.design import DesignFiles
-from dqforge.reports.page_frame.file_list import ListedFile
+from dqforge.reports.page_frame import ListedFile
 
 # Name of the list of the files in its folder; it is written last.
 MANIFEST = "dqforge-manifest.json"

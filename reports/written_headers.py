@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dqforge.machines.entries.c_names import check_prefix
-from dqforge.machines.entries.rules import EntryError
+from dqforge.machines.entries.rules import EntryError, check_prefix
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.forms import Emitted
@@ -15,10 +14,9 @@ from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import HeaderKind
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, header_kinds
-from dqforge.reports.current_reference.plain import from_plain
-from dqforge.reports.current_reference.programme import reference_programme
-from dqforge.reports.pages.files import LARGEST_FILE, LARGEST_JSON, read_output
-from dqforge.reports.pages.strict_json import strict_json
+from dqforge.reports.current_reference.plain import from_plain, reference_programme
+from dqforge.reports.pages.answer import LARGEST_FILE, LARGEST_JSON, read_output
+from dqforge.reports.pages.templating import strict_json
 from dqforge.reports.verification.host import Verification, verify_files
 
 

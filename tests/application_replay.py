@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.optimizer.solution import solve
 from dqforge.reports.run import emitted_files
 

@@ -29,7 +29,7 @@ from dqforge.reports.observers.speed_float32_model import (
     speed_observer_gains,
     speed_observer_inputs,
 )
-from dqforge.reports.observers.speed_header import speed_observer_files
+from dqforge.reports.observers.tracker_header import speed_observer_files
 
 COUNT = 300
 

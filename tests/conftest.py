@@ -11,7 +11,7 @@ import drawn_cases
 import pytest
 from hypothesis import settings
 
-from dqforge.reports.operating_system.own_process import fix_kernels
+from dqforge.reports.operating_system.system import fix_kernels
 
 # As in a process of dqforge, before numpy is there.
 fix_kernels()

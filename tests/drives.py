@@ -18,10 +18,9 @@ from dqforge.machines.design.settings import (
     SpeedLoopSettings,
     WaveformSettings,
 )
-from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS
+from dqforge.machines.losses.machine_budget import NO_EXTRA_LOSS
 from dqforge.machines.names import Strategy
 from dqforge.optimizer.current_reference.fit import ReferenceFit
 from dqforge.optimizer.current_reference.forms import CurrentReference

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
-from dqforge.optimizer.current_reference.forms import PENALTY_FROM, Reference
-from dqforge.optimizer.current_reference.integer_form import FixedReference
+from dqforge.optimizer.current_reference.forms import PENALTY_FROM, FixedReference, Reference
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 # Arrays in extended precision (float64 for flux maps, whose splines are doubles).

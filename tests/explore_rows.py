@@ -13,7 +13,7 @@ from typing import Any
 from study_rows import StudyRows
 from study_runs import run_in
 
-from dqforge.reports.command_line.exit_codes import exit_code
+from dqforge.reports.command_line.flags import exit_code
 from dqforge.reports.study_engine.engine_settings import EngineSettings, TlsFiles
 
 

@@ -12,7 +12,7 @@ from urllib.parse import unquote_to_bytes
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from dqforge.reports.pages.page_figure import DataFile, PageFigure
+from dqforge.reports.pages.templating import DataFile, PageFigure
 
 Table = dict[str, list[str]]
 

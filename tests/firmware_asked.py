@@ -11,9 +11,8 @@ from drives import make_design
 
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
-from dqforge.optimizer.firmware.asked import drive_values
 from dqforge.optimizer.firmware.configuration import PiGains
-from dqforge.optimizer.firmware.firmware_method import Asked
+from dqforge.optimizer.firmware.firmware_method import Asked, drive_values
 
 TWO_PI = 2.0 * math.pi
 

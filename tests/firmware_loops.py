@@ -10,23 +10,20 @@ from drives import make_design
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import SpeedLoopSettings
-from dqforge.machines.devices.current_sensing import CurrentSensing
-from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.devices.inverter import CurrentSensing, Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.control_design.gain_set import gains_or_reason
-from dqforge.optimizer.firmware.asked import asked
-from dqforge.optimizer.firmware.configuration import DriveValues
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
-from dqforge.optimizer.firmware.judge import judge
-from dqforge.optimizer.firmware.profile import (
+from dqforge.optimizer.firmware.configuration import (
     CurrentLoops,
+    DriveValues,
     LoopProfile,
     PiController,
     SpeedController,
     SpeedEstimate,
 )
-from dqforge.optimizer.firmware.registry import METHODS
+from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, asked, judge
+from dqforge.optimizer.firmware.own_values import METHODS
 
 # 48 V, 60 rpm/V (line to line, peak), 100 mOhm and 200 uH line to line, 15 pole pairs, 40 A rms.
 PSI = 60.0 / (math.sqrt(3.0) * 2.0 * math.pi * 15 * 60.0)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.firmware.asked import asked
-from dqforge.reports.firmware.registry import TARGETS
-from dqforge.reports.firmware.target import FileTitle
+from dqforge.optimizer.firmware.firmware_method import asked
+from dqforge.reports.firmware.target import TARGETS, FileTitle
 
 DOCS = Path(__file__).parents[1] / "docs"
 

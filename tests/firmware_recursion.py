@@ -9,10 +9,9 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.transforms import Triple, clarke, park, park_inverse
 from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.firmware.configuration import DriveValues
-from dqforge.optimizer.firmware.profile import LoopProfile, PiController
-from dqforge.reports.c_code.float32_functions import SINGLE, rotation, small_rotation, turned, wrap
-from dqforge.reports.control.float32_model import three_leg_duties
+from dqforge.optimizer.firmware.configuration import DriveValues, LoopProfile, PiController
+from dqforge.reports.c_code.harness import SINGLE, rotation, small_rotation, turned, wrap
+from dqforge.reports.control.header import three_leg_duties
 
 F = np.float32
 ZERO, HALF = F(0.0), F(0.5)

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.names import ModulationName, NumberFormat
-from dqforge.optimizer.current_reference.integer_form import FixedReference
+from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
 from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS
-from dqforge.optimizer.fixed_observers.fixed_observer_fit import solve_fixed_observers
-from dqforge.optimizer.fixed_observers.fixed_registry import FIXED_METHODS
+from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
+    FIXED_METHODS,
+    solve_fixed_observers,
+)
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.solution import solve
 from dqforge.reports.control.fixed_header import control_fixed_files

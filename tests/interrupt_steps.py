@@ -13,7 +13,7 @@ from control_chain import Step
 from numpy.typing import NDArray
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.solution import Solution, solve

@@ -6,8 +6,8 @@ from dataclasses import replace
 from functools import cache
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.names import ObserverMethodName
 from dqforge.optimizer.observers.solve import solve_observer

@@ -10,9 +10,8 @@ import numpy as np
 from flint import arb
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.optimizer.certificates.exact_conditions import Local, Task
-from dqforge.optimizer.certificates.interval_newton import UNKNOWN, Interval
-from dqforge.optimizer.certificates.rounding import pieces
+from dqforge.optimizer.certificates.ball import Local, Task, pieces
+from dqforge.optimizer.certificates.current_reference import UNKNOWN, Interval
 from dqforge.optimizer.current_reference.forms import CurrentReference, Polynomials
 from dqforge.optimizer.curves.single_precision import SinglePolynomial
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_design
 from dqforge.optimizer.control_design.gain_set import gains_or_reason
-from dqforge.optimizer.firmware.asked import asked
-from dqforge.optimizer.firmware.firmware_method import Asked
+from dqforge.optimizer.firmware.firmware_method import Asked, asked
 
 SCOOTER = """dqforge: 1
 name: {name}

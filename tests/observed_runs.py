@@ -9,15 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.settings import ObserverSettings, filter_share
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.plants.scenario import PlantErrors, Profile, Scenario, Sensorless, constant
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.loops.gains import speed_delay
-from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.loops.loop_gains import LoopGains, speed_delay
 from dqforge.optimizer.loops.pi_methods import speed_pi
 from dqforge.optimizer.observed_drive.design_drive import (
     observed_drive,
@@ -25,14 +24,13 @@ from dqforge.optimizer.observed_drive.design_drive import (
     top_speed,
 )
 from dqforge.optimizer.observed_drive.drive_cases import drive_cases
-from dqforge.optimizer.observed_drive.fixed_points import SteadyDrives, steady_drives
+from dqforge.optimizer.observed_drive.speed_range import SteadyDrives, steady_drives
 from dqforge.optimizer.observers.solve import solve_observer
 from dqforge.optimizer.solution import solve
 from dqforge.reports.control.header import gain_bytes
 from dqforge.reports.observers.position_header import observer_files, observer_gain_bytes
-from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
 from dqforge.reports.simulation.design_run import controller_files, drive_of
-from dqforge.reports.simulation.recorded_run import Simulation
+from dqforge.reports.simulation.recorded_run import Simulation, Simulator, simulate, simulator
 
 _SHARE = 1.0 / np.sqrt(3.0)
 

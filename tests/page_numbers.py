@@ -20,22 +20,21 @@ from interrupt_steps import interrupts
 from phase_drives import near_sinusoidal, trapezoidal
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import Core, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import Scenario, constant
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
+from dqforge.optimizer.phase_control.design import resampled, shape_error
 from dqforge.optimizer.phase_control.limited_shapes import limited_torques
-from dqforge.optimizer.phase_control.phase_controller import PhaseShape
-from dqforge.optimizer.phase_control.shape_table import resampled, shape_error
-from dqforge.optimizer.phase_control.torque_limit import limit_at
+from dqforge.optimizer.phase_control.phase_controller import PhaseShape, limit_at
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.run import emitted_files
-from dqforge.reports.simulation.compiled_plant import simulate_many, simulator
 from dqforge.reports.simulation.plant_input import Drive
+from dqforge.reports.simulation.recorded_run import simulate_many, simulator
 from dqforge.reports.verification.measured_cost import CallCost, cost_on_target
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"

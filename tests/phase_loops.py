@@ -8,7 +8,7 @@ import numpy as np
 from phase_drives import T_S, near_sinusoidal, plain_control
 
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
-from dqforge.optimizer.phase_control.periodic_step import PhasePlants
+from dqforge.optimizer.phase_control.judged_box import PhasePlants
 from dqforge.optimizer.phase_control.phase_controller import (
     AxisGains,
     HarmonicGains,

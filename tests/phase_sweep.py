@@ -20,34 +20,36 @@ from dqforge.machines.names import Topology
 from dqforge.machines.plants.scenario import InverterModel, Scenario, constant
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import clarke_matrix
-from dqforge.optimizer.loops.gains import tune_current_loop
+from dqforge.optimizer.loops.loop_gains import tune_current_loop
 from dqforge.optimizer.loops.tolerance_box import drive_box
 from dqforge.optimizer.phase_control.design import (
     PhaseLoops,
     judged,
     phase_control,
+    resampled,
     voltage_margin,
 )
-from dqforge.optimizer.phase_control.floquet import radius
-from dqforge.optimizer.phase_control.judged_box import SHARES
-from dqforge.optimizer.phase_control.periodic_step import PhasePlants, weight_of
-from dqforge.optimizer.phase_control.phase_controller import PhaseControl, PhaseShape
-from dqforge.optimizer.phase_control.shape_table import resampled
-from dqforge.optimizer.phase_control.shape_vectors import reference_currents, torque_of
-from dqforge.optimizer.phase_control.torque_limit import largest_torques
+from dqforge.optimizer.phase_control.judged_box import SHARES, PhasePlants, radius, weight_of
+from dqforge.optimizer.phase_control.phase_controller import (
+    PhaseControl,
+    PhaseShape,
+    largest_torques,
+    reference_currents,
+    torque_of,
+)
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.main_header.header import header_files
-from dqforge.reports.phase_control.header import phase_control_files, plain_solution_control
-from dqforge.reports.phase_control.plain import (
+from dqforge.reports.phase_control.header import (
     HARMONIC_NUMBERS,
     MIDPOINT_NUMBERS,
     NUMBERS,
     PIS,
+    phase_control_files,
+    plain_solution_control,
     structure_of,
 )
-from dqforge.reports.simulation.compiled_plant import Simulator, simulate_many, simulator
 from dqforge.reports.simulation.plant_input import Drive
-from dqforge.reports.simulation.recorded_run import Summary
+from dqforge.reports.simulation.recorded_run import Simulator, Summary, simulate_many, simulator
 
 # Sizes of the table that programs are made for: the next one above what the design chose.
 NODES = (720, 1536)

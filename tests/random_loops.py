@@ -10,10 +10,8 @@ from drives import make_design
 from dqforge.machines.design.settings import CurrentLoopSettings, Tolerances
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import CurrentLoopMethod
-from dqforge.optimizer.loops.analysis import analyse_current_loop
-from dqforge.optimizer.loops.loop_batch import BatchMargins, batch_margins, close_loops
-from dqforge.optimizer.loops.loop_gains import LoopGains
-from dqforge.optimizer.loops.pi_methods import current_pi
+from dqforge.optimizer.loops.loop_gains import LoopGains, analyse_current_loop
+from dqforge.optimizer.loops.pi_methods import BatchMargins, batch_margins, close_loops, current_pi
 from dqforge.optimizer.loops.robustness import LoopRobustness, summarise
 from dqforge.optimizer.loops.tolerance_box import BoxPoints, DriveBox
 

@@ -11,8 +11,7 @@ from random_loops import METHODS
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.optimizer.loops.pi_methods import current_pi
-from dqforge.optimizer.speed_box.speed_loop_steps import SpeedLoopNumbers, speed_scale
-from dqforge.optimizer.speed_box.speed_parameters import SpeedBox
+from dqforge.optimizer.speed_box import SpeedBox, SpeedLoopNumbers, speed_scale
 
 RATIOS = (1, 2, 5, 10, 20)
 

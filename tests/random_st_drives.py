@@ -8,13 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
-from dqforge.machines.devices.current_sensing import CurrentSensing
+from dqforge.machines.devices.inverter import CurrentSensing
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.optimizer.firmware.asked import drive_values
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
-from dqforge.optimizer.firmware.firmware_method import Asked
+from dqforge.optimizer.firmware.firmware_method import Asked, drive_values
 
 
 def base_design() -> Design:

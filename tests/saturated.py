@@ -11,8 +11,7 @@ import casadi as ca
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import FluxMap
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.dq_machines.saturation import SaturationModel
 from dqforge.machines.dq_machines.synchronous import (
     FluxJet,

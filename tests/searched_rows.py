@@ -9,16 +9,13 @@ from pathlib import Path
 from typing import Any, SupportsIndex
 
 from dqforge.machines.exploration.study import Study
-from dqforge.machines.exploration.study_reader import study_of_text
-from dqforge.optimizer.exploration.row_block import RowBlock
-from dqforge.optimizer.exploration.row_inputs import Inputs
+from dqforge.machines.exploration.study_checks import study_of_text
+from dqforge.optimizer.exploration.row_block import Inputs, RowBlock
 from dqforge.optimizer.exploration.study_plan import StudyPlan
 from dqforge.optimizer.study_search.searched_study import SearchedStudy
-from dqforge.reports.study_engine.engine_settings import EngineSettings
+from dqforge.reports.study_engine.engine_settings import EngineSettings, StudyOutcome
 from dqforge.reports.study_engine.run_search import run_search
-from dqforge.reports.study_engine.study_outcome import StudyOutcome
-from dqforge.reports.study_store.part_store import PartStore
-from dqforge.reports.study_store.study_header import StudyHeader, study_header
+from dqforge.reports.study_store.part_store import PartStore, StudyHeader, study_header
 
 _LOOPS = """\
 dqforge_study: 1

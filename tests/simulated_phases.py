@@ -8,9 +8,9 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import Topology
-from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.machines.phase_machines.salient_phase_machine import (
+from dqforge.machines.phase_machines.phase_machine import (
     AnyPhaseMachine,
+    PhaseMachine,
     SalientPhaseMachine,
 )
 from dqforge.machines.plants.scenario import (

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 
 TEXT = """
 dqforge: 1

@@ -11,8 +11,13 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.observers.method import ObserverMethod
-from dqforge.optimizer.observers.parts import AlphaBeta, Arithmetic, ObserverState, Rotation
+from dqforge.optimizer.observers.parts import (
+    AlphaBeta,
+    Arithmetic,
+    ObserverMethod,
+    ObserverState,
+    Rotation,
+)
 
 
 class Number:

@@ -10,9 +10,12 @@ import numpy as np
 from dqforge.machines.exploration.study import Axis, Draw, Goal, Study
 from dqforge.optimizer.exploration.row_block import STATES, ColumnSpec, RowBlock
 from dqforge.reports.study_store.part_file import encode_part
-from dqforge.reports.study_store.part_store import PartStore
-from dqforge.reports.study_store.plain_study import study_inputs
-from dqforge.reports.study_store.study_header import StudyHeader, study_header
+from dqforge.reports.study_store.part_store import (
+    PartStore,
+    StudyHeader,
+    study_header,
+    study_inputs,
+)
 
 DEVICES = ("fuji-2mbi300xbe120-50", "infineon-ff200r12ke3", "wolfspeed-c2m0045170d")
 COLUMNS = (

@@ -7,11 +7,9 @@ from pathlib import Path
 
 from dqforge.machines.exploration.study import Study
 from dqforge.optimizer.exploration.row_block import RowSource
-from dqforge.reports.study_engine.engine_settings import EngineSettings
+from dqforge.reports.study_engine.engine_settings import EngineSettings, StudyOutcome
 from dqforge.reports.study_engine.run_study import run_study
-from dqforge.reports.study_engine.study_outcome import StudyOutcome
-from dqforge.reports.study_store.part_store import PartStore
-from dqforge.reports.study_store.study_header import study_header
+from dqforge.reports.study_store.part_store import PartStore, study_header
 
 _STUDY = Study("Artificial rows", "", b"machine: {}\n", "made up", "00")
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dqforge.machines.exploration.study_reader import study_of_text
+from dqforge.machines.exploration.study_checks import study_of_text
 from dqforge.optimizer.exploration.row_block import STATES, RowBlock
 from dqforge.optimizer.exploration.study_plan import StudyPlan
 

@@ -18,10 +18,10 @@ import pytest
 
 from dqforge import cli
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError
 from dqforge.reports import answers
-from dqforge.reports.command_line.respond import respond
+from dqforge.reports.command_line.designs import respond
 from dqforge.reports.pages import console
 from dqforge.reports.pages.answer import Answer, Files
 from dqforge.reports.pages.console import LOADING, shares, stage
@@ -250,7 +250,7 @@ def test_stages_are_named_as_they_come(
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr("dqforge.reports.command_line.respond.QUICK_S", 0.0)
+    monkeypatch.setattr("dqforge.reports.command_line.designs.QUICK_S", 0.0)
 
     def ask() -> Answer:
         assert terminal.waits_for(LOADING)
@@ -304,7 +304,7 @@ def test_every_command_names_what_it_does(
         finally:
             console._shown.reset(token)
 
-    monkeypatch.setattr("dqforge.reports.command_line.respond.status", watched)
+    monkeypatch.setattr("dqforge.reports.command_line.designs.status", watched)
     call(*words)
     assert list(dict.fromkeys(each for each in named.stages if each in stages)) == stages
 

@@ -833,7 +833,7 @@ def test_a_disk_that_is_full_is_not_a_fault_of_the_design(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("dqforge.reports.output.folder_swap.replace_content", full)
+    monkeypatch.setattr("dqforge.reports.output.folder.replace_content", full)
     line = one_line(run("export", BENCH, "--no-verify", "-o", "there"), 2)
     assert line.startswith("dqforge: cannot write the folder there: No space left on device;")
 

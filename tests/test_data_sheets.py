@@ -14,14 +14,14 @@ from pseudo_terminals import END, INTERRUPT, PseudoTerminal
 
 from dqforge import cli
 from dqforge.machines.design import catalogue
-from dqforge.machines.exploration import catalogue as studies
+from dqforge.machines.exploration import study_checks as studies
 from dqforge.machines.files.library_files import (
     DESIGN_SCHEMA,
     STUDY_SCHEMA,
     schema_bytes,
     with_modeline,
 )
-from dqforge.reports.firmware.registry import TARGETS
+from dqforge.reports.firmware.target import TARGETS
 
 Call = Callable[..., tuple[int, str, str]]
 terminal = pytest.mark.skipif(sys.platform == "win32", reason="there is no pseudo-terminal")

@@ -15,7 +15,7 @@ from dqforge import cli
 from dqforge.machines.design import catalogue
 from dqforge.machines.names import CurrentFrame
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.reports.session.waveforms import read_back_emf
+from dqforge.reports.session.losses import read_back_emf
 from dqforge.reports.simulation.design_run import simulate_design
 
 DRIVE = "vdyno-trampa-6340"

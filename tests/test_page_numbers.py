@@ -11,7 +11,7 @@ import shutil
 import pytest
 from page_numbers import DOCS, NUMBERS, made, said
 
-from dqforge.optimizer.phase_control.shape_table import RIPPLE
+from dqforge.optimizer.phase_control.design import RIPPLE
 
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?")
 

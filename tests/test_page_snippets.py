@@ -19,7 +19,7 @@ from documented_sessions import ROOT
 from session_pages import Block, parts_of
 
 from dqforge.cli import app
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.schema import json_schema
 
 RUN = ("tutorials", "how-to")

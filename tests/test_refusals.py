@@ -16,8 +16,8 @@ from drives import make_design
 
 from dqforge import cli
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.numerical import numerical_errors, on_design
 from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError
 from dqforge.machines.places import leading_path

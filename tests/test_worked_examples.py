@@ -15,8 +15,8 @@ from dqforge import cli
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.modulation import registry as modulators
 from dqforge.machines.modulation.modulator import Modulator
-from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.methods import registry as observers
+from dqforge.optimizer.observers.parts import ObserverMethod
 from dqforge.reports.written_headers import verify_folder
 
 MODULATOR = "machines/modulation/families/fifth_of_third_harmonic.py"

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.firmware.configuration import Configuration, PiGains
+from dqforge.optimizer.firmware.configuration import (
+    Configuration,
+    CurrentLoops,
+    LoopProfile,
+    PiController,
+    PiGains,
+    PiRule,
+    SpeedController,
+    SpeedEstimate,
+)
 from dqforge.optimizer.firmware.firmware_method import (
     Asked,
     FirmwareMethod,
     FreeGains,
     Price,
     Shortfall,
-)
-from dqforge.optimizer.firmware.profile import (
-    CurrentLoops,
-    LoopProfile,
-    PiController,
-    PiRule,
-    SpeedController,
-    SpeedEstimate,
 )
 
 MOST_PLL_KI = 4e6

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.reports.pages.figures_style import BLUE, INK, TEAL, new_figure, save, style
 from dqforge.reports.simulation.design_run import simulate_design
 

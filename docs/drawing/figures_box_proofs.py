@@ -12,15 +12,17 @@ from matplotlib.patches import Rectangle
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.optimizer.box_proofs.both_axes_sensitivity import sensitivities
-from dqforge.optimizer.box_proofs.cell_queue import Cell, Cut, Proven
-from dqforge.optimizer.box_proofs.current_loop_model import (
+from dqforge.optimizer.box_proofs.cell_queue import (
+    Cell,
     CurrentLoopBox,
+    Cut,
+    Proven,
+    find_certificate,
     largest_moduli,
     loop_matrices,
     root_cell,
     shrunk,
 )
-from dqforge.optimizer.box_proofs.current_loop_search import find_certificate
 from dqforge.optimizer.loops.pi_methods import current_pi
 from dqforge.reports.pages.figures_style import BLUE, ORANGE, new_figure, save, style
 

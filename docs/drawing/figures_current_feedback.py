@@ -22,12 +22,15 @@ from dqforge.machines.plants.current_feedback import (
     hysteresis_frequency,
     simulate_currents,
 )
-from dqforge.machines.plants.current_trace import CurrentTrace
-from dqforge.machines.plants.fed_machine import BridgeDrive
-from dqforge.optimizer.current_feedback.regulator_numbers import METHODS, regulator_plan
-from dqforge.optimizer.current_feedback.regulator_runs import RegulatorRun, run_regulator
+from dqforge.machines.plants.fed_machine import BridgeDrive, CurrentTrace
+from dqforge.optimizer.current_feedback.regulator_runs import (
+    METHODS,
+    RegulatorRun,
+    regulator_plan,
+    run_regulator,
+)
 from dqforge.optimizer.current_feedback.solve import speed_points
-from dqforge.reports.current_feedback.figures import plot_regulators
+from dqforge.reports.current_feedback.tables import plot_regulators
 from dqforge.reports.pages.figures_style import (
     BLUE,
     INK,

@@ -9,7 +9,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices import catalogue
-from dqforge.machines.devices.device import DeviceModel
+from dqforge.machines.devices.inverter import DeviceModel
 from dqforge.reports.pages.figures_style import new_figure, save, style
 
 _TEMPERATURE = 100.0  # degC, junction

@@ -13,8 +13,8 @@ from dqforge.optimizer.observers.methods.ekf_tuning import DriveNoise, band, noi
 from dqforge.optimizer.observers.models.kalman_model import run
 from dqforge.optimizer.observers.models.matsui_errors import closed_form_error, with_errors
 from dqforge.optimizer.observers.models.matsui_model import matsui
-from dqforge.optimizer.observers.trials import CurrentSensor
-from dqforge.optimizer.saliency.injection_run import track
+from dqforge.optimizer.observers.sampled_machine import CurrentSensor
+from dqforge.optimizer.saliency.inform import track
 from dqforge.optimizer.saliency.sampled_injection import cross_saturation_error, injection
 from dqforge.reports.pages.figures_style import MUTED, new_figure, save, style
 

@@ -14,15 +14,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from dqforge.machines.exploration.study import Study
-from dqforge.machines.exploration.study_reader import read_study
+from dqforge.machines.exploration.study_checks import read_study
 from dqforge.optimizer.exploration.row_block import STATES
 from dqforge.optimizer.exploration.study_plan import StudyPlan
 from dqforge.reports.exploration.study_view import StudyView
 from dqforge.reports.exploration.viewing import view_of
 from dqforge.reports.pages.figures_style import BLUE, ORANGE, PALE, TEAL, new_figure, save, style
 from dqforge.reports.study_store.part_file import encode_part
-from dqforge.reports.study_store.part_store import PartStore
-from dqforge.reports.study_store.study_header import study_header
+from dqforge.reports.study_store.part_store import PartStore, study_header
 
 _DRAWN = 20_000
 _BINS = 60

@@ -10,13 +10,13 @@ from scipy.special import ndtr, ndtri
 from dqforge.machines.design import catalogue
 from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.optimizer.study_results.histograms import empty_histogram
+from dqforge.optimizer.study_results.acceptance import empty_histogram
 from dqforge.optimizer.study_results.sensitivities import binned_output, sensitivities
-from dqforge.optimizer.yields.fixed_header import nominal_header
-from dqforge.optimizer.yields.yield_outputs import (
+from dqforge.optimizer.yields import (
     LOSS_PENALTY,
     TORQUE_ERROR,
     TORQUE_MADE,
+    nominal_header,
     yield_outputs,
 )
 from dqforge.reports.pages.figures_style import BLUE, ORANGE, TEAL, new_figure, save, style

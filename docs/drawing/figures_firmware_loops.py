@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dqforge.optimizer.firmware.profile import (
+from dqforge.optimizer.firmware.configuration import (
     CurrentLoops,
     PiController,
     SpeedController,

@@ -14,23 +14,23 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.firmware.one_bandwidth.bandwidth_choice import (
+from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
     MOST_SENSITIVITY,
     bandwidth_asked,
+    torque_rotation,
 )
-from dqforge.optimizer.firmware.one_bandwidth.torque_rotation import torque_rotation
-from dqforge.optimizer.firmware.registry import METHODS
+from dqforge.optimizer.firmware.own_values import METHODS
 from dqforge.optimizer.firmware.sampled_structure import Winding, current_loop
 from dqforge.optimizer.firmware.solve import FirmwareFit, solve_firmware
 from dqforge.optimizer.firmware.targets.simplefoc import SPEED_FILTER
 from dqforge.optimizer.firmware.targets.simplefoc import rule as simplefoc_rule
 from dqforge.optimizer.firmware.targets.vesc import TRACKING_GAIN
 from dqforge.optimizer.firmware.targets.vesc import rule as vesc_rule
-from dqforge.optimizer.firmware.vesc_format.vesc_contradictions import tracking_poles
+from dqforge.optimizer.firmware.vesc_format import tracking_poles
 from dqforge.optimizer.loops.plants import PiLoop
 from dqforge.optimizer.sampled_systems import LoopMargins, constant_input_states, loop_margins
 from dqforge.reports.pages.figures_style import (

@@ -8,15 +8,15 @@ from pathlib import Path
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.scenario import Profile, Scenario
-from dqforge.optimizer.firmware.configuration import DriveValues
-from dqforge.optimizer.firmware.profile import (
+from dqforge.optimizer.firmware.configuration import (
     CurrentLoops,
+    DriveValues,
     LoopProfile,
     PiController,
     SpeedController,
     SpeedEstimate,
 )
-from dqforge.reports.firmware.loop_run import firmware_simulator, simulate_profile
+from dqforge.reports.firmware.target import firmware_simulator, simulate_profile
 from dqforge.reports.pages.figures_style import INK, new_figure, save, style
 from dqforge.reports.simulation.plant_input import Drive
 

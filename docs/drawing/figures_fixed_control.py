@@ -15,7 +15,7 @@ from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.fixed_control.arithmetic import Integers, Reach
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
-from dqforge.optimizer.fixed_control.step import FixedPi, pi_step
+from dqforge.optimizer.fixed_control.transforms import FixedPi, pi_step
 from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, new_figure, save, style
 
 _ASKED_A = 0.4

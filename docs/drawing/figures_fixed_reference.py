@@ -15,9 +15,14 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import WeakeningSettings
 from dqforge.optimizer.field_weakening.voltage_region import voltage_region
 from dqforge.optimizer.fixed_control.design import dc_link
-from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit, fit_mesh
+from dqforge.optimizer.fixed_reference.fit import (
+    CodePoints,
+    FixedReferenceFit,
+    fit_mesh,
+    mesh_currents,
+    phase_limit,
+)
 from dqforge.optimizer.fixed_reference.mesh import CurrentMesh
-from dqforge.optimizer.fixed_reference.mesh_errors import CodePoints, mesh_currents, phase_limit
 from dqforge.optimizer.operating_points.points import optimal_points
 from dqforge.reports.pages.figures_style import BLUE, ORANGE, PALE, new_figure, save, style
 

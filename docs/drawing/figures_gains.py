@@ -10,7 +10,7 @@ import numpy as np
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.loops.analysis import analyse_current_loop, current_step_response
+from dqforge.optimizer.loops.loop_gains import analyse_current_loop, current_step_response
 from dqforge.optimizer.observers.reduced_order import steady_state_error
 from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, new_figure, save, style
 

@@ -15,25 +15,26 @@ from page_text import DOCS, written_file
 
 from dqforge import Design, export_for, load_design, read_firmware, tune
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.firmware.asked import drive_values
-from dqforge.optimizer.firmware.configuration import DriveValues
-from dqforge.optimizer.firmware.judge import mechanics_of
-from dqforge.optimizer.firmware.profile import LoopProfile
+from dqforge.optimizer.firmware.configuration import DriveValues, LoopProfile
+from dqforge.optimizer.firmware.firmware_method import drive_values, mechanics_of
 from dqforge.optimizer.firmware.sampled_structure import Winding, speed_loop
-from dqforge.optimizer.loops.loop_batch import (
+from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.loops.pi_methods import (
     BatchMargins,
     batch_margins,
     close_loops,
     current_plants,
 )
-from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.plants import PiLoop
 from dqforge.optimizer.sampled_systems import constant_input_states, loop_margins
-from dqforge.reports.comparison.rows import Row
-from dqforge.reports.comparison.sides_compared import compare_sides
+from dqforge.reports.comparison.sides_compared import Row, compare_sides
 from dqforge.reports.comparison.sources import solved_side
-from dqforge.reports.firmware.loop_run import firmware_drive, firmware_simulator, simulate_profile
-from dqforge.reports.firmware.standard_steps import standard_steps
+from dqforge.reports.firmware.target import (
+    firmware_drive,
+    firmware_simulator,
+    simulate_profile,
+    standard_steps,
+)
 from dqforge.reports.pages.figures_style import (
     BLUE,
     FAINT,

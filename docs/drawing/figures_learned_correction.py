@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.names import LEARNED_OBSERVERS
+from dqforge.optimizer.observers.reduced_order import Training
 from dqforge.optimizer.observers.solve import solve_observer
-from dqforge.optimizer.observers.training import Training
 from dqforge.reports.pages.figures_style import SERIES, new_figure, save, style
 
 

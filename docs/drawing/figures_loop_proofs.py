@@ -12,11 +12,10 @@ from page_text import DOCS
 from dqforge import load_design
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import CurrentLoopSettings
-from dqforge.optimizer.axis_margins.margin_proof import prove_margins
-from dqforge.optimizer.changing_loops.changing_steps import parallel_step, velocity_step
+from dqforge.optimizer.axis_margins import prove_margins
+from dqforge.optimizer.changing_loops import parallel_step, velocity_step
 from dqforge.optimizer.control_design.gain_set import solve_current_loops
-from dqforge.optimizer.loops.loop_batch import close_loops
-from dqforge.optimizer.loops.pi_methods import current_pi
+from dqforge.optimizer.loops.pi_methods import close_loops, current_pi
 from dqforge.optimizer.loops.robustness import current_robustness
 from dqforge.optimizer.loops.tolerance_box import drive_box
 from dqforge.reports.pages.figures_style import (

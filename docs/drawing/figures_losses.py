@@ -11,18 +11,17 @@ from matplotlib.axes import Axes
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import LoadPoint, LossSettings
-from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.losses.constant_device import bridge_load
 from dqforge.machines.modulation.modulators import linear_limit, period_waveforms
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import solve_map
+from dqforge.optimizer.losses.machine_axis import calibrate_switching
 from dqforge.optimizer.losses.point_comparison import LossComparison, compare_points
-from dqforge.optimizer.losses.switching_calibration import calibrate_switching
 from dqforge.optimizer.modulation_choice.solve import solve_choice
-from dqforge.optimizer.operating_points.mtpa import id0_currents
+from dqforge.optimizer.operating_points.mtpa_locus import id0_currents
 from dqforge.reports.losses.map_figures import plot_loss_map
 from dqforge.reports.modulation_choice.figures import plot_choice
 from dqforge.reports.pages.figures_style import (
@@ -35,7 +34,7 @@ from dqforge.reports.pages.figures_style import (
     save,
     style,
 )
-from dqforge.reports.papers.paper000.loss_columns import table_4
+from dqforge.reports.papers.paper000.stated_method import table_4
 
 COLOURS = {"spwm": MUTED, "svpwm": ORANGE, "ddt-gdpwm": BLUE}
 PARTS = ("copper", "conduction", "switching")

@@ -24,7 +24,7 @@ from dqforge.reports.pages.figures_style import (
     save,
     style,
 )
-from dqforge.reports.session.waveforms import BackEmf, read_back_emf
+from dqforge.reports.session.losses import BackEmf, read_back_emf
 from dqforge.reports.simulation.design_run import simulate_design
 from dqforge.reports.simulation.recorded_run import Simulation
 

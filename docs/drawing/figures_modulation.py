@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from dqforge.machines.modulation.clamping import DISCONTINUOUS, switching_loss_factor
 from dqforge.machines.modulation.modulators import (
     MODULATORS,
     SIX_STEP_AMPLITUDE,
     linear_limit,
     period_waveforms,
 )
-from dqforge.machines.modulation.overmodulation import fundamental
+from dqforge.machines.modulation.registry import DISCONTINUOUS, switching_loss_factor
 from dqforge.machines.modulation.ripple import harmonic_distortion_factor
+from dqforge.machines.modulation.switched_period import fundamental
 from dqforge.machines.names import ModulationName
 from dqforge.reports.pages.figures_style import (
     BLUE,

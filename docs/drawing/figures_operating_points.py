@@ -15,8 +15,9 @@ from dqforge.optimizer.operating_points.characteristics import (
     characteristics,
     envelope,
     envelope_speeds,
+    operating_map,
+    voltage_limit,
 )
-from dqforge.optimizer.operating_points.operating_map import operating_map, voltage_limit
 from dqforge.optimizer.operating_points.points import optimal_points
 from dqforge.optimizer.operating_points.solve import solve_curves
 from dqforge.reports.current_reference.figures import plot_fit, plot_mtpa

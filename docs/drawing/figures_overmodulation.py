@@ -10,8 +10,14 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from dqforge.machines.modulation.hexagon import HEXAGON, INSCRIBED, METHODS, SIX_STEP, overmodulated
-from dqforge.machines.modulation.low_harmonics import ORDERS, voltage_harmonics
+from dqforge.machines.modulation.dead_time import ORDERS, voltage_harmonics
+from dqforge.machines.modulation.registry import (
+    HEXAGON,
+    INSCRIBED,
+    METHODS,
+    SIX_STEP,
+    overmodulated,
+)
 from dqforge.machines.names import OvermodulationName
 from dqforge.machines.transforms import Pair
 from dqforge.reports.pages.figures_style import (

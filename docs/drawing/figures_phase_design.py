@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.phase_control.design import PhaseLoops
 from dqforge.optimizer.phase_control.limited_shapes import limited_deviation, limited_torques
-from dqforge.optimizer.phase_control.shape_vectors import PHASES, reference_currents
-from dqforge.optimizer.phase_control.torque_limit import limit_at
+from dqforge.optimizer.phase_control.phase_controller import PHASES, limit_at, reference_currents
 from dqforge.reports.pages.figures_style import (
     BLUE,
     INK,

@@ -18,8 +18,8 @@ from dqforge.machines.plants.scenario import PlantErrors, Profile, Scenario, con
 from dqforge.optimizer.solution import solve
 from dqforge.reports.control.header import gain_bytes, plain_control
 from dqforge.reports.pages.figures_style import BLUE, INK, ORANGE, new_figure, save, style
-from dqforge.reports.simulation.compiled_plant import simulate, simulator
 from dqforge.reports.simulation.design_run import controller_files, drive_of
+from dqforge.reports.simulation.recorded_run import simulate, simulator
 
 _RPM = math.pi / 30.0
 _MOST = 2400.0 * _RPM

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from dqforge.machines.design import catalogue
-from dqforge.optimizer.saliency.saliency_map import along_locus
+from dqforge.optimizer.saliency.injection import along_locus
 from dqforge.reports.pages.figures_style import new_figure, save, style
 from dqforge.reports.simulation.design_run import simulate_design
 

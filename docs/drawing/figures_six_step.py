@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dqforge.machines.design.loader import load_design
+from dqforge.machines.design.catalogue import load_design
 from dqforge.optimizer.six_step.design import solve_six_step
 from dqforge.reports.pages.figures_style import INK, new_figure, save, style
 from dqforge.reports.six_step.drive_run import commutations, simulate_six_step

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from dqforge.machines.design import catalogue
 from dqforge.machines.names import CurrentFrame, Feedforward
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.phase_control.floquet import radius
-from dqforge.optimizer.phase_control.periodic_step import PhasePlants
+from dqforge.optimizer.phase_control.judged_box import PhasePlants, radius
 from dqforge.optimizer.phase_control.phase_controller import AxisGains, PhaseControl
 from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, new_figure, save, style
 

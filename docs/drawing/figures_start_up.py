@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dqforge.machines.design.loader import load_design, load_text
+from dqforge.machines.design.catalogue import load_design, load_text
 from dqforge.reports.pages.figures_style import save
 from dqforge.reports.simulation.design_run import simulate_design
 from dqforge.reports.simulation.figures import plot_simulation

@@ -18,7 +18,7 @@ from dqforge.reports.pages.figures_style import (
     save,
     style,
 )
-from dqforge.reports.start_up_bench.random_bench import RandomBench, random_bench, recorded_starts
+from dqforge.reports.start_up_bench.random_starts import RandomBench, random_bench, recorded_starts
 
 _COUNT = 24
 

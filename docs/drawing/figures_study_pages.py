@@ -17,10 +17,9 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.exploration.row_designs import design_of
 from dqforge.machines.exploration.study import Axis, Sampling, Study
-from dqforge.optimizer.exploration.row_block import STATES
-from dqforge.optimizer.exploration.row_inputs import row_inputs
+from dqforge.optimizer.exploration.row_block import STATES, row_inputs
 from dqforge.optimizer.variant_steps.exact_steps import ExactSteps
-from dqforge.optimizer.variant_steps.loss_tables import loss_drive
+from dqforge.optimizer.variant_steps.outputs import loss_drive
 from dqforge.optimizer.variant_steps.step_cache import key_of
 from dqforge.reports.pages.figures_style import (
     BLUE,

@@ -11,8 +11,7 @@ from dqforge.machines.back_emf.capture import analyse
 from dqforge.machines.back_emf.columns import BemfCapture
 from dqforge.machines.design import catalogue
 from dqforge.optimizer.waveforms.comparison import compare_waveforms
-from dqforge.reports.back_emf.capture import CaptureReading
-from dqforge.reports.back_emf.figures import plot_capture
+from dqforge.reports.back_emf import CaptureReading, plot_capture
 from dqforge.reports.pages.figures_style import save
 from dqforge.reports.waveforms.figures import plot_waveforms
 

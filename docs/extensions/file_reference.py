@@ -19,7 +19,7 @@ from schema_keys import Group, Key, Schema, groups
 from sphinx.util.docutils import SphinxDirective
 
 from dqforge.machines.design.schema import json_schema
-from dqforge.machines.exploration.study_schema import study_json_schema
+from dqforge.machines.exploration.study import study_json_schema
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx

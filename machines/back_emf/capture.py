@@ -21,19 +21,17 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.back_emf import checks
+from dqforge.machines.back_emf import harmonics as motions
 from dqforge.machines.back_emf import harmonics as numerics
-from dqforge.machines.back_emf import motion as motions
 from dqforge.machines.back_emf.checks import Origin
-from dqforge.machines.back_emf.columns import BemfCapture
-from dqforge.machines.back_emf.harmonics import ComplexArray
-from dqforge.machines.back_emf.motion import Motion
-from dqforge.machines.back_emf.pole_pairs import covers_turn, fit_pole_pairs
-from dqforge.machines.back_emf.result import (
+from dqforge.machines.back_emf.columns import (
+    BemfCapture,
     BemfResult,
     periods_of,
     pole_pairs_of_fit,
     result_of_fit,
 )
+from dqforge.machines.back_emf.harmonics import ComplexArray, Motion, covers_turn, fit_pole_pairs
 
 _COARSE_HARMONICS = 7
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.back_emf.motion import LONG, Motion, evenly, spectrum, spectrum_size
+from dqforge.machines.phase_machines.phase_machine import angles_of, grid
 from dqforge.machines.records import dataclass
 
 ComplexArray = NDArray[np.complex128]
@@ -320,3 +320,379 @@ def quantisation_error(step: FloatArray, noise: FloatArray) -> FloatArray:
     before = np.maximum(noise**2 - step**2 / 12.0, 0.0)
     ratio = before / np.maximum(step**2, before / 30.0 + 1e-300)
     return np.asarray(step / np.pi * np.exp(-2.0 * np.pi**2 * ratio))
+
+
+# Frequency and angle of a periodic record over time, good enough to begin a
+# fit of its harmonics with.
+
+# Samples from which on spectra are taken in single precision, and residuals kept so: a record of
+# 8e6 samples shall take less than 1 GiB.
+LONG = 1 << 20
+
+# Periods below which neighbouring lines of the spectrum run into each other, so that the frequency
+# is searched.
+_SHORT = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Electrical angle over a record of N samples.
+
+    Args:
+        u: Time from -1 at the first to 1 at the last sample, shape (N,); zeros where the angle is
+            given.
+        half: Half the length of the record in s.
+        unit_speed: Electrical speed in rad/s that counts as 1 in `rate`.
+        powers: theta = sum powers[i] u^(i + 1) in rad, shape (P,).
+        given: The angle itself in rad, shape (N,), where it was recorded; the powers are then
+            empty.
+    """
+
+    u: FloatArray
+    half: float
+    unit_speed: float
+    powers: FloatArray
+    given: FloatArray | None = None
+
+    def angle(self) -> FloatArray:
+        """Electrical angle in rad, 0 in the middle of a record over time, shape (N,)."""
+        if self.given is not None:
+            return self.given
+        return np.asarray(
+            np.polynomial.polynomial.polyval(self.u, np.concatenate([[0.0], self.powers]))
+        )
+
+    def rate(self) -> FloatArray:
+        """Electrical speed at each sample over `unit_speed`, shape (N,)."""
+        if self.given is not None:
+            return np.ones_like(self.given)
+        slopes = (
+            np.arange(1.0, self.powers.size + 1.0) * self.powers / (self.half * self.unit_speed)
+        )
+        return np.asarray(np.polynomial.polynomial.polyval(self.u, slopes))
+
+    def thinned(self, stride: int) -> Motion:
+        """Every ``stride``-th sample of it."""
+        return self.part(slice(None, None, stride))
+
+    def part(self, samples: slice) -> Motion:
+        """Some of its samples."""
+        return replace(
+            self, u=self.u[samples], given=None if self.given is None else self.given[samples]
+        )
+
+    @property
+    def frequency(self) -> float:
+        """Mean electrical frequency in Hz."""
+        return float(np.sum(self.powers[::2])) / (2.0 * np.pi * self.half)
+
+
+def sample_interval(time: FloatArray) -> float:
+    """Mean distance in s of ascending sample times, shape (N,)."""
+    return float(time[-1] - time[0]) / (time.size - 1)
+
+
+def evenly(time: FloatArray, values: FloatArray) -> FloatArray:
+    """Values, shape (K, N), at evenly spaced times.
+
+    As they are if the times are even to a tenth of a step.
+    """
+    step = sample_interval(time)
+    # In parts: a long record has no room for differences of all its samples.
+    parts = ((start, time[start : start + LONG]) for start in range(0, time.size, LONG))
+    if all(
+        np.max(np.abs(part - (time[0] + step * np.arange(k, k + part.size)))) < 0.1 * step
+        for k, part in parts
+    ):
+        return values
+    even = np.linspace(time[0], time[-1], time.size)
+    return np.stack([np.interp(even, time, row) for row in values])
+
+
+def rough_frequency(time: FloatArray, voltages: FloatArray) -> tuple[float, float]:
+    """Fundamental frequency in Hz of channels, shape (K, N), good to a fraction of 1 / length.
+
+    With it the share of the channels' power that lies within 15 % of it: nearly all of a machine's,
+    little of noise.
+    """
+    length = time.size * sample_interval(time)
+    count = spectrum_size(time.size)
+    length *= count / time.size
+    window = np.hanning(count)
+    power = np.zeros(count // 2 + 1)
+    for row in voltages:
+        even = evenly(time, row[None])[0, :count]
+        power += spectrum((even - np.mean(even)) * window)
+    peak = 1 + int(np.argmax(power[1:-1]))
+    if peak < _SHORT + 1.0:
+        return _searched_frequency(time, voltages)
+    left, middle, right = np.log(power[peak - 1 : peak + 2] + 1e-300)
+    bend = left - 2.0 * middle + right
+    wide = 3 + int(0.15 * peak)
+    share = float(np.sum(power[max(1, peak - wide) : peak + wide + 1]) / np.sum(power[1:]))
+    return float(peak + (0.5 * (left - right) / bend if bend < 0.0 else 0.0)) / length, share
+
+
+def spectrum_size(count: int) -> int:
+    """Samples of a record that its spectrum is taken of: all, or nearly all of a long one,
+    for which it is quick.
+    """
+    if count <= LONG:
+        return count
+    step = 1 << (count.bit_length() - 11)
+    return count // step * step
+
+
+def spectrum(values: FloatArray) -> FloatArray:
+    """Squared magnitudes of the spectrum of samples, shape (N,); result shape (N / 2 + 1,)."""
+    if values.size <= LONG:
+        return np.asarray(np.abs(np.fft.rfft(values)) ** 2)
+    from scipy.fft import rfft  # in single precision, unlike NumPy's
+
+    lines = rfft(values.astype(np.float32, copy=False))
+    return np.asarray(lines.real**2 + lines.imag**2, dtype=np.float64)
+
+
+def _searched_frequency(time: FloatArray, voltages: FloatArray) -> tuple[float, float]:
+    """Frequency in Hz whose offset and fundamental leave least of a record of few periods,
+    from 0.3 to 6 of them.
+
+    With it the share of the channels' power that they explain.
+    """
+    stride = max(1, time.size // 1024)
+    length = time.size * sample_interval(time)
+    phase = (time[::stride] - time[0]) / length
+    values = voltages[:, ::stride] - np.mean(voltages, axis=1, keepdims=True)
+    periods = np.linspace(0.3, 6.0, 229)
+    turn = 2.0 * np.pi * np.multiply.outer(periods, phase)
+    basis = np.stack([np.ones_like(turn), np.cos(turn), np.sin(turn)], axis=1)  # (F, 3, n)
+    right = basis @ values.T  # (F, 3, K)
+    explained = np.sum(
+        right * np.linalg.solve(basis @ basis.transpose(0, 2, 1), right), axis=(1, 2)
+    )
+    return float(periods[np.argmax(explained)]) / length, float(
+        np.max(explained) / np.sum(values**2)
+    )
+
+
+def rough_motion(time: FloatArray, voltages: FloatArray, frequency: float) -> Motion:
+    """Angle to start from: constant speed for a short record, else the phase of
+    the channel with most of it.
+
+    The phase of the fundamental is that of the channel times exp(-j w t), averaged twice over a
+    period, which removes the offset and the harmonics. A polynomial goes through it: of degree 2 up
+    to 5 periods, then of degree 3.
+    """
+    middle, half = 0.5 * (time[0] + time[-1]), 0.5 * float(time[-1] - time[0])
+    omega = 2.0 * np.pi * frequency
+    periods = frequency * time.size * sample_interval(time)
+    degree = 1 + int(periods >= 1.5) + int(periods >= 5.0)
+    start = Motion((time - middle) / half, half, omega, np.array([omega * half, 0.0, 0.0][:degree]))
+    window = round(time.size / periods)
+    if periods < _SHORT:
+        return start
+    if time.size > LONG:
+        places, phase = _long_phase(time, voltages, omega * half, window)
+    else:
+        places, phase = _phase(time, voltages, omega * half, window)
+    bends = np.polynomial.polynomial.polyfit(places, phase, degree)
+    return replace(start, powers=start.powers + bends[1:])
+
+
+def _phase(
+    time: FloatArray, voltages: FloatArray, speed: float, window: int
+) -> tuple[FloatArray, FloatArray]:
+    """Some 2048 places from -1 to 1, and the phase in rad by which the best channel leads
+    ``speed`` times the place.
+    """
+    grid = np.linspace(-1.0, 1.0, time.size)
+    even = evenly(time, voltages - np.mean(voltages, axis=1, keepdims=True))
+    slow = even * np.exp(-1j * speed * grid)
+    for _ in range(2):
+        total = np.cumsum(np.pad(slow, ((0, 0), (1, 0))), axis=1)
+        slow = (total[:, window:] - total[:, :-window]) / window
+    # The largest channel may be the one that is nothing but noise.
+    share = np.mean(np.abs(slow) ** 2, axis=1) / (np.mean(even**2, axis=1) + 1e-300)
+    inner = slice(window - 1, window - 1 + slow.shape[1])
+    stride = max(1, slow.shape[1] // 2048)
+    phase = np.unwrap(np.angle(slow[int(np.argmax(share))]))[::stride]
+    return grid[inner][::stride], phase
+
+
+def _long_phase(
+    time: FloatArray, voltages: FloatArray, speed: float, window: int
+) -> tuple[FloatArray, FloatArray]:
+    """Like `_phase` for long records: of not many more samples to the period than that needs,
+    once a period.
+    """
+    stride = max(1, window // 64)
+    wide = max(1, window // stride)
+    grid = np.linspace(-1.0, 1.0, time.size)[::stride]
+    # Two running means over a period weigh its samples by a triangle of two.
+    weights = np.minimum(np.arange(1.0, 2 * wide), np.arange(2.0 * wide - 1.0, 0.0, -1.0)) / wide**2
+    firsts = np.arange(0, grid.size - weights.size + 1, wide)
+    found, best = np.empty((0,)), -1.0
+    for row in voltages:
+        even = evenly(time, row[None])[0, ::stride]
+        even = even - np.mean(even)
+        slow = np.empty(firsts.size, np.complex128)
+        for begin in range(0, firsts.size, 2048):
+            samples = firsts[begin : begin + 2048, None] + np.arange(weights.size)
+            slow[begin : begin + 2048] = (
+                even[samples] * np.exp(-1j * speed * grid[samples])
+            ) @ weights
+        share = float(np.mean(np.abs(slow) ** 2) / (np.mean(even**2) + 1e-300))
+        if share > best:
+            found, best = np.unwrap(np.angle(slow)), share
+    return grid[firsts + wide - 1], found
+
+
+# Whether the pole pairs of a machine differ: the harmonics of a capture over the mechanical turn.
+#
+# With theta the electrical angle, orders are multiples of 1/p: those that are not whole are what
+# one pole pair has and another has not. A speed that ripples with the mechanical turn makes the
+# same orders, but raises and lowers the three phases at the same instant.
+
+_MOST_UNKNOWNS = 400
+
+
+_MOST_SAMPLES = 100_000
+
+
+_SAMPLES_PER_PERIOD = 8.0  # of the highest order
+
+
+_NOTED = 0.01
+
+
+_TOGETHER = 0.75
+
+
+_WIDEST_GAP = np.pi / 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PolePairs:
+    """The back-EMF over a mechanical turn of p pole pairs, per electrical speed.
+
+    Args:
+        turns: Number of pole pairs p.
+        revolutions: Mechanical turns that it was found from.
+        orders: Of the electrical angle, 1/p, 2/p, ..., shape (M,).
+        amplitudes, phases, amplitude_uncertainty: As those of a `BemfResult`, shape (3, M).
+        waveform: e / omega_e in V s/rad over theta = 2 pi p j / N, from the harmonics, shape (3,
+            N).
+        fundamentals: Amplitude of the fundamental in V s/rad within each pole pair, shape (3, p).
+        spread: Largest deviation of one of them from the mean of its phase, over that mean.
+        doubt: Half width of the 95 % interval of that deviation, from the uncertainty of the orders
+            between 0 and 2.
+        common: Share of the differences that all three phases have at the same instant, as a ripple
+            of the speed makes them: 0 to 1.
+        differ: Whether the differences exceed what their uncertainty explains.
+    """
+
+    turns: int
+    revolutions: float
+    orders: FloatArray
+    amplitudes: FloatArray
+    phases: FloatArray
+    amplitude_uncertainty: FloatArray
+    waveform: FloatArray
+    fundamentals: FloatArray
+    spread: float
+    doubt: float
+    common: float
+    differ: bool
+
+    @property
+    def finding(self) -> str:
+        """A sentence for the user; empty where there is nothing to say."""
+        if not self.differ or self.spread < _NOTED:
+            return ""
+        text = (
+            f"The pole pairs differ: within a mechanical turn the fundamental of a phase departs "
+            f"from its mean by up to {self.spread:.1%} (+- {self.doubt:.1%}), which is averaged; "
+            "back_emf.span: mechanical in a design keeps it."
+        )
+        if self.common < _TOGETHER:
+            return text
+        return (
+            f"{text} All three phases rise and fall together ({self.common:.0%} of it), as where "
+            "the speed ripples with the turn: capture with more inertia to tell the two apart."
+        )
+
+
+def covers_turn(motion: Motion, periods: float, pole_pairs: int) -> bool:
+    """Whether a record of so many electrical periods shows each pole pair."""
+    if motion.given is None:
+        return periods >= 0.98 * pole_pairs
+    whole = 2.0 * np.pi * pole_pairs
+    seen = np.sort(np.mod(motion.given, whole))
+    return bool(np.max(np.diff(np.concatenate([seen, seen[:1] + whole]))) <= 1.001 * _WIDEST_GAP)
+
+
+def fit_pole_pairs(
+    motion: Motion,
+    voltages: FloatArray,
+    periods: float,
+    pole_pairs: int,
+    harmonics: int,
+) -> HarmonicFit:
+    """Harmonics of three channels over the mechanical angle, of a motion that is known.
+
+    Long records are thinned to what the highest order needs, and their beginning is taken.
+
+    Args:
+        motion: Of the electrical angle, as the whole periods have shown it.
+        voltages: Channels, shape (3, N).
+        periods: Electrical periods that they hold.
+        pole_pairs: Number of pole pairs.
+        harmonics: Highest order of the electrical angle that is wanted.
+    """
+    count = max(1, min(harmonics, _MOST_UNKNOWNS // pole_pairs))
+    samples = voltages.shape[1] / periods
+    stride = max(1, int(samples / (_SAMPLES_PER_PERIOD * count))) if motion.given is None else 1
+    part = slice(0, stride * max(_MOST_SAMPLES, int(1.05 * pole_pairs * samples / stride)), stride)
+    turning = motion.part(part)
+    mechanical = replace(
+        turning,
+        unit_speed=turning.unit_speed / pole_pairs,
+        powers=turning.powers / pole_pairs,
+        given=None if turning.given is None else turning.given / pole_pairs,
+    )
+    return fit_linear(mechanical, voltages[:, part], pole_pairs * count)
+
+
+def pole_pairs_of(
+    phasors: ComplexArray, radius: FloatArray, pole_pairs: int, revolutions: float
+) -> PolePairs:
+    """What aligned phasors A exp(-j phi) in V s/rad and their uncertainty, shapes (3, M),
+    say of the pole pairs.
+    """
+    orders = np.arange(1, phasors.shape[1] + 1) / pole_pairs
+    theta = grid(angles_of(pole_pairs), pole_pairs)
+    waveform = (1j * phasors @ np.exp(1j * np.multiply.outer(orders, theta))).real
+    turned = (waveform * np.exp(-1j * theta)).reshape(3, pole_pairs, -1)
+    fundamentals = 2.0 * np.abs(np.mean(turned, axis=2))
+    means = np.mean(fundamentals, axis=1, keepdims=True)
+    around = slice(0, min(2 * pole_pairs - 1, orders.size))
+    between = np.flatnonzero(np.arange(1, orders.size + 1)[around] % pole_pairs)
+    uncertain = np.sqrt(np.sum(radius[:, between] ** 2, axis=1, keepdims=True))
+    ratio = np.abs(phasors[:, between]) / np.maximum(radius[:, between], 1e-300)
+    sides = phasors[:, between] / phasors[:, pole_pairs - 1 : pole_pairs]
+    power = float(np.sum(np.abs(sides) ** 2))
+    together = 3.0 * float(np.sum(np.abs(np.mean(sides, axis=0)) ** 2))
+    return PolePairs(
+        turns=pole_pairs,
+        revolutions=revolutions,
+        orders=orders,
+        amplitudes=np.abs(phasors),
+        phases=-np.angle(phasors),
+        amplitude_uncertainty=radius,
+        waveform=waveform,
+        fundamentals=fundamentals,
+        spread=float(np.max(np.abs(fundamentals - means) / means)),
+        doubt=float(np.max(uncertain / means)),
+        common=together / power if power > 0.0 else 0.0,
+        differ=bool(np.mean(ratio**2) > 1.0),
+    )

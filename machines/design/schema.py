@@ -1,6 +1,6 @@
 """The design file as a schema: every key with its meaning, unit and default.
 
-The models hold what the file says; `dqforge.machines.design.loader` turns it into a
+The models hold what the file says; `dqforge.machines.design.catalogue` turns it into a
 `dqforge.machines.design.design.Design`.
 """
 

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, get_args
+from collections.abc import Iterator
+from dataclasses import fields
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
-from dqforge.machines.losses.mission import Mission
-from dqforge.machines.modulation.hexagon import HEXAGON, SIX_STEP
-from dqforge.machines.modulation.registry import MODULATORS
+from pydantic import BaseModel, Field, ValidatorFunctionWrapHandler, WrapValidator
+
+from dqforge.machines.entries.kinds import Listing, Section, quantities
+from dqforge.machines.entries.rules import Quantity, QuantityRule
+from dqforge.machines.losses.machine_budget import Mission
+from dqforge.machines.modulation.registry import HEXAGON, MODULATORS, SIX_STEP
 from dqforge.machines.names import (
     SPEED_OBSERVER,
     AlignmentName,
@@ -37,7 +42,9 @@ from dqforge.machines.names import (
     Strategy,
     WaveformForm,
 )
+from dqforge.machines.places import dotted
 from dqforge.machines.records import dataclass
+from dqforge.machines.units.quantities import format_quantity
 
 # How the currents of a machine with any back-EMF are chosen: sinusoids, constant torque without and
 # with zero sequence, and the least copper loss within voltage and current.
@@ -514,3 +521,116 @@ class ExportSettings:
     frame_tables: bool = False
     firmware: tuple[Firmware, ...] = ()
     application: Application | None = None
+
+
+# Speeds that a design file writes without a unit: they are in rad/s,
+# where rpm may have been meant.
+
+# How far above the largest speed a speed without a unit is taken for one in rpm (30/pi = 9.5 lies
+# between them).
+FACTOR = 3.0
+
+
+def bare_speed_remarks(file: Section, largest: Quantity | None) -> tuple[str, ...]:
+    """Sentences on speeds of a file without a unit that lie far above the ``largest`` one,
+    and on a largest one without a unit.
+    """
+    remarks = []
+    for parts, quantity in quantities(file):
+        if quantity.dimension != "speed" or not quantity.bare:
+            continue
+        path = dotted(parts)
+        if path == "machine.max_speed":
+            remarks.append(f"{path} {_bare(quantity)}")
+        elif largest is not None and abs(quantity.si) > FACTOR * largest.si:
+            times = abs(quantity.si) / largest.si
+            remarks.append(f"{path} {_bare(quantity)}; that is {times:.3g} times the largest speed")
+    return tuple(remarks)
+
+
+def bare_speed_hint(quantity: Quantity) -> str:
+    """What to write for a speed that is too large: the unit, where it has none."""
+    if not quantity.bare:
+        return "correct one of them"
+    return (
+        f"'{quantity.text}' has no unit and is taken as rad/s; write '{quantity.text} rpm' if that "
+        "is meant"
+    )
+
+
+def _bare(quantity: Quantity) -> str:
+    speed = format_quantity(quantity.si, "rpm")
+    return (
+        f"has no unit and is taken as {quantity.text} rad/s, {speed}; write '{quantity.text} rpm' "
+        "if that is meant"
+    )
+
+
+def speed_keys(model: type[BaseModel], path: str = "") -> Iterator[str]:
+    """Paths of all keys of a schema that hold a speed; ``[]`` stands for the entries of a list."""
+    for name, field in model.model_fields.items():
+        place = f"{path}.{name}" if path else name
+        if any(
+            isinstance(part, QuantityRule) and part.dimension == "speed" for part in field.metadata
+        ):
+            yield place
+        yield from _inside(field.annotation, place)
+
+
+def _inside(annotation: Any, place: str) -> Iterator[str]:
+    if isinstance(annotation, QuantityRule) and annotation.dimension == "speed":
+        yield place
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield from speed_keys(annotation, place)
+    several = getattr(annotation, "__origin__", None) is tuple
+    for part in get_args(annotation):
+        yield from _inside(part, place + "[]" if several else place)
+
+
+# Settings in SI units from a section of the design file, field by field.
+
+_Settings = TypeVar("_Settings")
+
+
+def settings_from(settings: type[_Settings], section: Section, **given: Any) -> _Settings:
+    """Settings whose fields are the keys of a section.
+
+    Args:
+        settings: A dataclass. A field that bears the name of a key takes its value, a quantity in
+            SI units; a key that the file leaves out leaves the field at its default.
+        section: The section of the file.
+        given: Fields that are more than their key, or have another name than it.
+
+    Raises:
+        TypeError: A field without a default is neither a key nor given.
+    """
+    values = dict(given)
+    for field in fields(settings):  # type: ignore[arg-type]
+        if field.name in values or field.name not in type(section).model_fields:
+            continue
+        value = getattr(section, field.name)
+        if value is not None:
+            values[field.name] = _in_si(value)
+    return settings(**values)
+
+
+def _in_si(value: Any) -> Any:
+    if isinstance(value, Quantity):
+        return value.si
+    if isinstance(value, tuple):
+        return tuple(_in_si(part) for part in value)
+    return value
+
+
+# Keys of a design that name modulators.
+
+
+def _known(value: Any, words: ValidatorFunctionWrapHandler) -> Any:
+    """Let a registered modulator pass; all else is judged by the words of the package."""
+    return value if isinstance(value, str) and value in MODULATORS else words(value)
+
+
+ModulatorKey = Annotated[ModulationName, WrapValidator(_known)]  # The name of a modulator.
+
+# Some modulators, each at most once.
+ModulatorList = Annotated[Listing[ModulatorKey], Field(min_length=1, max_length=len(MODULATORS))]

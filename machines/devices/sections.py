@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 from pydantic import Discriminator, Field, Tag
 
-from dqforge.machines.devices.switch import DeviceKind
-from dqforge.machines.entries.complaints import TAGS
+from dqforge.machines.devices.inverter import DeviceKind
+from dqforge.machines.entries.former_keys import TAGS
 from dqforge.machines.entries.kinds import (
     About,
     Coefficient,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.arrays import BoolArray, FloatArray, IndexArray
-from dqforge.machines.dq_machines.scaled_machines import ScaledMachines
+from dqforge.machines.dq_machines.flux_map import ScaledMachines
 from dqforge.machines.dq_machines.synchronous import (
     FluxFormulas,
     FluxJet,

@@ -9,12 +9,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
-from typing import Any
+from typing import Any, TypeVar, get_args
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
-from dqforge.machines.entries.complaints import models_in
+from dqforge.machines.entries.rules import EntryError, not_one_of, spoken, unknown_key
+from dqforge.machines.errors import InputError
 from dqforge.machines.files.positioned_yaml import YamlDocument, YamlValue
+from dqforge.machines.names import FORMAT_VERSION
 from dqforge.machines.places import KeyPath, Position, dotted
 
 _MARK = "former"
@@ -120,3 +123,346 @@ def deprecated_properties(schema: dict[str, Any]) -> dict[str, Any]:
                 "deprecated": True,
             }
     return found
+
+
+# From a YAML document to the schema's models, with every complaint in plain English
+# at its place in the file.
+
+_Model = TypeVar("_Model", bound=BaseModel)
+
+# What engineers call the keys elsewhere.
+SYNONYMS = {
+    "motor": "machine",
+    "drive": "inverter",
+    "converter": "inverter",
+    "controller": "control",
+    "loss": "losses",
+    "version": "dqforge",
+    "title": "name",
+    "description": "about",
+    "p": "pole_pairs",
+    "n_p": "pole_pairs",
+    "pp": "pole_pairs",
+    "polepairs": "pole_pairs",
+    "pole_number": "poles",
+    "r": "resistance",
+    "rs": "resistance",
+    "r_s": "resistance",
+    "ld": "inductance_d",
+    "l_d": "inductance_d",
+    "lq": "inductance_q",
+    "l_q": "inductance_q",
+    "psi": "magnet_flux",
+    "psi_pm": "magnet_flux",
+    "flux": "magnet_flux",
+    "flux_linkage": "magnet_flux",
+    "ke": "back_emf_constant",
+    "k_e": "back_emf_constant",
+    "k_v": "kv",
+    "speed_constant": "kv",
+    "velocity_constant": "kv",
+    "l": "inductance",
+    "ls": "inductance",
+    "l_s": "inductance",
+    "phase_inductance": "inductance",
+    "phase_resistance": "resistance",
+    "kt": "torque_constant",
+    "k_t": "torque_constant",
+    "i_max": "max_current",
+    "imax": "max_current",
+    "current_limit": "max_current",
+    "current": "max_current",
+    "n_max": "max_speed",
+    "speed": "max_speed",
+    "j": "inertia",
+    "b": "friction",
+    "vdc": "v_dc",
+    "udc": "v_dc",
+    "u_dc": "v_dc",
+    "dc_voltage": "v_dc",
+    "voltage": "v_dc",
+    "fsw": "switching_frequency",
+    "f_sw": "switching_frequency",
+    "pwm_frequency": "switching_frequency",
+    "frequency": "switching_frequency",
+    "deadtime": "dead_time",
+    "f_s": "sampling_frequency",
+    "sampling": "sampling_frequency",
+    "order": "degree",
+    "e_on": "turn_on_energy",
+    "e_off": "turn_off_energy",
+    "e_rr": "reverse_recovery_energy",
+    "rds_on": "on_resistance",
+    "r_ds_on": "on_resistance",
+    "r_th": "thermal_resistance",
+    "rth": "thermal_resistance",
+    "omega": "speed",
+    "omega_m": "speed",
+}
+
+# What to write for keys that every design needs.
+_EXAMPLES = {
+    "dqforge": f"dqforge: {FORMAT_VERSION}",
+    "dqforge_study": "dqforge_study: 1",
+    "name": "name: My first drive",
+    "design": "design: design.yaml, a file beside the study or a drive of the library",
+    "count": "count: 100000",
+    "seed": "seed: 1",
+    "resistance": "resistance: 2.35 Ohm",
+    "axes": "axes: magnet-d",
+    "file": "file: map.csv",
+    "magnet_temperature": "magnet_temperature: 20 degC",
+    "max_current": "max_current: 12 A",
+    "v_dc": "v_dc: 48 V",
+    "switching_frequency": "switching_frequency: 10 kHz",
+    "pole": "pole: 400 rad/s",
+    "duration": "duration: 1 s",
+    "time": "time: 0.2 s",
+    "points": "points: [{torque: 1 N m, speed: 1500 rpm}]",
+    "torque": "torque: 1 N m",
+    "speed": "speed: 1500 rpm",
+    "min_frequency": "min_frequency: 8 kHz",
+    "max_frequency": "max_frequency: 20 kHz",
+    "min": "min: 8 kHz",
+    "max": "max: 10 kHz",
+    "kind": "kind: mosfet",
+    "on_resistance": "on_resistance: 9.5 mOhm",
+    "turn_on_energy": "turn_on_energy: 0.8 mJ",
+    "turn_off_energy": "turn_off_energy: 0.8 mJ",
+    "reference_current": "reference_current: 100 A",
+    "reference_voltage": "reference_voltage: 400 V",
+    "thermal_resistance": "thermal_resistance: 0.3 K/W",
+}
+
+
+def read_model(document: YamlDocument, model: type[_Model]) -> _Model:
+    """Sections of a file of one kind.
+
+    Raises:
+        InputError: With the position of the first fault in the file: an unknown, missing or empty
+            key, a value of the wrong type or unit, or one that is not plausible.
+    """
+    empty = _empty_parts(document)
+    if empty:
+        raise min(empty, key=_place)
+    try:
+        return model.model_validate(document.data)
+    except ValidationError as error:
+        faults = error.errors(include_url=False, include_input=False)
+    faults = _without_echoes(faults)
+    found = [_complaint(fault, document, model) for fault in faults]
+    first = min(found, key=_place)
+    if faults[found.index(first)]["type"] == "missing":
+        lacking = [
+            _to_write(tuple(part for part in fault["loc"] if part not in TAGS))
+            for fault, complaint in zip(faults, found, strict=True)
+            if fault["type"] == "missing" and complaint is not first
+        ]
+        first.message += f"; and also {', '.join(lacking)}" if lacking else ""
+    raise first from None
+
+
+def _place(error: InputError) -> tuple[int, int]:
+    return (error.line or 0, error.column or 0)
+
+
+def _empty_parts(document: YamlDocument) -> list[InputError]:
+    """Complaints about keys without a value: nobody can tell whether the default is meant."""
+    found = []
+    for path in document.values:
+        if path and _lookup(document.data, path) is None:
+            cut = _cut_number(document, path)
+            message = cut or f"{dotted(path)} has no value; write one, or remove the line"
+            found.append(document.error(message, path, key=True))
+    return found
+
+
+def _cut_number(document: YamlDocument, path: KeyPath) -> str:
+    """Complaint about {time: 0,2 s}, which is a time of 0 and a key "2 s";
+    nothing for other keys.
+    """
+    around, key = (
+        _lookup(document.data, path[:-1]) if len(path) > 1 else document.data,
+        str(path[-1]),
+    )
+    if not isinstance(around, dict) or not key[:1].isdigit():
+        return ""
+    names = [str(name) for name in around]
+    before = names[names.index(key) - 1] if names.index(key) > 0 else ""
+    value = around.get(before)
+    if isinstance(value, bool) or not isinstance(value, int):
+        return ""
+    return (
+        f"{dotted((*path[:-1], before))}: '{value},{key}' has a decimal comma; write {value}.{key}"
+    )
+
+
+def _lookup(data: YamlValue, path: KeyPath) -> YamlValue:
+    """Value at a path, or None when there is none."""
+    for part in path:
+        if isinstance(data, dict) and isinstance(part, str):
+            data = data.get(part)
+        elif isinstance(data, list) and isinstance(part, int) and part < len(data):
+            data = data[part]
+        else:
+            return None
+    return data
+
+
+def _without_echoes(faults: list[ErrorDetails]) -> list[ErrorDetails]:
+    """Faults without those that others cause.
+
+    A missing key beside an unknown one is likely the same, misspelt; a list with a wrong entry is
+    also reported as too short.
+    """
+    misspelt = {fault["loc"][:-1] for fault in faults if fault["type"] == "extra_forbidden"}
+    parents = {fault["loc"][:length] for fault in faults for length in range(len(fault["loc"]))}
+    return [
+        fault
+        for fault in faults
+        if not (fault["type"] == "missing" and fault["loc"][:-1] in misspelt)
+        and not (fault["type"] == "too_short" and fault["loc"] in parents)
+    ]
+
+
+def _complaint(fault: ErrorDetails, document: YamlDocument, root: type[BaseModel]) -> InputError:
+    """One fault of the model in plain English, with its position."""
+    tagged: KeyPath = tuple(fault["loc"])
+    path: KeyPath = tuple(part for part in tagged if part not in TAGS)
+    cause = fault.get("ctx", {}).get("error")
+    if isinstance(cause, EntryError) and path != ("dqforge",):
+        part = path if cause.key is None else (*path, cause.key)
+        return document.error(
+            f"{dotted(path)}: {cause.message}",
+            part if part in document.values else path,
+            key=cause.at_key,
+        )
+    if fault["type"] == "extra_forbidden":
+        return document.error(_unknown(tagged, root), path, key=True)
+    if fault["type"] == "missing":
+        return document.error(_missing(path), path[:-1], key=not isinstance(path[-1], int))
+    value = _lookup(document.data, path)
+    return document.error(f"{dotted(path)}: {_expected(fault, value, tagged, root)}", path)
+
+
+def _unknown(path: KeyPath, root: type[BaseModel]) -> str:
+    """What to say on a key that its section does not have."""
+    *section, last = path
+    key, inside = str(last), tuple(section)
+    shown_path = dotted(tuple(part for part in inside if part not in TAGS))
+    where = f"{shown_path}: " if shown_path else ""
+    allowed = tuple(_section(inside, root).model_fields)
+    homes = [dotted(home) or "the top level" for home in _homes(key, root)]
+    if homes and SYNONYMS.get(key) not in allowed:
+        return (
+            f"{where}unknown key '{key}'; it belongs in {' or '.join(homes[:3])}, check the "
+            "indentation"
+        )
+    return where + unknown_key(key, allowed, SYNONYMS)
+
+
+def _homes(key: str, model: type[BaseModel], path: KeyPath = ()) -> list[KeyPath]:
+    """Sections that have a key."""
+    found = [path] if key in model.model_fields else []
+    for name, field in model.model_fields.items():
+        for inner in models_in(field.annotation):
+            found += _homes(key, inner, (*path, name))
+    return found
+
+
+def _to_write(path: KeyPath) -> str:
+    """A further key that is missing, with an example of its value."""
+    *section, key = path
+    example = _EXAMPLES.get(key, f"{key}: ...") if isinstance(key, str) else ""
+    around = dotted(tuple(section))
+    return f"{around}.{example}" if around and example else example or dotted(path)
+
+
+def _missing(path: KeyPath) -> str:
+    *section, key = path
+    if isinstance(key, int):
+        return f"{dotted(tuple(section))}: the list ends too early, entry {key + 1} is missing"
+    name = key
+    if not section and name in ("machine", "inverter"):
+        return f"the section '{name}' is missing; write '{name}:' and its keys indented below"
+    example = _EXAMPLES.get(name, f"{name}: ...")
+    return f"{dotted(tuple(section)) or 'the file'} needs the key '{name}'; write {example}"
+
+
+_TEMPLATES = {
+    "bool_type": "expected true or false, got {got}",
+    "int_type": "expected a whole number, got {got}",
+    "int_from_float": "expected a whole number, got {got}",
+    "float_type": "expected a number without a unit, got {got}",
+    "string_type": "expected a text, got {got}; put it in quotes",
+    "string_too_short": "the text is empty; write one",
+    "model_type": "expected a section with keys, got {got}; write its keys indented below",
+    "model_attributes_type": (
+        "expected a section with keys, got {got}; write its keys indented below"
+    ),
+    "dict_type": "expected a mapping, got {got}; write its keys indented below",
+    "tuple_type": "expected a list such as [1, 2], got {got}",
+    "greater_than": "expected a number greater than {gt:g}, got {got}",
+    "greater_than_equal": "expected a number of at least {ge:g}, got {got}",
+    "less_than": "expected a number less than {lt:g}, got {got}",
+    "less_than_equal": "expected a number of at most {le:g}, got {got}",
+    "too_short": "expected a list of at least {min_length}, got {actual_length}",
+    "too_long": "expected a list of at most {max_length}, got {actual_length}",
+}
+
+
+def _expected(fault: ErrorDetails, value: YamlValue, path: KeyPath, root: type[BaseModel]) -> str:
+    """What was expected instead of a value, and what to write."""
+    got = spoken(value)
+    if path in (("dqforge",), ("dqforge_study",)):
+        return (
+            f"this program reads version {FORMAT_VERSION} of the format, got {got}; write "
+            f"{path[0]}: {FORMAT_VERSION}"
+        )
+    if fault["type"] == "literal_error":
+        return not_one_of(value, _choices(path, root))
+    model = str(fault["type"]).startswith("model_")
+    if model and path[:2] == ("inverter", "device") and isinstance(value, str):
+        return f"expected a section with keys, got {got}; write {{name: {value}}}"
+    if model and isinstance(value, str) and "file" in _section(path, root).model_fields:
+        return f"expected a section with keys, got {got}; write {{file: {value}}}"
+    template = _TEMPLATES.get(fault["type"], "{got} is not understood here")
+    return template.format(got=got, **fault.get("ctx", {}))
+
+
+def _section(path: KeyPath, root: type[BaseModel]) -> type[BaseModel]:
+    """Model of the section at a path; of two forms of a section the one that its tag names."""
+    model: type[BaseModel] = root
+    forms = [model]
+    for part in path:
+        if part in TAGS:
+            model = forms[TAGS.index(str(part))]
+        elif isinstance(part, str):
+            forms = models_in(model.model_fields[part].annotation)
+            model = forms[0]
+    return model
+
+
+def models_in(annotation: Any) -> list[type[BaseModel]]:
+    """Sections that a type permits."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for inner in get_args(annotation) for model in models_in(inner)]
+
+
+def _choices(path: KeyPath, root: type[BaseModel]) -> tuple[str, ...]:
+    """Values that the ``Literal`` at a path allows."""
+    keys = tuple(part for part in path if isinstance(part, str))
+    annotation = _section(keys[:-1], root).model_fields[keys[-1]].annotation
+    return _texts_in(annotation)
+
+
+def _texts_in(annotation: Any) -> tuple[str, ...]:
+    if isinstance(annotation, str):
+        return (annotation,)
+    return tuple(text for inner in get_args(annotation) for text in _texts_in(inner))
+
+
+# How the two forms of ``inverter.device`` are told apart in the paths of faults; no key can be
+# called so.
+TAGS = ("(constants)", "(reference)")

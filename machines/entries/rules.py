@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Any, get_args
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-from dqforge.machines.entries.kind_choice import KindChoice
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Firmware, NumberFormat
 from dqforge.machines.records import dataclass
@@ -470,3 +471,282 @@ def not_one_of(value: object, choices: tuple[object, ...]) -> str:
 def si_of(quantity: Quantity | None) -> float | None:
     """SI value of an optional entry."""
     return None if quantity is None else quantity.si
+
+
+# Names of headers that a written header would shadow, since a folder given with -I is
+# searched before the library's.
+#
+# File systems of Windows and macOS take ``Math.h`` for ``math.h``, so that all names are
+# compared without their case.
+
+_C = """
+assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic stdbit
+stdbool stdckdint stddef stdint stdio stdlib stdmchar stdnoreturn string tgmath threads time uchar wchar wctype
+"""
+
+_CPP = """
+algorithm any array atomic barrier bit bitset cassert ccomplex cctype cerrno cfenv cfloat charconv chrono cinttypes
+ciso646 climits clocale cmath codecvt compare complex concepts condition_variable contracts coroutine csetjmp csignal
+cstdalign cstdarg cstdbool cstddef cstdint cstdio cstdlib cstring ctgmath ctime cuchar cwchar cwctype debugging deque
+exception execution expected filesystem flat_map flat_set format forward_list fstream functional future generator
+hazard_pointer hive initializer_list inplace_vector iomanip ios iosfwd iostream istream iterator latch limits linalg
+list locale map mdspan memory memory_resource meta mutex new numbers numeric optional ostream print queue random ranges
+ratio rcu regex scoped_allocator semaphore set shared_mutex simd source_location span spanstream sstream stack
+stacktrace std stdexcept stdfloat stop_token streambuf string string_view strstream syncstream system_error
+text_encoding thread tuple type_traits typeindex typeinfo unordered_map unordered_set utility valarray variant vector
+version
+"""
+
+_SYSTEM = """
+aio alloca aliases argp argz ar bits byteswap conio cpio cxxabi dirent direct dlfcn elf endian err error execinfo
+fcntl features fmtmsg
+fnmatch ftw getopt glob grp iconv immintrin intrin io langinfo libgen link malloc mem memory monetary mqueue ndbm net
+netdb nl_types omp poll process pthread pwd quadmath regex regexp reent resolv sched search semaphore share spawn stab
+strings syscall sysexits syslog syslimits tar term termios trace ucontext ulimit unistd unwind utime utmp utmpx values
+varargs wait windows winsock2 wordexp newlib picolibc xlocale stdfix float_h yvals yvals_core corecrt vcruntime
+crypt envz fstab fts gconv gshadow ifaddrs lastlog mcheck mntent nss obstack paths printf pty re_comp shadow sgtty
+stdio_ext termcap termio thread_db ttyent
+con prn aux nul com1 com2 com3 com4 com5 com6 com7 com8 com9 lpt1 lpt2 lpt3 lpt4 lpt5 lpt6 lpt7 lpt8 lpt9
+"""
+
+_VENDOR = """
+main arm_math arm_math_types arm_math_memory arm_const_structs arm_common_tables arm_acle arm_cmse arm_fp16 arm_mve
+arm_mve_types arm_neon arm_bf16 arm_cde arm_helium_utils arm_vec_math tz_context mpu_armv7 mpu_armv8 pmu_armv8
+cachel1_armv7 rte_components rte_device task timers event_groups stream_buffer message_buffer croutine portable
+projdefs deprecated_definitions atomic stack_macros mpu_wrappers portmacro portable list queue semphr tx_api tx_port
+ux_api fx_api nx_api os_cpu os_cfg ucos_ii rtthread rtconfig rtdef zephyr device devicetree kernel
+gpio tim adc dma usart spi i2c can fdcan rcc pwr flash crc rtc iwdg wwdg hrtim cordic fmac opamp comp dac
+usb_device usbd_conf usbd_desc usb_host fatfs lwip ethernetif
+pwm_curr_fdbk speed_pos_fdbk speed_torq_ctrl pid_regulator ramp_ext_mngr circle_limitation pqd_motorpowermeasurement
+bus_voltage_sensor ntc_temperature_sensor open_loop revup_ctrl sto_speed_pos_fdbk virtual_speed_sensor digital_output
+parameters_conversion drive_parameters power_stage_parameters pmsm_motor_parameters regular_conversion_manager
+flux_weakening_ctrl max_torque_per_ampere feed_forward_ctrl encoder_speed_pos_fdbk hall_speed_pos_fdbk trajectory_ctrl
+f2802x f2803x f2806x f28002x f28003x f28004x f2807x f2837xd f2837xs f2838x f28p55x f28p65x device_config driverlib
+hw_types hw_memmap iqmathlib math_hal mathlib fpu clarke park ipark svgen ctrl est hal hal_data user types
+fsl_common fsl_clock fsl_device_registers board pin_mux clock_config peripherals mlib gflib gmclib gdflib amclib gpclib
+mlib_types fsl_adc fsl_pwm hal_gpio hal_entry bsp_api common_data r_ioport r_typedefs iodefine xmc_common xmc_gpio
+cy_device cy_pdl cybsp cyhal sam samd21 saml21 same54 atmel_start definitions xc dspic33 p33exxxx avr interrupt
+pico pico_stdlib hardware esp_system sdkconfig nrf nrfx nrf_gpio em_device em_chip renesas arduino wiring hardwareserial
+wprogram wire simplefoc rtwtypes rt_nonfinite rtw_continuous rtw_solver multiword_types zero_crossing_types
+tmwtypes builtin_typeid_types simstruc
+"""
+
+_FAMILIES = re.compile(
+    r"stm32\w*|stm8\w*|system_\w+|startup_\w+|core_(?:c[amr]\w+|sc\d+|starmc\w*)|cmsis\w*|freertos\w*|arm_math\w*"
+    r"|arm_nn\w*|mc_\w+|mcp_\w+|motorcontrol\w*|misra_\w+|fsl_\w+|nrf_\w+|nrfx_\w+|esp_\w+|lpc\d+\w*|mk[elv]\d+\w*"
+    r"|mimxrt\w*|gd32\w*|at32\w*|apm32\w*|hc32\w*|hk32\w*|mm32\w*|ch32\w*|xmc[147]\w*|tle98\w*|tms320\w*|msp43\w*"
+    r"|hw_\w+|r_cg_\w+|r_bsp\w*"
+)
+
+# Names that Windows keeps for devices, whatever their suffix.
+_DEVICE = re.compile(r"con|prn|aux|nul|(?:com|lpt)[0-9]")
+_STANDARD = frozenset((_C + _CPP).split())
+_OTHERS = frozenset((_SYSTEM + _VENDOR).split())
+
+# What follows the prefix in the names of written headers.
+SUFFIXES = tuple(
+    suffix + kind
+    for suffix in (
+        "",
+        "_control",
+        "_control_q15",
+        "_control_q31",
+        "_reference_q15",
+        "_reference_q31",
+        "_observer",
+        "_observer_q15",
+        "_observer_q31",
+        "_speed_observer",
+        "_speed_measurement",
+        "_start_observer",
+        "_startup",
+        "_six_step",
+        "_current_feedback",
+        "_hardware",
+        "_application",
+        "_waveform",
+        "_modulation",
+        "_gains",
+        "_weakening",
+        "_frames",
+    )
+    for kind in ("", "_vectors")
+)
+
+
+def taken_header(prefix: str) -> str:
+    """What a header is whose name one of the files of a prefix would have,
+    such as ``the standard header math.h``.
+
+    Empty where all names are free.
+    """
+    for suffix in SUFFIXES:
+        name = (prefix + suffix).casefold()
+        if _DEVICE.fullmatch(name):
+            return f"{name}.h, which Windows keeps for a device"
+        if name in _STANDARD:
+            return f"{name}.h, a header of the standard library"
+        if name in _OTHERS or _FAMILIES.fullmatch(name):
+            return f"{name}.h, a common header of operating systems and vendors"
+    # A prefix such as math_h is what remains of "math.h", and means the same.
+    stem = re.sub(r"_(?:h|hpp|hxx)$", "", prefix.casefold())
+    return taken_header(stem) if stem != prefix.casefold() else ""
+
+
+# Which kind of value an entry has: by the words of its text, or by its key ``kind``.
+
+# Words that suggestions know besides the names of the kinds.
+SPELLINGS = (
+    "phase-to-phase",
+    "terminal",
+    "terminal-to-terminal",
+    "l-l",
+    "per phase",
+    "phase-to-neutral",
+    "winding",
+    "pk",
+    "amplitude",
+    "effective",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class KindChoice:
+    """Kinds of which an entry has one.
+
+    Args:
+        kinds: Their names, such as ``phase`` and ``line-to-line``.
+        places: What other places are called here (`Dimension.places`).
+    """
+
+    kinds: tuple[str, ...]
+    places: Mapping[str, str]
+
+    def named(self, text: str) -> KindWords:
+        """Marks of the key ``kind``.
+
+        Raises:
+            InputError: The text is no kind, or leaves it open.
+        """
+        words = kind_words(text)
+        if words is None:
+            raise InputError(self._none_of(text))
+        return words
+
+    def meant(self, said: Sequence[KindWords]) -> str | None:
+        """The kind that is meant by what the text and the key say, None where they say nothing.
+
+        Raises:
+            InputError: They contradict each other, name none of the kinds, or leave open which.
+        """
+        marks = [(words, (self._place(words), words.measure)) for words in said]
+        place, measure = (
+            next((mark[slot] for _, mark in marks if mark[slot]), "") for slot in (0, 1)
+        )
+        for words, mark in marks:
+            if mark[0] not in ("", place) or mark[1] not in ("", measure):
+                raise InputError(
+                    f"the text says {shown(said[0].text)}, its kind says {shown(words.text)}; "
+                    "remove the wrong one"
+                )
+        if not place and not measure:
+            return None
+        texts = ", ".join(words.text for words in said)
+        slots = {kind: _slots(kind) for kind in self.kinds}
+        exact = [kind for kind, own in slots.items() if own == (place, measure)]
+        fitting = exact or [
+            kind
+            for kind, (own_place, own_measure) in slots.items()
+            if place in ("", own_place) and measure in ("", own_measure)
+        ]
+        if not fitting:
+            raise InputError(self._none_of(texts))
+        if len(fitting) > 1:
+            raise InputError(f"{shown(texts)} leaves open {' or '.join(fitting)}; write one")
+        return fitting[0]
+
+    def _place(self, words: KindWords) -> str:
+        """The place that words name, as the kinds call it; empty where it says nothing here."""
+        known = {_slots(kind)[0] for kind in self.kinds}
+        place: str | None = words.place
+        while place and place not in known:
+            place = self.places.get(place)
+        if place is None:
+            raise InputError(self._none_of(words.text))
+        return place
+
+    def _none_of(self, text: str) -> str:
+        near = close_matches(text, [*self.kinds, *SPELLINGS], limit=1)
+        hint = f"; did you mean '{near[0]}'?" if near and near[0] != text else ""
+        return f"expected one of {', '.join(self.kinds)}, got the text {shown(text)}{hint}"
+
+
+@cache
+def _slots(kind: str) -> tuple[str, str]:
+    """Place and measure of the name of a kind."""
+    words = kind_words(kind)
+    return ("", "") if words is None else (words.place, words.measure)
+
+
+# Names that may stand in generated code.
+
+MAX_PREFIX = 31  # C99 guarantees no more significant characters of an external name
+
+
+_C_KEYWORDS = """
+auto break case char const continue default do double else enum extern float for goto if inline int long register
+restrict return short signed sizeof static struct switch typedef union unsigned void volatile while main
+alignas alignof bool constexpr false nullptr static_assert thread_local true typeof typeof_unqual
+"""
+
+
+_CPP_KEYWORDS = """
+and and_eq asm atomic_cancel atomic_commit atomic_noexcept bitand bitor catch char8_t char16_t char32_t class compl
+concept consteval constinit const_cast co_await co_return co_yield decltype delete dynamic_cast explicit export friend
+mutable namespace new noexcept not not_eq operator or or_eq private protected public reflexpr reinterpret_cast requires
+static_cast synchronized template this throw try typeid typename using virtual wchar_t xor xor_eq std
+"""
+
+
+KEYWORDS = frozenset(_C_KEYWORDS.split()) | frozenset(_CPP_KEYWORDS.split())
+
+
+def _free(prefix: str) -> str:
+    """Prefix like the one that is taken, whose files shadow nothing."""
+    for candidate in (f"{prefix[: MAX_PREFIX - 1]}1", f"my_{prefix}"[:MAX_PREFIX].rstrip("_")):
+        if not taken_header(candidate):
+            return candidate
+    return "motor1"
+
+
+def check_prefix(prefix: str) -> str:
+    """Prefix of all names in the generated code, unchanged.
+
+    Raises:
+        EntryError: The prefix is no identifier in C and C++, or reserved there, or a header of its
+            name would shadow one of the standard library or of a vendor.
+    """
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", prefix, re.ASCII):
+        # Letters with accents keep their base letter: Motör becomes Motor.
+        plain = unicodedata.normalize("NFKD", prefix).encode("ascii", "ignore").decode()
+        hint = re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_0123456789")[:MAX_PREFIX].strip("_")
+        write = f"; write e.g. {hint}" if hint and hint not in KEYWORDS else "; write e.g. motor1"
+        raise EntryError(
+            f"{shown(prefix)} is not an identifier in C: letters, digits and '_', a letter "
+            f"first{write}"
+        )
+    if prefix.startswith("_") or prefix.endswith("_") or "__" in prefix:
+        hint = re.sub(r"_+", "_", prefix).strip("_") or "motor1"
+        raise EntryError(
+            f"{shown(prefix)} leads to names that C and C++ reserve ('_' outside, '__'); write "
+            f"e.g. {hint}"
+        )
+    if len(prefix) > MAX_PREFIX:
+        raise EntryError(f"the prefix has {len(prefix)} characters; write at most {MAX_PREFIX}")
+    if prefix in KEYWORDS:
+        raise EntryError(f"{shown(prefix)} is a word of C or C++; write e.g. {prefix}1")
+    if taken := taken_header(prefix):
+        raise EntryError(
+            f"{shown(prefix)} would write a file that shadows {taken}; write e.g. {_free(prefix)}"
+        )
+    return prefix

@@ -5,23 +5,36 @@ a value is in SI units.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
+import numpy as np
 from pydantic import BaseModel
 
 from dqforge.machines.design.schema import DesignFile
-from dqforge.machines.entries.complaints import SYNONYMS
-from dqforge.machines.entries.former_keys import present_path
-from dqforge.machines.entries.rules import CountRule, EntryError, QuantityRule, Rule, spoken
-from dqforge.machines.files.positioned_yaml import YamlValue
-from dqforge.machines.places import KeyPath
+from dqforge.machines.design.sections.machine.magnet_flux import FLUX_KEYS
+from dqforge.machines.entries.former_keys import SYNONYMS, present_path
+from dqforge.machines.entries.kinds import Between
+from dqforge.machines.entries.rules import (
+    CountRule,
+    EntryError,
+    Quantity,
+    QuantityRule,
+    Rule,
+    spoken,
+    unknown_key,
+)
+from dqforge.machines.errors import InputError
+from dqforge.machines.exploration.study import Draw, StudyFile, Tolerance
+from dqforge.machines.files.positioned_yaml import YamlDocument, YamlValue
+from dqforge.machines.places import KeyPath, dotted
 from dqforge.machines.records import dataclass
+from dqforge.machines.units.quantities import read_quantity
 from dqforge.machines.units.registry import DIMENSIONS
-from dqforge.machines.wording import close_matches
+from dqforge.machines.wording import close_matches, shown
 
 KeySort = Literal["quantity", "count", "whole", "real", "word", "other"]
 
@@ -201,3 +214,342 @@ def _leaf(path: KeyPath, forms: list[tuple[Any, list[Any]]], name: str) -> Desig
     models = [annotation for annotation in annotations if _is_model(annotation)]
     keys = tuple(dict.fromkeys(key for model in models for key in model.model_fields))
     return DesignKey(name, path, "other", parts=keys, listed=listed)
+
+
+# The sections ``tolerances`` and ``draw`` of a study: what is drawn, and how often.
+
+_KINDS = ("normal", "uniform", "between")
+_SECTION = "tolerances"
+_EXAMPLE = "{normal: 5 %}"
+
+# Keys of a design that its ``control.tolerances`` are about.
+_BOX: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("r_s", ("machine.resistance",)),
+    ("l_d", ("machine.inductance_d",)),
+    ("l_q", ("machine.inductance_q",)),
+    ("psi_pm", tuple(f"machine.{key}" for key in FLUX_KEYS)),
+    ("inertia", ("machine.inertia",)),
+    ("v_dc", ("inverter.v_dc",)),
+)
+
+# Value of the design at a key in SI units, None where it has none.
+ValueOf = Callable[[DesignKey], float | None]
+
+
+def read_tolerances(
+    document: YamlDocument, file: DesignFile, value_of: ValueOf
+) -> tuple[Tolerance, ...]:
+    """What is drawn, in the order of the keys.
+
+    Args:
+        document: The study file.
+        file: The design that it starts from, with what the study sets.
+        value_of: Its value at a key.
+
+    Raises:
+        InputError: A key is none of a design, or has no distribution; a width is of another unit,
+            or negative.
+    """
+    section = document.data.get(_SECTION, {})
+    path: KeyPath = (_SECTION,)
+    if section == "design":
+        section = {"design": "uniform"}
+    elif not isinstance(section, dict):
+        message = f"expected keys of the design, or the word design, got {spoken(section)}"
+        raise complaint(document, path, message)
+    drawn = {}
+    if "design" in section:
+        if section["design"] != "uniform":
+            message = f"expected uniform, got {spoken(section['design'])}"
+            raise complaint(document, (*path, "design"), message)
+        drawn = {found.key: found for found in _box(document, file, value_of)}
+    for name, entry in section.items():
+        if name != "design":
+            drawn[name] = _tolerance(document, (*path, name), entry, value_of)
+    return tuple(drawn[name] for name in sorted(drawn))
+
+
+def _box(document: YamlDocument, file: DesignFile, value_of: ValueOf) -> list[Tolerance]:
+    """Uniform distributions over the box of the design's own tolerances."""
+    path: KeyPath = (_SECTION, "design") if (_SECTION, "design") in document.keys else (_SECTION,)
+    given = file.control.tolerances
+    if given is None:
+        raise complaint(
+            document, path, "the design has no control.tolerances; write the keys here", key=True
+        )
+    found = []
+    for name, choices in _BOX:
+        deviation = getattr(given, name)
+        if deviation is None:
+            continue
+        at = next(
+            ((key, value) for key in choices if (value := _value(key, value_of)) is not None), None
+        )
+        if at is None:
+            raise complaint(
+                document,
+                path,
+                f"control.tolerances.{name} has no key to draw: the design has no {choices[0]}",
+                key=True,
+            )
+        found.append(_deviation(deviation, *at))
+    if not found:
+        raise complaint(
+            document, path, "control.tolerances of the design have no key to draw", key=True
+        )
+    return found
+
+
+def _value(name: str, value_of: ValueOf) -> float | None:
+    key = design_key(name)
+    return None if key is None else value_of(key)
+
+
+def _deviation(deviation: Quantity | Between, name: str, centre: float) -> Tolerance:
+    if isinstance(deviation, Between):
+        ends = sorted(centre * (1.0 + side.si) for side in (deviation.low, deviation.high))
+        return Tolerance(name, "between", low=ends[0], high=ends[1], centre=centre)
+    return Tolerance(name, "uniform", width=deviation.si, centre=centre)
+
+
+def _tolerance(
+    document: YamlDocument, path: KeyPath, entry: YamlValue, value_of: ValueOf
+) -> Tolerance:
+    """One key that is drawn."""
+    key = known_key(document, path)
+    if key.sort not in ("quantity", "real"):
+        what = {"word": "a word", "count": "a whole number", "whole": "a whole number"}
+        name = what.get(key.sort, "a list" if key.listed else "a section")
+        raise complaint(
+            document, path, f"{name} has no distribution; write values: [...] under vary", key=True
+        )
+    given = mapping_at(document, path, entry, (*_KINDS, "cut"), _EXAMPLE)
+    kind = only_one(document, path, given, _KINDS)
+    if "cut" in given and kind != "normal":
+        raise complaint(document, (*path, "cut"), "goes with normal", key=True)
+    centre = value_of(key)
+    if kind == "between":
+        return _between(document, (*path, kind), key, given[kind], centre)
+    width, relative = _width(document, (*path, kind), key, given[kind])
+    if centre is None or (relative and centre == 0.0):
+        lack = "has no value in" if centre is None else "is 0 in"
+        raise complaint(
+            document,
+            path,
+            f"{key.name} {lack} the design, so that there is nothing to deviate from; write "
+            "between: [..., ...]",
+            key=True,
+        )
+    found = Tolerance(key.name, "uniform", width, relative, centre=centre)
+    if kind == "uniform":
+        return found
+    return replace(found, kind="normal", cut=_cut(document, (*path, "cut"), given.get("cut", 3.0)))
+
+
+def _cut(document: YamlDocument, path: KeyPath, value: YamlValue) -> float:
+    """Standard deviations at which a normal distribution ends."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise complaint(
+            document, path, f"expected a number of standard deviations, got {spoken(value)}"
+        )
+    if not 0.1 <= value <= 8.0:
+        raise complaint(document, path, f"expected 0.1 to 8, got {spoken(value)}; write e.g. 3")
+    return float(value)
+
+
+def _width(
+    document: YamlDocument, path: KeyPath, key: DesignKey, value: YamlValue
+) -> tuple[float, bool]:
+    """Width of a distribution, and whether it is a share of the design's value."""
+    share = share_of(value)
+    if share is not None:
+        width, relative = share, True
+    else:
+        if key.dimension == "temperature" and isinstance(value, str):
+            # A difference: 5 K are not -268 degC.
+            value = value.strip().removesuffix("degC").removesuffix("°C").removesuffix("K").strip()
+        width, relative = number_at(document, path, key, value)[0], False
+    if width < 0.0:
+        raise complaint(document, path, f"{shown(value)} is negative; write a positive width")
+    if width == 0.0:
+        raise complaint(document, path, "nothing is drawn of a width of 0; remove the key")
+    if relative and width > 10.0:
+        raise complaint(document, path, f"{shown(value)} is more than 1000 %; check the number")
+    return width, relative
+
+
+def _between(
+    document: YamlDocument, path: KeyPath, key: DesignKey, value: YamlValue, centre: float | None
+) -> Tolerance:
+    """``between: [low, high]``; shares are of the design's value."""
+    if not isinstance(value, list) or len(value) != 2:
+        raise complaint(
+            document, path, f"expected two ends, got {spoken(value)}; write [low, high]"
+        )
+    ends = []
+    for index, end in enumerate(value):
+        place, share = (*path, index), share_of(end)
+        if share is None:
+            ends.append(number_at(document, place, key, end)[0])
+        elif centre is None or centre == 0.0:
+            message = (
+                f"a share needs a value of {key.name} in the design; write both ends as values"
+            )
+            raise complaint(document, place, message)
+        else:
+            ends.append(centre * (1.0 + share))
+    low, high = ends
+    if not low < high:
+        raise complaint(document, path, "the first end is not below the second; exchange them")
+    return Tolerance(key.name, "between", low=low, high=high, centre=centre or 0.0)
+
+
+def read_draw(
+    document: YamlDocument, file: StudyFile, tolerances: Sequence[Tolerance]
+) -> Draw | None:
+    """How often is drawn, None where nothing is.
+
+    Raises:
+        InputError: One of ``tolerances`` and ``draw`` is missing, or correlations contradict each
+            other.
+    """
+    if file.draw is None:
+        if tolerances:
+            raise complaint(
+                document,
+                (_SECTION,),
+                "nothing says how many are drawn; write draw: {count: 100000, seed: 1}",
+                key=True,
+            )
+        return None
+    if not tolerances:
+        raise complaint(
+            document, ("draw",), "nothing is drawn; write tolerances, or remove draw", key=True
+        )
+    names = [tolerance.key for tolerance in tolerances]
+    triples: list[tuple[str, str, float]] = []
+    for index, pair in enumerate(file.draw.correlations):
+        path: KeyPath = ("draw", "correlations", index)
+        for part, name in enumerate(pair.keys):
+            if name not in names:
+                raise complaint(
+                    document, (*path, "keys", part), f"'{name}' is not drawn; add it to tolerances"
+                )
+        one, other = sorted(pair.keys)
+        if one == other or any(triple[:2] == (one, other) for triple in triples):
+            message = "both keys are one" if one == other else "this pair is there twice"
+            raise complaint(document, (*path, "keys"), message)
+        triples.append((one, other, pair.rho))
+    if triples and not _possible(names, triples):
+        raise complaint(
+            document,
+            ("draw", "correlations"),
+            "no numbers have these correlations together; make them smaller",
+        )
+    draw = file.draw
+    return Draw(draw.count, draw.seed, draw.sampling, tuple(sorted(triples)))
+
+
+def _possible(names: list[str], triples: Sequence[tuple[str, str, float]]) -> bool:
+    """Whether the matrix of all correlations is positive definite."""
+    matrix = np.eye(len(names))
+    for one, other, rho in triples:
+        places = names.index(one), names.index(other)
+        matrix[places] = matrix[places[::-1]] = rho
+    return bool(np.linalg.eigvalsh(matrix)[0] > 1e-9)
+
+
+# Mappings of a study file whose keys are keys of a design or names of outputs: read one by one,
+# with every complaint at its place.
+
+MOST = 1e300
+
+
+def complaint(
+    document: YamlDocument, path: KeyPath, message: str, *, key: bool = False
+) -> InputError:
+    """An error that names the key and points to it."""
+    return document.error(f"{dotted(path)}: {message}", path, key=key)
+
+
+def mapping_at(
+    document: YamlDocument, path: KeyPath, value: YamlValue, allowed: tuple[str, ...], example: str
+) -> dict[str, YamlValue]:
+    """A mapping with known keys.
+
+    Raises:
+        InputError: It is none, is empty, or has a key that is not allowed.
+    """
+    if not isinstance(value, dict) or not value:
+        got = spoken(value) if not isinstance(value, dict) else "an empty mapping"
+        raise complaint(document, path, f"expected a mapping, got {got}; write {example}")
+    for name in value:
+        if name not in allowed:
+            message = f"{dotted(path)}: {unknown_key(name, allowed)}"
+            raise document.error(message, (*path, name), key=True)
+    return value
+
+
+def only_one(
+    document: YamlDocument, path: KeyPath, found: Iterable[str], choices: tuple[str, ...]
+) -> str:
+    """The one of several keys that stands there; raises `InputError` for none and for two."""
+    there = [name for name in found if name in choices]
+    if len(there) != 1:
+        got = " and ".join(there) if there else "none"
+        expected = f"one of {', '.join(choices)}"
+        raise complaint(document, path, f"expected {expected}, got {got}", key=True)
+    return there[0]
+
+
+def known_key(document: YamlDocument, path: KeyPath) -> DesignKey:
+    """The key of a design that the last part of a path names; raises `InputError` for no such."""
+    name = str(path[-1])
+    if name == "dqforge":
+        message = "the version of the format is the same in every design; remove the key"
+        raise complaint(document, path, message, key=True)
+    key = design_key(name)
+    if key is None:
+        raise complaint(document, path, no_such_key(name), key=True)
+    return key
+
+
+def number_at(
+    document: YamlDocument, path: KeyPath, key: DesignKey, value: YamlValue
+) -> tuple[float, str | None]:
+    """A value of a key of a design in SI units and its kind; raises `InputError` for no number."""
+    try:
+        return key.number(value)
+    except EntryError as error:
+        part = path if error.key is None else (*path, error.key)
+        place = part if part in document.values else path
+        raise document.error(f"{dotted(path)}: {error.message}", place, key=error.at_key) from None
+
+
+def quantity_at(
+    document: YamlDocument,
+    path: KeyPath,
+    dimension: str,
+    value: YamlValue,
+    low: float = -MOST,
+    high: float = MOST,
+) -> float:
+    """A quantity in SI units; raises `InputError` where it has another dimension, or is outside."""
+    try:
+        return (
+            QuantityRule(dimension, low, high)
+            .read(value if not isinstance(value, dict) else [value])
+            .si
+        )
+    except EntryError as error:
+        raise complaint(document, path, error.message) from None
+
+
+def share_of(value: YamlValue) -> float | None:
+    """A share that is written in per cent, None for what is written otherwise."""
+    if not isinstance(value, str) or not value.strip().endswith("%"):
+        return None
+    try:
+        return read_quantity(value, "number").si
+    except InputError:
+        return None

@@ -8,19 +8,19 @@ it. Plain scalars follow the YAML 1.2 core schema (no sexagesimal numbers, no oc
 from __future__ import annotations
 
 import codecs
+import json
 import math
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import field
 from pathlib import Path
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 import yaml
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
-from dqforge.machines.files.yaml_messages import position_of, translated
 from dqforge.machines.places import KeyPath, Position, behind_option, dotted, nearest, option_at
 from dqforge.machines.records import dataclass
 from dqforge.machines.wording import close_matches, shown
@@ -391,3 +391,207 @@ def _begin(event: yaml.Event) -> Position:
     # Events of the pure Python loader always carry marks; the annotation allows for hand-made ones.
     mark = event.start_mark
     return Position(1, 1) if mark is None else Position(mark.line + 1, mark.column + 1)
+
+
+# A YAML text that says something else: changed values in their places,
+# everything around them as it was.
+
+_NOT_PRINTED = "[^\x20-\x7e\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
+
+
+class _Edit(NamedTuple):
+    """What stands from ``start`` to ``end`` of the text becomes ``text``."""
+
+    start: int
+    end: int
+    text: str
+
+
+def edited(text: str, old: dict[str, YamlValue], new: dict[str, YamlValue]) -> str:
+    """A text that holds other values; comments and what did not change stay where they are.
+
+    Args:
+        text: What `parse_yaml` accepts, without byte order mark.
+        old: What it holds.
+        new: What it shall hold.
+
+    Returns:
+        A text of which `parse_yaml` makes ``new``.
+    """
+    if _same(old, new):
+        return text
+    root = yaml.compose(text, Loader=yaml.SafeLoader)
+    assert root is not None
+    found = text
+    for edit in sorted(_edits(root, old, new), reverse=True):
+        found = found[: edit.start] + edit.text + found[edit.end :]
+    if _holds(found, new):
+        return found
+    # Keys that are written in an unusual way ('? key'), among which nothing can be put.
+    return "".join(f"{written(key)}: {written(value)}\n" for key, value in new.items())
+
+
+def _holds(text: str, wanted: dict[str, YamlValue]) -> bool:
+    try:
+        return _same(parse_yaml(text.encode("utf-8"), "").data, wanted)
+    except ValueError:
+        return False
+
+
+def _same(one: YamlValue, other: YamlValue) -> bool:
+    """Whether two values are the same, 1, 1.0 and true being three."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(
+            _same(value, other[key]) for key, value in one.items()
+        )
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(_same(a, b) for a, b in zip(one, other, strict=True))
+    return type(one) is type(other) and one == other
+
+
+def _edits(node: yaml.Node, old: YamlValue, new: YamlValue) -> Iterator[_Edit]:
+    """What to change in the text of a node."""
+    if _same(old, new):
+        return
+    if isinstance(old, dict) and isinstance(new, dict) and old.keys() <= new.keys():
+        assert isinstance(node, yaml.MappingNode)
+        for key, value in node.value:
+            yield from _edits(value, old[key.value], new[key.value])
+        added = {key: value for key, value in new.items() if key not in old}
+        yield from [_insertion(node, added)] if added else []
+    elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        for entry, before, after in zip(node.value, old, new, strict=True):
+            yield from _edits(entry, before, after)
+    else:
+        yield _replacement(node, new)
+
+
+def _insertion(node: yaml.MappingNode, added: dict[str, YamlValue]) -> _Edit:
+    """New keys: the last ones within braces, else before the first one, where their column is
+    known.
+    """
+    pairs = [f"{written(key)}: {written(value)}" for key, value in added.items()]
+    if node.flow_style:
+        place = node.value[-1][1].end_mark.index if node.value else node.start_mark.index + 1
+        return _Edit(place, place, (", " if node.value else "") + ", ".join(pairs))
+    first = node.value[0][0].start_mark
+    return _Edit(
+        first.index, first.index, "".join(f"{pair}\n{' ' * first.column}" for pair in pairs)
+    )
+
+
+def _replacement(node: yaml.Node, new: YamlValue) -> _Edit:
+    """A new value where an old one stood."""
+    start, last = node.start_mark.index, _last(node)
+    end = last.end_mark.index
+    block_text = isinstance(last, yaml.ScalarNode) and last.style in ("|", ">")
+    space = " " if start == end else ""  # a key without a value: the place right behind its colon
+    return _Edit(start, end, space + written(new) + ("\n" if block_text else ""))
+
+
+def _last(node: yaml.Node) -> yaml.Node:
+    """Where a node ends: of a mapping in lines its last value, not the comments behind that."""
+    if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
+        return _last(node.value[-1][1] if isinstance(node, yaml.MappingNode) else node.value[-1])
+    return node
+
+
+def written(value: YamlValue) -> str:
+    """A value on one line, as `parse_value` reads it."""
+    if isinstance(value, dict):
+        return (
+            "{"
+            + ", ".join(f"{written(key)}: {written(entry)}" for key, entry in value.items())
+            + "}"
+        )
+    if isinstance(value, list):
+        return "[" + ", ".join(written(entry) for entry in value) + "]"
+    if isinstance(value, str):
+        return value if _is_plain(value) else _quoted(value)
+    return json.dumps(value) if value is None or isinstance(value, bool) else repr(value)
+
+
+def _is_plain(text: str) -> bool:
+    """Whether a text needs no quotes anywhere."""
+    return (
+        re.fullmatch(r"[A-Za-z0-9][\w./%^*+() -]*", text, re.ASCII) is not None
+        and parse_value(text, "") == text
+    )
+
+
+def _quoted(text: str) -> str:
+    return re.sub(
+        _NOT_PRINTED, lambda found: f"\\u{ord(found[0]):04x}", json.dumps(text, ensure_ascii=False)
+    )
+
+
+# What the YAML parser complains of, in plain English with a position.
+
+_LINE_END = re.compile(r"\r\n|\r|\n")
+
+
+# What the YAML library says, and what it means to somebody who edits a design file.
+_PLAIN_ENGLISH = (
+    ("found character '\\t'", "a tab is used for indentation; write spaces"),
+    (
+        "mapping values are not allowed",
+        (
+            "a ':' where none can stand; check the indentation, the space behind each ':', or use "
+            "quotes"
+        ),
+    ),
+    (
+        "could not find expected ':'",
+        "this line has no 'key: value'; write a colon and a space behind the key",
+    ),
+    (
+        "expected '<document start>'",
+        "this line does not continue the mapping above; line up the keys",
+    ),
+    (
+        "expected <block end>",
+        "this line does not line up with its neighbours; indent the keys of a section equally",
+    ),
+    ("expected ',' or '}'", "a '{' is not closed; separate the entries by commas and end with '}'"),
+    ("expected ',' or ']'", "a '[' is not closed; separate the entries by commas and end with ']'"),
+    ("found unexpected end of stream", "a quoted text is not closed; write the missing quote"),
+    ("found unexpected document separator", "a quoted text is not closed; write the missing quote"),
+    (
+        "expected the node content",
+        "a bracket, comma or mark stands where a value must; write the value, or use quotes",
+    ),
+    (
+        "expected alphabetic or numeric",
+        "'&' and '*' start references, which are not read; put the text in quotes",
+    ),
+    ("cannot start any token", "this character must stand in quotes at the start of a value"),
+    (
+        "unknown escape character",
+        "a backslash in double quotes starts an escape; use single quotes",
+    ),
+    (
+        "sequence entries are not allowed",
+        "a list entry '-' is not allowed here; put it on its own indented line",
+    ),
+)
+
+
+def position_of(before: str) -> Position:
+    """Position of the character behind a text."""
+    lines = _LINE_END.split(before)
+    return Position(len(lines), len(lines[-1]) + 1)
+
+
+def translated(error: yaml.MarkedYAMLError, source: str) -> InputError:
+    """What the parser found wrong, in our words and with a position."""
+    problem = error.problem or "not YAML"
+    message = next((text for start, text in _PLAIN_ENGLISH if start in problem), None)
+    mark = error.problem_mark or error.context_mark
+    if message is None:
+        message = f"not YAML: {shown(problem)[1:-1]}"
+    elif "not closed" in message or "'key: value'" in message:
+        # The library reports where it gave up; the user wants to see where the trouble began.
+        mark = error.context_mark or mark
+    if mark is None:
+        return InputError(message, source=source)
+    return InputError(message, source=source, line=mark.line + 1, column=mark.column + 1)

@@ -7,32 +7,47 @@ among them, and the shapes tell whether they are axes, meshes or points.
 
 from __future__ import annotations
 
+import io
+import re
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import PurePath
+from typing import IO
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.machines.files.archives import arrays_of_hdf5, arrays_of_npz
-from dqforge.machines.files.matlab_arrays import arrays_of_mat4, arrays_of_mat5
-from dqforge.machines.files.named_arrays import NamedArray
-from dqforge.machines.files.number_table import read_table
-from dqforge.machines.files.plain_numbers import read_numeric_table
+from dqforge.machines.files.named_arrays import (
+    NamedArray,
+    arrays_of_hdf5,
+    arrays_of_mat4,
+    arrays_of_mat5,
+    arrays_of_npz,
+    reading,
+)
+from dqforge.machines.files.positioned_xml import read_numeric_table
+from dqforge.machines.files.text_table import read_table
 from dqforge.machines.flux_map_files import names
-from dqforge.machines.flux_map_files.coordinates import cartesian, claims, in_si, spread
-from dqforge.machines.flux_map_files.loss_columns import loss_of
-from dqforge.machines.flux_map_files.operating_points import (
+from dqforge.machines.flux_map_files.coordinates import (
     BLUR,
     NOTHING,
     Declared,
+    Parts,
+    cartesian,
+    claims,
+    in_si,
     over_frequency,
+    spread,
     without_drop,
 )
+from dqforge.machines.flux_map_files.names import EXPECTED, is_unit, per_length, per_pole_pair
 from dqforge.machines.flux_map_files.text import arrays_of_layout, oriented
-from dqforge.machines.flux_map_files.third_coordinate import without_third
-from dqforge.machines.flux_map_files.units import EXPECTED, is_unit, per_length, per_pole_pair
 from dqforge.machines.flux_maps.flux_points import FileLoss, FileTorque, FluxPoints
-from dqforge.machines.names import FluxTorque
+from dqforge.machines.flux_maps.torque_check import SQUARED
+from dqforge.machines.names import FluxScaling, FluxTorque
+from dqforge.machines.units.quantities import format_quantity
 
 # Bytes of a text table that is more than plain numbers; it takes some twenty times that in memory.
 _Reader = Callable[[bytes, str], list[NamedArray]]
@@ -282,8 +297,6 @@ def _from_sheets(content: bytes, source: str) -> list[NamedArray]:
     """Arrays of a workbook: of its only sheet, or of all that can be read,
     with the sheets as their groups.
     """
-    from dqforge.machines.flux_map_files.sheets import sheets
-
     found: list[NamedArray] = []
     first_error: InputError | None = None
     pages = sheets(content, source)
@@ -336,3 +349,305 @@ def _only(quantity: str, arrays: list[NamedArray], source: str) -> list[NamedArr
         for name, axis in zip(("i_d", "i_q"), axes, strict=True)
     ]
     return [*axes, NamedArray(quantity, quantity, own[0].values, own[0].unit)]
+
+
+# Flux maps over a third coordinate: the rotor angle is averaged over,
+# a temperature or speed is asked for by name.
+
+_SAME = 1e-6
+
+# Difference over the largest value from which on two temperatures or speeds are two.
+_DISTINCT = 0.01
+_CLOSED = 0.02  # Difference over the ripple below which the last angle is the first one again.
+_MOST_LISTED = 12
+_UNITS = {"temperature": "degC", "speed": "rpm"}
+_EXAMPLES = {"temperature": "80 degC", "speed": "1000 rpm"}
+
+
+def cells_of(i_d: FloatArray, i_q: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Number of the pair of currents that each point has, shape (K,), and
+    how often each pair occurs.
+    """
+    tolerance = max(_SAME * float(np.max(np.abs([i_d, i_q]), initial=0.0)), 1e-300)
+    keys = np.stack([np.round(i_d / tolerance), np.round(i_q / tolerance)], axis=1) + 0.0
+    order = np.lexsort(keys.T)
+    new = np.any(np.diff(keys[order], axis=0) != 0.0, axis=1)
+    labels = np.empty(i_d.size, dtype=np.intp)
+    labels[order] = np.append(0, np.cumsum(new))
+    return labels, np.bincount(labels)
+
+
+def without_third(
+    parts: Parts, lines: NDArray[np.intp] | None, at: Mapping[str, float], source: str
+) -> tuple[Parts, NDArray[np.intp] | None, tuple[str, ...]]:
+    """Points over the currents alone, the lines that they stand in, and what was done,
+    in sentences.
+
+    Args:
+        parts: Quantities of points, shape (K,), with 'angle' (rad), 'temperature' (degC) or 'speed'
+            (rad/s) among them or not.
+        lines: Line of each point in its file, shape (K,), or None.
+        at: Temperature (degC) and speed (rad/s) whose points are wanted.
+
+    Raises:
+        InputError: Several temperatures or speeds and none is asked for, or there is no such one.
+    """
+    findings: tuple[str, ...] = ()
+    for name in ("temperature", "speed"):
+        if name not in parts:
+            if name in at:
+                raise InputError(
+                    f"at.{name}: the file does not say the {name} of its points", source=source
+                )
+            continue
+        kept, sentence = _selected(name, parts, at.get(name), source)
+        parts = {key: part[kept] for key, part in parts.items() if key != name}
+        lines = lines if lines is None else lines[kept]
+        findings += sentence
+    if "angle" not in parts:
+        return parts, lines, findings
+    return _averaged(parts, lines, findings)
+
+
+def _selected(
+    name: str, parts: Parts, wanted: float | None, source: str
+) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
+    """Which points to keep, those at the temperature or speed that is wanted, and a sentence."""
+    values = parts[name]
+    everything = np.ones(values.size, dtype=bool)
+    if not np.all(np.isfinite(values)):
+        return everything, ()
+    labels, counts = cells_of(parts["i_d"], parts["i_q"])
+    step = _DISTINCT * max(float(np.max(np.abs(values), initial=0.0)), 1e-9)
+    known = _distinct(values, step)
+    if wanted is None:
+        means = np.bincount(labels, values) / counts
+        if known.size < 2 or float(np.max(np.abs(values - means[labels]))) <= 0.5 * step:
+            return (
+                everything,
+                (),
+            )  # one value, or one for each pair of currents: no coordinate of its own
+        shown = ", ".join(
+            format_quantity(float(value), _UNITS[name]) for value in known[:_MOST_LISTED]
+        )
+        more = ", ..." if known.size > _MOST_LISTED else ""
+        raise InputError(
+            f"the points are given at {known.size} values of the {name} ({shown}{more}); say "
+            f"which: at: {{{name}: {_EXAMPLES[name]}}}",
+            source=source,
+        )
+    kept = np.abs(values - wanted) <= 0.5 * step
+    if not kept.any():
+        shown = ", ".join(
+            format_quantity(float(value), _UNITS[name]) for value in known[:_MOST_LISTED]
+        )
+        raise InputError(
+            f"at.{name}: there are no points at {format_quantity(wanted, _UNITS[name])}, but at "
+            f"{shown}; write one of these",
+            source=source,
+        )
+    return kept, (
+        (
+            f"of {values.size} points the {np.count_nonzero(kept)} at "
+            f"{format_quantity(wanted, _UNITS[name])}"
+        ),
+    )
+
+
+def _distinct(values: FloatArray, step: float) -> FloatArray:
+    """Ascending values of which two neighbours are more than a step apart."""
+    ascending = np.sort(values)
+    return np.asarray(ascending[np.append(True, np.diff(ascending) > step)])
+
+
+def _averaged(
+    parts: Parts, lines: NDArray[np.intp] | None, findings: tuple[str, ...]
+) -> tuple[Parts, NDArray[np.intp] | None, tuple[str, ...]]:
+    """Means over the angle of each pair of currents, and how much flux linkages
+    and torque change with it.
+    """
+    angle = parts["angle"]
+    rest = {name: part for name, part in parts.items() if name != "angle"}
+    labels, counts = cells_of(parts["i_d"], parts["i_q"])
+    if counts.max() < 2 or float(np.ptp(angle)) == 0.0:
+        return rest, lines, findings
+    order = np.lexsort([angle, labels])
+    starts = np.append(0, np.cumsum(counts)[:-1])
+    weights = _weights(rest, order, counts)
+    total = np.add.reduceat(weights, starts)
+    means = {
+        name: np.add.reduceat(part[order] * weights, starts) / total for name, part in rest.items()
+    }
+    ripple = {
+        name: np.maximum.reduceat(part[order], starts) - np.minimum.reduceat(part[order], starts)
+        for name, part in rest.items()
+    }
+    flux = max(float(np.nanmax(ripple[name])) for name in ("psi_d", "psi_q"))
+    often = (
+        f"{counts.min()}" if counts.min() == counts.max() else f"{counts.min()} to {counts.max()}"
+    )
+    sentence = (
+        f"averaged over {often} rotor angles; the flux linkages change by up to "
+        f"{format_quantity(flux, 'Wb', 3)}"
+    )
+    if "torque" in ripple and np.any(np.isfinite(ripple["torque"])):
+        worst = int(np.nanargmax(ripple["torque"]))
+        sentence += (
+            f", the torque by up to {format_quantity(float(ripple['torque'][worst]), 'N m', 3)} "
+            f"(peak to peak) at i_d = {means['i_d'][worst]:g} A, i_q = {means['i_q'][worst]:g} A"
+        )
+    first = None if lines is None else np.minimum.reduceat(lines[order], starts)
+    return means, first, (*findings, sentence)
+
+
+def _weights(parts: Parts, order: NDArray[np.intp], counts: NDArray[np.intp]) -> FloatArray:
+    """Weights of the sorted points: halves at both ends where the last angle
+    repeats the first one's values.
+    """
+    weights = np.ones(order.size)
+    if counts.min() != counts.max() or counts[0] < 3:
+        return weights
+    table = np.stack([parts[name][order].reshape(counts.size, -1) for name in ("psi_d", "psi_q")])
+    gap = float(np.nanmax(np.abs(table[:, :, -1] - table[:, :, 0])))
+    if gap <= _CLOSED * float(np.nanmax(np.ptp(table, axis=2))):
+        ends = weights.reshape(counts.size, -1)
+        ends[:, 0] = ends[:, -1] = 0.5
+    return weights
+
+
+# Flux maps in spreadsheets (.xlsx): each sheet becomes the text that a table
+# of the same cells would be.
+#
+# What the sheets claim is counted in the archive first: the reader lays out every cell
+# between the outermost ones.
+
+_MOST_BYTES = 64_000_000
+
+
+_MOST_CELLS = 2_000_000
+
+
+_BLOCK = 1 << 20
+
+
+_CELL = re.compile(rb'\br="([A-Z]{1,3})(\d{1,7})"')
+
+
+_ROW = re.compile(rb'<(?:\w+:)?row\b[^>]*?\br="(\d{1,7})"')
+
+
+_ANY_CELL = re.compile(rb"<(?:\w+:)?c[\s/>]")
+
+
+def sheets(content: bytes, source: str) -> list[tuple[str, bytes]]:
+    """Name of each sheet with numbers and its cells as text, tabs between
+    them and one line per row.
+
+    Raises:
+        InputError: The file is no workbook, or its sheets take more than 64 MB or 2e6 cells.
+    """
+    from python_calamine import CalamineWorkbook
+
+    found = []
+    with reading("xlsx", source):
+        _check_claims(content, source)
+        book = CalamineWorkbook.from_filelike(io.BytesIO(content))
+        for name in book.sheet_names:
+            rows = book.get_sheet_by_name(name).to_python(skip_empty_area=False)
+            if any(
+                isinstance(cell, float | int) and not isinstance(cell, bool)
+                for row in rows
+                for cell in row
+            ):
+                found.append(
+                    (name, "\n".join("\t".join(map(_text, row)) for row in _trimmed(rows)).encode())
+                )
+    if not found:
+        raise InputError("no sheet holds numbers", source=source)
+    return found
+
+
+def _trimmed(rows: Sequence[Sequence[object]]) -> list[Sequence[object]]:
+    """Rows without the columns to the left and the right that are empty throughout."""
+    used = [k for row in rows for k, cell in enumerate(row) if cell != ""]
+    low, high = min(used, default=0), max(used, default=0)
+    return [row[low : high + 1] for row in rows]
+
+
+def _text(cell: object) -> str:
+    """A cell as text without tabs and line feeds."""
+    return repr(cell) if isinstance(cell, float) else " ".join(str(cell).split())
+
+
+def _check_claims(content: bytes, source: str) -> None:
+    """Refuse workbooks that unfold to more than the limits."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        members = archive.infolist()
+        if sum(member.file_size for member in members) > _MOST_BYTES:
+            message = f"the workbook takes more than {_MOST_BYTES / 1e6:g} MB once unpacked"
+            raise InputError(f"{message}; save the map alone, or as CSV", source=source)
+        for member in members:
+            if member.filename.startswith("xl/worksheets/") and member.filename.endswith(".xml"):
+                with archive.open(member) as stream:
+                    columns, rows, cells = _extent(stream)
+                if max(columns * rows, cells) > _MOST_CELLS:
+                    message = (
+                        f"{member.filename} has {cells} cells over {rows} rows and {columns} "
+                        "columns"
+                    )
+                    raise InputError(f"{message}; save the map alone, or as CSV", source=source)
+
+
+def _extent(stream: IO[bytes]) -> tuple[int, int, int]:
+    """Largest column and row that cells and rows of a sheet name, and the number of cells."""
+    columns = rows = 1
+    cells = 0
+    rest = b""
+    while block := stream.read(_BLOCK):
+        text = rest + block
+        cells += len(_ANY_CELL.findall(text)) - len(_ANY_CELL.findall(rest))
+        for letters, row in _CELL.findall(text):
+            number = 0
+            for letter in letters:
+                number = 26 * number + letter - 64
+            columns, rows = max(columns, number), max(rows, int(row))
+        rows = max([rows, *map(int, _ROW.findall(text))])
+        rest = text[-64:]
+    return columns, rows, cells
+
+
+# Losses that a flux-map file gives beside its points: a total in W, or by an efficiency.
+
+_PER_CENT = 1.5  # Largest efficiency beyond which a column without a unit is in per cent.
+
+
+def loss_of(
+    parts: Parts, chosen: Mapping[str, NamedArray], scaling: FluxScaling
+) -> FileLoss | None:
+    """Total loss of the machine at each point, None where the file tells none.
+
+    An efficiency makes it with the mechanical power, or with the electrical one; only of a machine
+    that drives.
+    """
+    if "loss" in parts:
+        return FileLoss(chosen["loss"].path, parts["loss"])
+    if "efficiency" not in parts or "speed" not in parts:
+        return None
+    share = parts["efficiency"]
+    if float(np.nanmax(share, initial=0.0)) > _PER_CENT:
+        share = 1e-2 * share
+    usual = (share > 0.0) & (share <= 1.0)
+    if "torque" in parts:
+        power = parts["torque"] * parts["speed"]
+        loss = power * (1.0 / np.where(usual, share, np.nan) - 1.0)
+    elif "frequency" in parts:  # psi_d and psi_q are still voltages over it
+        power = (
+            1.5
+            * SQUARED[scaling]
+            * parts["frequency"]
+            * (parts["psi_d"] * parts["i_q"] - parts["psi_q"] * parts["i_d"])
+        )
+        loss = power * (1.0 - np.where(usual, share, np.nan))
+    else:
+        return None
+    return FileLoss(f"by {chosen['efficiency'].path}", np.where(power > 0.0, loss, np.nan))

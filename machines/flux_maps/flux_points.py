@@ -9,7 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.current_region import CurrentRegion
+from dqforge.machines.dq_machines.flux_map import complete_by_symmetry
+from dqforge.machines.errors import InputError
+from dqforge.machines.names import FluxSymmetry
 from dqforge.machines.records import dataclass
+from dqforge.machines.units.quantities import format_quantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,3 +64,291 @@ class FluxPoints:
     blur: float = field(default=0.0, kw_only=True)
     pole_pairs: int = field(default=0, kw_only=True)
     ignored: str = field(default="", kw_only=True)
+
+
+# Planes through points without any order and through grids with gaps, by thin-plate splines.
+
+# Distance from every point over the largest current that is a gap, and the share of the region from
+# which on gaps are told.
+_FEWEST_SCATTERED = 16
+_GRID_SIZES = (9, 81)
+_FULL_PLANE = 0.95
+_PARTIAL_GRID = 0.5
+_MOST_GAPS = 50_000
+_NEIGHBOURS = 64
+_MUCH_OUTSIDE = 0.15
+_FAR, _MUCH_FAR = 0.15, 0.05
+
+
+def scattered_plane(points: FluxPoints) -> Plane:
+    """Symmetric plane through scattered points or a grid with gaps; raises `InputError`."""
+    i_d, i_q, psi = points.i_d, points.i_q, np.stack([points.psi_d, points.psi_q])
+    if i_d.size < _FEWEST_SCATTERED:
+        message = (
+            f"{i_d.size} points that fill no grid are too few for a map; give at least "
+            f"{_FEWEST_SCATTERED}"
+        )
+        raise InputError(message, source=points.source)
+    if turned := bool(np.max(i_q) < -np.min(i_q)):
+        i_q, psi = -i_q, psi * MIRROR[:, :, 0]
+    end, other = float(np.max(i_q)), -float(np.min(i_q))
+    whole = other >= _FULL_PLANE * end
+    asymmetry = float(np.max(np.abs(psi[1, i_q == 0.0]), initial=0.0))
+    if not whole:
+        i_d, i_q, psi = _with_mirror_image(i_d, i_q, psi)
+    axis_d, axis_q, own = _axes(i_d, i_q, min(end, other) if whole else end)
+    check_begin(i_q[i_q >= 0.0], float(axis_q[-1] - axis_q[-2]), points.source)
+    values, outside = _thin_plates(i_d, i_q, psi, axis_d, axis_q, own, points.source)
+    if whole:
+        known = ~(outside | outside[:, ::-1])
+        asymmetry = 0.5 * float(
+            np.max(np.abs(values - values[:, :, ::-1] * MIRROR)[:, known], initial=0.0)
+        )
+    size, way = f"{axis_d.size} x {axis_q.size} grid", "interpolated by thin-plate splines"
+    gaps = f"gaps of the {size} {way}: {axis_d.size * axis_q.size - i_d.size}"
+    first = gaps if own else f"scattered points: {points.i_d.size} {way} on a {size}"
+    findings = (
+        first,
+        *halves_findings(whole, other > 0.0, turned, asymmetry, largest_magnitude(psi)),
+    )
+    if (share := float(np.mean(outside))) > _MUCH_OUTSIDE:
+        beyond = (
+            "of the nodes lie outside the convex hull of the points; the flux linkages there are "
+            "extrapolated"
+        )
+        findings = (*findings, f"warning: {100.0 * share:.0f} % {beyond}")
+    hull = CurrentRegion.hull(i_d, i_q).within(
+        CurrentRegion.rectangle(axis_d[0], axis_d[-1], axis_q[-1])
+    )
+    if not own:
+        findings = (*findings, *_gaps(i_d, i_q, axis_d, axis_q, hull))
+    raw = (values[:, :, ::-1] * MIRROR if turned else values) if whole else None
+    axis_q, psi_d, psi_q = complete_by_symmetry(axis_q, *values)
+    return Plane(axis_d, axis_q, np.stack([psi_d, psi_q]), asymmetry, findings, hull=hull, raw=raw)
+
+
+def _gaps(
+    i_d: FloatArray, i_q: FloatArray, axis_d: FloatArray, axis_q: FloatArray, hull: CurrentRegion
+) -> tuple[str, ...]:
+    """A sentence on the part of the hull that lies far from every point of a full plane."""
+    from scipy.spatial import cKDTree
+
+    nodes = np.stack(np.meshgrid(axis_d, axis_q, indexing="ij"), axis=2).reshape(-1, 2)
+    nodes = nodes[hull.contains(nodes[:, 0], nodes[:, 1])]
+    far = _FAR * hull.size
+    away = cKDTree(np.stack([i_d, i_q], axis=1)).query(nodes)[0]
+    share = float(np.mean(away > far))
+    if share <= _MUCH_FAR:
+        return ()
+    sentence = (
+        f"warning: the points leave gaps: {100.0 * share:.0f} % of the region between them lies "
+        f"further than {format_quantity(far, 'A', 3)} from every point, at most "
+        f"{format_quantity(float(np.max(away)), 'A', 3)}; the flux linkages there follow from "
+        "those around"
+    )
+    return (sentence,)
+
+
+def _with_mirror_image(
+    i_d: FloatArray, i_q: FloatArray, psi: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The half of the points with i_q >= 0 and its mirror image; at i_q = 0, psi_q is 0."""
+    upper, lower = i_q >= 0.0, i_q > 0.0
+    odd = np.where(i_q == 0.0, np.array([[1.0], [0.0]]), 1.0) * psi
+    both = np.concatenate([odd[:, upper], odd[:, lower] * MIRROR[:, :, 0]], axis=1)
+    return np.append(i_d[upper], i_d[lower]), np.append(i_q[upper], -i_q[lower]), both
+
+
+def _axes(i_d: FloatArray, i_q: FloatArray, end: float) -> tuple[FloatArray, FloatArray, bool]:
+    """Axes for the points of a full plane, and whether they are the points' own,
+    of a grid with gaps.
+    """
+    own_d, own_q = np.unique(i_d), np.unique(i_q)
+    nodes = own_d.size * own_q.size
+    filled = i_d.size >= max(_PARTIAL_GRID * nodes, nodes - _MOST_GAPS)
+    if filled and np.max(np.abs(own_q + own_q[::-1])) <= SAME * end:
+        return own_d, own_q, True
+    count = int(np.clip(np.rint(np.sqrt(i_d.size)), *_GRID_SIZES))
+    # An odd number of i_q has a node at 0.
+    return np.linspace(np.min(i_d), np.max(i_d), count), np.linspace(-end, end, count | 1), False
+
+
+def _thin_plates(
+    i_d: FloatArray,
+    i_q: FloatArray,
+    psi: FloatArray,
+    axis_d: FloatArray,
+    axis_q: FloatArray,
+    own: bool,
+    source: str,
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Flux linkages (2, M, N) on a grid through points of a full plane, and which
+    nodes lie outside their hull.
+
+    ``own``: the points lie on nodes, and the others are the gaps.
+    """
+    from scipy.interpolate import RBFInterpolator
+    from scipy.spatial import ConvexHull, Delaunay, QhullError
+
+    scale = np.array([np.ptp(i_d), np.ptp(i_q)])
+    at = np.stack([i_d, i_q], axis=1) / scale
+    nodes = np.stack(np.meshgrid(axis_d, axis_q, indexing="ij"), axis=2) / scale
+    known = np.zeros(nodes.shape[:2], dtype=bool)
+    values = np.empty((2, *known.shape))
+    if own:
+        place = np.searchsorted(axis_d, i_d), np.searchsorted(axis_q, i_q)
+        values[:, *place], known[place] = psi, True
+    try:
+        hull = Delaunay(at[ConvexHull(at).vertices])
+        spline = RBFInterpolator(at, psi.T, neighbors=min(_NEIGHBOURS, at.shape[0]), degree=1)
+        values[:, ~known] = spline(nodes[~known]).T
+    except (QhullError, np.linalg.LinAlgError):
+        message = "the points lie on a line or too close together; spread them over i_d and i_q"
+        raise InputError(message, source=source) from None
+    outside = ~known
+    outside[~known] = hull.find_simplex(nodes[~known], tol=SAME) < 0
+    return values, outside
+
+
+# Planes of a flux map: full grids, half planes and their mirror images.
+#
+# A plane is a full rectangle that is symmetric in i_q. Files hold half planes and planes whose
+# halves differ by measurement errors.
+
+# Difference over the largest value below which two currents, or two flux linkages, are the same.
+SAME = 1e-6
+_NOTABLE_ASYMMETRY = 1e-3
+
+# Signs of (psi_d, psi_q), shape (2, M, N), on the other side of i_q = 0.
+MIRROR = np.array([1.0, -1.0])[:, np.newaxis, np.newaxis]
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """Flux linkages (2, M, N) on ascending axes (M,) and (N,), the asymmetry of what they
+    come from, and sentences.
+
+    ``raw`` are those of a whole plane that nobody averaged, None for the others.
+    """
+
+    i_d: FloatArray
+    i_q: FloatArray
+    psi: FloatArray
+    asymmetry: float = 0.0
+    findings: tuple[str, ...] = ()
+    hull: CurrentRegion | None = None
+    raw: FloatArray | None = None
+
+
+def half_of_points(points: FluxPoints, symmetry: FluxSymmetry) -> FluxPoints:
+    """Points of one half with i_q = 0, mirrored to i_q >= 0."""
+    sign = 1.0 if symmetry == "positive" else -1.0
+    kept = sign * points.i_q >= 0.0
+    i_d, i_q, psi_d, psi_q = (
+        part[kept] for part in (points.i_d, points.i_q, points.psi_d, points.psi_q)
+    )
+    return FluxPoints(points.source, i_d, sign * i_q, psi_d, sign * psi_q)
+
+
+def one_half(plane: Plane, symmetry: FluxSymmetry) -> Plane:
+    """A whole plane whose other half is the mirror image of the wanted one."""
+    assert plane.raw is not None
+    psi = plane.raw if symmetry == "positive" else plane.raw[:, :, ::-1] * MIRROR
+    upper = plane.i_q >= 0.0
+    axis, values = plane.i_q[upper], psi[:, :, upper]
+    if axis[0] > 0.0:
+        axis, values = (
+            np.append(-axis[::-1], axis),
+            np.concatenate([values[:, :, ::-1] * MIRROR, values], axis=2),
+        )
+    i_q, psi_d, psi_q = complete_by_symmetry(axis, *values)
+    side = "i_q > 0" if symmetry == "positive" else "i_q < 0"
+    size = format_quantity(plane.asymmetry, "Wb", 3)
+    done = (f"the half {side} was mirrored; it lies at most {size} from the mean of both",)
+    return Plane(plane.i_d, i_q, np.stack([psi_d, psi_q]), plane.asymmetry, done, plane.hull)
+
+
+def kept_apart(sentence: str) -> str:
+    """What is said of the halves where the current references keep them apart."""
+    return sentence.replace(
+        "were averaged", "are kept for the current references and averaged for all else"
+    )
+
+
+def largest_magnitude(*values: FloatArray) -> float:
+    """Largest magnitude of all values."""
+    return max(float(np.max(np.abs(part))) for part in values)
+
+
+def filled_grid(points: FluxPoints) -> Plane | None:
+    """Grid of points that fill one, None if they do not."""
+    i_d, rows = np.unique(points.i_d, return_inverse=True)
+    i_q, columns = np.unique(points.i_q, return_inverse=True)
+    if points.i_d.size != i_d.size * i_q.size:
+        return None
+    psi = np.empty((2, i_d.size, i_q.size))
+    psi[:, rows, columns] = points.psi_d, points.psi_q
+    return Plane(i_d, i_q, psi)
+
+
+def symmetric_plane(grid: Plane, source: str) -> Plane:
+    """Symmetric plane from a grid over a half plane, a whole one, or one with unequal halves.
+
+    Raises `InputError`.
+    """
+    from scipy.interpolate import CubicSpline
+
+    i_q, psi = grid.i_q, grid.psi
+    if turned := bool(i_q[-1] < -i_q[0]):
+        i_q, psi = -i_q[::-1], psi[:, :, ::-1] * MIRROR
+    other = -float(i_q[0])
+    along = CubicSpline(i_q, psi, axis=2)
+    whole = bool(np.all(np.abs(i_q + i_q[::-1]) <= 0.25 * np.min(np.diff(i_q))))
+    if whole:
+        axis = np.clip(0.5 * (i_q - i_q[::-1]), -other, other)
+        values = along(axis)
+    else:
+        axis, values = i_q[i_q >= 0.0], psi[:, :, i_q >= 0.0]
+        check_begin(axis, float(axis[1] - axis[0]) if axis.size > 1 else 0.0, source)
+    raw = (values[:, :, ::-1] * MIRROR if turned else values) if whole else None
+    shared = axis[(axis >= 0.0) & (axis <= other)]
+    asymmetry = 0.5 * float(np.max(np.abs(along(shared) - along(-shared) * MIRROR), initial=0.0))
+    if not whole and axis[0] > 0.0:
+        axis, values = (
+            np.append(-axis[::-1], axis),
+            np.concatenate([values[:, :, ::-1] * MIRROR, values], axis=2),
+        )
+    done = halves_findings(whole, other > 0.0, turned, asymmetry, largest_magnitude(psi))
+    i_q, psi_d, psi_q = complete_by_symmetry(axis, *values)
+    return Plane(grid.i_d, i_q, np.stack([psi_d, psi_q]), asymmetry, done, raw=raw)
+
+
+def check_begin(upper: FloatArray, step: float, source: str) -> None:
+    """Refuse a half plane whose points with i_q >= 0 begin more than a step away from 0."""
+    begin = float(np.min(upper))
+    if begin > step:
+        raise InputError(
+            f"the half plane begins at |i_q| = {begin:g} A (peak, d along the magnets); add points "
+            "with i_q = 0",
+            source=source,
+        )
+
+
+def halves_findings(
+    whole: bool, unequal: bool, turned: bool, asymmetry: float, largest: float
+) -> tuple[str, ...]:
+    """What was done with the halves of the plane, in a sentence."""
+    size, side = format_quantity(asymmetry, "Wb", 3), "i_q <= 0" if turned else "i_q >= 0"
+    if whole:
+        agree = (
+            "they agree"
+            if asymmetry <= SAME * largest
+            else f"they lie at most {size} from their mean"
+        )
+        return (f"the halves i_q > 0 and i_q < 0 were averaged; {agree}",)
+    about = (
+        f"; it contradicts its mirror image by up to {size}"
+        if asymmetry > _NOTABLE_ASYMMETRY * largest
+        else ""
+    )
+    return (f"{'the larger half' if unequal else 'the half plane'} {side} was mirrored{about}",)

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import BoolArray, FloatArray
-from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.modulators import PhaseWaveforms, sector_waveforms
 from dqforge.machines.names import ModulationName

@@ -1,29 +1,331 @@
-"""Losses of a machine at operating points as its terminals see them,
-the winding as warm as its loss makes it.
-
-Every loss has its place in the equivalent circuit, so that the power at the terminals is the sum of
-losses and shaft power without remainder: copper and magnet loss as resistances in series, iron loss
-as a conductance beside the back-EMF. The currents of a reference are those that make the torque;
-the iron's current comes on top.
-
-Source of the circuit: T. M. Jahns, "Flux-weakening regime operation of an interior permanent-magnet
-synchronous motor drive", IEEE Transactions on Industry Applications IA-23(4), 1987,
-doi:10.1109/TIA.1987.4504966 (without iron loss); S. Morimoto et al., "Loss minimization control of
-permanent magnet synchronous motor drives", IEEE Transactions on Industrial Electronics 41(5), 1994,
-doi:10.1109/41.315269 (with it).
+"""Mission profiles: torque and speed over time from a text table, with
+faults named by file and line.
 """
 
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.dq_machines.machine_batch import MachineOrBatch
 from dqforge.machines.errors import InputError
-from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
+from dqforge.machines.files.text_table import TextTable, read_table
 from dqforge.machines.records import dataclass
+from dqforge.machines.units.quantities import Reading, read_quantity
+
+# What files call the columns; single letters count with their case, T is a torque and t a time.
+_NAMES: dict[str, tuple[str, ...]] = {
+    "time": ("t", "time", "zeit", "seconds"),
+    "speed": (
+        "n",
+        "speed",
+        "rpm",
+        "omega",
+        "omega_m",
+        "w",
+        "w_m",
+        "drehzahl",
+        "n_m",
+        "rotational speed",
+    ),
+    "torque": (
+        "T",
+        "M",
+        "torque",
+        "drehmoment",
+        "moment",
+        "t_e",
+        "t_m",
+        "t_ref",
+        "m_ref",
+        "tq",
+        "trq",
+    ),
+}
+
+_SI = {"time": "s", "speed": "rad/s", "torque": "N m"}
+
+# Revolutions per minute as drives people write them, beyond the vocabulary of units.
+_PER_MINUTE = re.compile(
+    r"(?:1|u|r|rev|umdr\.?)\s*/\s*min|min\s*(?:\^|\*\*)?\s*[-\N{MINUS SIGN}]\s*1|min⁻¹",
+    re.IGNORECASE,
+)
+
+_MOST_ROWS = 200_000
+MOST_BYTES = 50_000_000  # Bytes of the largest file of a mission.
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """Torque and speed over time; what stands in a row holds until the time of the next.
+
+    Args:
+        time: Instants in s, shape (N + 1,), strictly ascending.
+        torque, omega_m: In N m and rad/s (mechanical) from each instant to the next, shape (N,).
+        lines: Line of the file of each interval, shape (N,).
+        source: Name of the file.
+        findings: Sentences on what was assumed.
+    """
+
+    time: FloatArray
+    torque: FloatArray
+    omega_m: FloatArray
+    lines: NDArray[np.intp]
+    source: str
+    findings: tuple[str, ...] = ()
+
+    @property
+    def length(self) -> FloatArray:
+        """Lengths of the intervals in s, shape (N,)."""
+        return np.diff(self.time)
+
+
+def _kind_of(name: str) -> str | None:
+    """Which quantity a title names."""
+    word = " ".join(name.split())
+    for kind, names in _NAMES.items():
+        if word in names or (len(word) > 1 and word.lower() in names):
+            return kind
+    if word in ("N", "m"):
+        return "speed" if word == "N" else "torque"
+    return None
+
+
+def _columns(table: TextTable) -> dict[str, int]:
+    """Column of each quantity: by its title, else by its unit, else the first three in order."""
+    found: dict[str, int] = {}
+    for column, (name, unit) in enumerate(zip(table.names, table.units, strict=True)):
+        kind = _kind_of(name) or _kind_of_unit(unit)
+        if kind is None:
+            continue
+        if kind in found:
+            first = table.names[found[kind]]
+            message = (
+                f"columns '{first}' and '{name}' both look like the {kind}; leave one of them out"
+            )
+            raise InputError(message, source=table.source, line=_head_line(table))
+        found[kind] = column
+    untitled = all(name.startswith("column ") for name in table.names)
+    if not found and untitled and len(table.names) == 3:
+        return {"time": 0, "speed": 1, "torque": 2}
+    missing = [kind for kind in _NAMES if kind not in found]
+    if missing:
+        titles = ", ".join(f"'{name}'" for name in table.names)
+        message = f"no column for the {' and the '.join(missing)} among {titles}"
+        raise InputError(
+            f"{message}; write a head row such as: time [s]; speed [rpm]; torque [N m]",
+            source=table.source,
+            line=_head_line(table),
+        )
+    return found
+
+
+def _kind_of_unit(unit: str) -> str | None:
+    for kind in _SI:
+        if unit and _factor(kind, unit) is not None:
+            return kind
+    return None
+
+
+def _head_line(table: TextTable) -> int:
+    return max(int(table.lines[0]) - 1, 1)
+
+
+def _unit(kind: str, unit: str) -> Reading:
+    """One of a unit as a quantity; raises where it is none of this kind."""
+    return read_quantity(
+        "1 rpm" if kind == "speed" and _PER_MINUTE.fullmatch(unit.strip()) else f"1 {unit}", kind
+    )
+
+
+def _factor(kind: str, unit: str) -> float | None:
+    """SI value of one of a unit, None where it is none of this quantity."""
+    try:
+        return _unit(kind, unit).si
+    except InputError:
+        return None
+
+
+def _column(table: TextTable, kind: str, column: int, findings: list[str]) -> FloatArray:
+    """Values of a column in SI units; the first cell without a number is an error."""
+    values, unit = table.values[:, column], table.units[column]
+    (holes,) = np.nonzero(~np.isfinite(values))
+    if holes.size:
+        message = (
+            f"no number for the {kind} in column '{table.names[column]}'; write one, or remove the "
+            "line"
+        )
+        raise InputError(message, source=table.source, line=int(table.lines[holes[0]]))
+    if not unit:
+        if table.names[column].lower() == "rpm":
+            unit = "rpm"
+        else:
+            findings.append(f"{kind} without a unit, taken as {_SI[kind]}")
+            return values
+    factor = _factor(kind, unit)
+    if factor is None:
+        message = (
+            f"unit '{unit}' of column '{table.names[column]}' is none of a {kind}; write "
+            f"{_SI[kind]}"
+        )
+        message += " or rpm" if kind == "speed" else ""
+        raise InputError(message, source=table.source, line=_head_line(table))
+    remark = _unit(kind, unit).remark
+    findings.extend([f"{kind}: {remark}"] if remark else [])
+    return values * factor
+
+
+def read_mission(content: bytes, source: str, *, omega_max: float | None = None) -> Mission:
+    """Read a mission profile: time, speed and torque in a text table of any
+    delimiter and decimal sign.
+
+    Titles name the columns (time, speed, torque, t, n, M, ...), and units beside them are honoured;
+    without units the numbers are SI. Without titles the columns are time, speed and torque. The
+    last row ends the mission.
+
+    Args:
+        content: Bytes of the file.
+        source: Name of the file, for messages.
+        omega_max: Largest permitted mechanical speed in rad/s, or None.
+
+    Raises:
+        InputError: With file and line: no table, a missing or doubled column, a foreign unit, a
+            cell without a number, times that do not ascend, a speed above the largest, or too many
+            rows.
+    """
+    table = read_table(content, source)
+    if table.lines.size > _MOST_ROWS:
+        message = (
+            f"the mission has {table.lines.size} rows, at most {_MOST_ROWS} are read; resample it"
+        )
+        raise InputError(message, source=source)
+    columns, findings = _columns(table), list[str]()
+    time, omega_m, torque = (
+        _column(table, kind, columns[kind], findings) for kind in ("time", "speed", "torque")
+    )
+    (stuck,) = np.nonzero(np.diff(time) <= 0.0)
+    if stuck.size:
+        k = int(stuck[0])
+        message = (
+            f"time {time[k + 1]:.6g} s does not lie after the {time[k]:.6g} s of the row before"
+        )
+        raise InputError(
+            f"{message}; sort the rows, and keep each time once",
+            source=source,
+            line=int(table.lines[k + 1]),
+        )
+    if omega_max is not None:
+        (fast,) = np.nonzero(np.abs(omega_m) > omega_max * (1.0 + 1e-9))
+        if fast.size:
+            k, rpm = int(fast[0]), 9.549296585513721
+            message = (
+                f"speed {omega_m[k] * rpm:.5g} rpm is above machine.max_speed "
+                f"{omega_max * rpm:.5g} rpm"
+            )
+            bare = not table.units[columns["speed"]] and abs(omega_m[k]) > 3.0 * omega_max
+            hint = (
+                "the column has no unit and is taken as rad/s, write speed [rpm]"
+                if bare
+                else "correct one of them"
+            )
+            raise InputError(f"{message}; {hint}", source=source, line=int(table.lines[k]))
+    return Mission(time, torque[:-1], omega_m[:-1], table.lines[:-1], source, tuple(findings))
+
+
+# Losses of a machine beyond the dc copper loss: alternating-current copper loss,
+# iron loss and magnet loss.
+#
+# Source of the iron loss: G. Bertotti, "General properties of power losses in soft ferromagnetic
+# materials", IEEE Transactions on Magnetics 24(1), 1988, doi:10.1109/20.43994 (hysteresis and
+# eddy-current terms).
+
+
+@dataclass(frozen=True, slots=True)
+class MachineLoss:
+    """Losses of the machine beyond the dc copper loss; all zero by default.
+
+    Args:
+        ac_copper: k_ac in s^2/rad^2: the resistance that makes heat is R (1 + k_ac omega_e^2).
+        hysteresis, eddy: k_h in W s/(rad Wb^2) and k_c in W s^2/(rad^2 Wb^2): iron loss (k_h
+            |omega_e| + k_c omega_e^2) |psi|^2 with the peak dq flux linkage.
+        magnet: k_m in W s^2/(rad^2 A^2): eddy-current loss k_m omega_e^2 |i|^2 of the magnets under
+            the field of the winding, with the peak dq current.
+    """
+
+    ac_copper: float = 0.0
+    hysteresis: float = 0.0
+    eddy: float = 0.0
+    magnet: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is no loss."""
+        for name in ("ac_copper", "hysteresis", "eddy", "magnet"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise InputError(f"machine loss: {name} must be zero or positive, got {value:g}")
+
+    def copper_factor(self, omega_e: FloatArray) -> FloatArray:
+        """AC over dc copper loss at electrical speeds in rad/s, any shape."""
+        return 1.0 + self.ac_copper * omega_e * omega_e
+
+    def iron_factor(self, omega_e: FloatArray) -> FloatArray:
+        """Iron loss over |psi|^2 in W/Wb^2 at electrical speeds in rad/s, any shape."""
+        return self.hysteresis * np.abs(omega_e) + self.eddy * omega_e * omega_e
+
+    @classmethod
+    def measured(
+        cls,
+        *,
+        frequency: float = 0.0,
+        flux: float = 0.0,
+        hysteresis: float = 0.0,
+        eddy: float = 0.0,
+        resistance_ratio: float = 1.0,
+        resistance_frequency: float = 1.0,
+        magnet: float = 0.0,
+        magnet_frequency: float = 1.0,
+        magnet_current: float = 1.0,
+    ) -> MachineLoss:
+        """Coefficients from a measurement or a computation.
+
+        Args:
+            frequency, flux: Electrical frequency in Hz and flux linkage in Wb (peak) of the two
+                iron losses.
+            hysteresis, eddy: The two parts of the iron loss there, in W.
+            resistance_ratio, resistance_frequency: AC over dc resistance at an electrical frequency
+                in Hz.
+            magnet, magnet_frequency, magnet_current: Magnet loss in W at an electrical frequency in
+                Hz and a current in A (peak).
+        """
+        omega, square = 2.0 * math.pi * frequency, flux * flux
+        return cls(
+            ac_copper=(resistance_ratio - 1.0) / (2.0 * math.pi * resistance_frequency) ** 2,
+            hysteresis=hysteresis / (omega * square) if hysteresis else 0.0,
+            eddy=eddy / (omega * omega * square) if eddy else 0.0,
+            magnet=magnet / (2.0 * math.pi * magnet_frequency * magnet_current) ** 2,
+        )
+
+
+NO_EXTRA_LOSS = MachineLoss()
+
+
+# Losses of a machine at operating points as its terminals see them,
+# the winding as warm as its loss makes it.
+#
+# Every loss has its place in the equivalent circuit, so that the power at the terminals is the sum
+# of losses and shaft power without remainder: copper and magnet loss as resistances in series, iron
+# loss as a conductance beside the back-EMF. The currents of a reference are those that make the
+# torque; the iron's current comes on top.
+#
+# Source of the circuit: T. M. Jahns, "Flux-weakening regime operation of an interior permanent-
+# magnet synchronous motor drive", IEEE Transactions on Industry Applications IA-23(4), 1987,
+# doi:10.1109/TIA.1987.4504966 (without iron loss); S. Morimoto et al., "Loss minimization control
+# of permanent magnet synchronous motor drives", IEEE Transactions on Industrial Electronics 41(5),
+# 1994, doi:10.1109/41.315269 (with it).
 
 COPPER_COEFFICIENT = 0.00393  # Relative change of the resistance of copper per kelvin, at 20 degC.
 

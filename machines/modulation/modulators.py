@@ -23,14 +23,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import BoolArray, FloatArray
-from dqforge.machines.modulation.clamping import (
+from dqforge.machines.modulation.registry import (
+    INSCRIBED,
+    MODULATORS,
     compared_at,
+    overmodulated,
     resting_phase,
     sector_rule,
+    zero_sequence_of,
 )
-from dqforge.machines.modulation.hexagon import INSCRIBED, overmodulated
-from dqforge.machines.modulation.registry import MODULATORS
-from dqforge.machines.modulation.zero_sequence import zero_sequence_of
 from dqforge.machines.names import ModulationName, OvermodulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import DOUBLES, Triple, clarke, clarke_inverse, dq_to_phases
@@ -145,7 +146,7 @@ def zero_sequence(
     name: ModulationName, voltage: FloatArray, current: FloatArray, v_dc: float
 ) -> FloatArray:
     """Zero-sequence voltage V0 in V from the negative rail, by the rules of
-    `dqforge.machines.modulation.zero_sequence`.
+    `dqforge.machines.modulation.registry`.
 
     Args:
         name: The modulator.

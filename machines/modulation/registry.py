@@ -4,16 +4,34 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from pkgutil import iter_modules
 from types import MappingProxyType
-from typing import get_args
+from typing import Any, get_args
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dqforge.machines.arrays import BoolArray, FloatArray, IndexArray
 from dqforge.machines.modulation import families
-from dqforge.machines.modulation.modulator import Modulator
-from dqforge.machines.names import ModulationName
+from dqforge.machines.modulation.modulator import REACTIVE, SIXTY, THIRTY, Modulator
+from dqforge.machines.names import ModulationName, OvermodulationName
+from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import (
+    DOUBLES,
+    Floats,
+    N,
+    Numbers,
+    Pair,
+    Reals,
+    Triple,
+    clarke,
+    clarke_inverse,
+    park,
+)
 
 
 def _found() -> dict[ModulationName, Modulator]:
@@ -51,3 +69,533 @@ def registered(*modulators: Modulator) -> Iterator[None]:
     finally:
         for record in modulators:
             _RECORDS.pop(record.name, None)
+
+
+# Overmodulation on the voltage hexagon: the vector that the duty cycles make of one beyond it, up
+# to six-step operation, with the fundamental that was asked for.
+#
+# A vector of the amplitude m (over v_dc) is asked for; while it turns, the method is fed a circle
+# of another radius, so that the fundamental of what it makes is m. Two methods::
+#
+#     least phase error      the vector is shortened along its direction onto the hexagon; from
+#                            sqrt(3) ln(3) / pi = 0.6057 on its place along the side is stretched
+#                            from the middle, and the corners are held
+#     least magnitude error  the end of the vector moves to the nearest point of the hexagon; from
+#                            1/3 + sqrt(3) / (2 pi) = 0.6090 on that is a corner some of the time
+#
+# The radius fed, and the reciprocals that rise without bound towards six-step operation, are
+# polynomials of a square root: in it they are smooth up to the end, where their slope over m is
+# infinite.
+#
+# References:
+#     J. Holtz, W. Lotzkat, A. M. Khambadkone, "On continuous control of PWM inverters in the
+#   overmodulation range including the six-step mode", IEEE Transactions on Power Electronics 8(4),
+#   1993, doi:10.1109/63.261026 (two ranges, hold of the corners). A. M. Hava, R. J. Kerkman, T. A.
+#   Lipo, "Carrier-based PWM-VSI overmodulation strategies: analysis, comparison, and design", IEEE
+#     Transactions on Power Electronics 13(4), 1998, doi:10.1109/63.704136 (least magnitude error is
+#     what saturated space-vector modulation does). The polynomials and the stretched side are our
+#     own.
+
+# Radius over v_dc of the circle in the hexagon: the largest fundamental without overmodulation.
+INSCRIBED = 1.0 / math.sqrt(3.0)
+
+# Fundamental over v_dc of a vector that follows the hexagon at constant speed, 0.6057.
+HEXAGON = math.sqrt(3.0) * math.log(3.0) / math.pi
+SIX_STEP = 2.0 / math.pi  # Fundamental over v_dc of six-step operation.
+
+# Least of the reciprocals that go to zero at six-step operation; it leaves a fundamental of 1e-7
+# less.
+LEAST_HOLD = 1.0e-3
+
+
+@dataclass(frozen=True, slots=True)
+class HexagonMethod:
+    """One method of overmodulation.
+
+    Args:
+        name: As in a design file.
+        text: What it does, in a line.
+        radial: Whether the vector is shortened along its direction.
+        turning: Fundamental over v_dc from which on corners are held.
+        arc_end: Fundamental whose distance from m goes into the root of ``arc``.
+        arc: Polynomial of sqrt(arc_end - m), lowest power first: radius over v_dc of the circle
+            that the method is fed below ``turning``.
+        hold: Polynomial of sqrt(SIX_STEP - m), lowest power first, from ``turning`` on. Least phase
+            error: reciprocal of the stretch along the side. Least magnitude error: v_dc over the
+            radius of the circle.
+    """
+
+    name: OvermodulationName
+    text: str
+    radial: bool
+    turning: float
+    arc_end: float
+    arc: tuple[float, ...]
+    hold: tuple[float, ...]
+
+
+# Fitted in the largest relative error of the fundamental: 3e-5 (arc) and 3e-6 (hold) with least
+# phase error, 2.5e-5 and 4e-7 with least magnitude error; float32 as they are written.
+# The methods by name.
+METHODS: Mapping[OvermodulationName, HexagonMethod] = MappingProxyType(
+    {
+        "least-phase-error": HexagonMethod(
+            name="least-phase-error",
+            text="the vector is shortened along its direction onto the hexagon",
+            radial=True,
+            turning=HEXAGON,
+            arc_end=HEXAGON,
+            arc=(0.6677227, -0.7014633, 1.8265866, -10.255876, 30.964746),
+            hold=(-0.0006543373, 5.3520765, -0.53342336, 13.968511),
+        ),
+        "least-magnitude-error": HexagonMethod(
+            name="least-magnitude-error",
+            text="the end of the vector moves to the nearest point of the hexagon",
+            radial=False,
+            turning=1.0 / 3.0 + math.sqrt(3.0) / (2.0 * math.pi),
+            arc_end=0.6109,
+            arc=(0.71753544, -1.4505526, 7.8532286, -35.459316, 71.005295),
+            hold=(0.00015003931, 9.201491, 0.13618897, -7.227792),
+        ),
+    }
+)
+
+
+def follows_hexagon(modulation: ModulationName) -> bool:
+    """Whether a modulator's duty cycles make every vector of the hexagon.
+
+    Those that add nothing or a third harmonic do not: at the corners their zero sequence would take
+    two phases beyond the rails.
+
+    Args:
+        modulation: The modulator.
+    """
+    return MODULATORS[modulation].kind not in ("sine", "third-harmonic")
+
+
+def overmodulated(name: OvermodulationName, vector: Pair[Reals], v_dc: Reals) -> Pair[Reals]:
+    """What the duty cycles make of voltage vectors: the same within the circle in the hexagon,
+    beyond it a vector on the hexagon or within, by the method.
+
+    The operations and their order are those of the emitted C, of which this is the model in
+    float32.
+
+    Args:
+        name: The method; ``none`` leaves the vectors as they are.
+        vector: Alpha and beta in V, arrays of one floating-point type and shape (...).
+        v_dc: DC-link voltage in V, of the same type, shape (...). Without it nothing is changed.
+    """
+    if name == "none":
+        return vector
+    square = (vector.x * vector.x) + (vector.y * vector.y)
+    number = square.dtype.type
+    beyond = (v_dc > number(0.0)) & (square > number(1.0 / 3.0) * (v_dc * v_dc))
+    if not np.any(beyond):
+        return vector
+    inner = Pair(*(np.where(beyond, axis, number(0.5)) for axis in vector))
+    link = np.where(beyond, v_dc, number(1.0))
+    index = np.sqrt(np.where(beyond, square, number(1.0))) / link
+    made = _on_hexagon(METHODS[name], inner, link, index)
+    return Pair(*(np.where(beyond, new, old) for new, old in zip(made, vector, strict=True)))
+
+
+def _on_hexagon(
+    method: HexagonMethod, vector: Pair[Reals], v_dc: Reals, index: Reals
+) -> Pair[Reals]:
+    """Vectors that all lie beyond the circle in the hexagon; ``index`` is their length over
+    v_dc.
+    """
+    number = index.dtype.type
+    middle, side, in_middle = _nearest_side(vector)
+    span = np.abs(side)
+    held = ~(index < number(method.turning))
+    gain = _polynomial(method.arc, number(method.arc_end) - index) / index
+    hold = _polynomial(method.hold, number(SIX_STEP) - index)
+    hold = np.where(hold < number(LEAST_HOLD), number(LEAST_HOLD), hold)
+    inside = ~held & ~(gain * span > v_dc)
+    if method.radial:
+        gain = np.where(inside, gain, v_dc / span)
+        turned = ~held
+        along = (middle * v_dc) / (span * hold)
+    else:
+        turned = inside
+        along = np.where(held, middle / (index * hold), gain * middle)
+    corner = number(1.0 / 3.0) * v_dc
+    along = np.where(along > corner, corner, np.where(along < -corner, -corner, along))
+    whole = np.where(side < number(0.0), -v_dc, v_dc)
+    x, y = _on_side(along, whole, in_middle)
+    return Pair(np.where(turned, gain * vector.x, x), np.where(turned, gain * vector.y, y))
+
+
+def _polynomial(coefficients: tuple[float, ...], distance: Reals) -> Reals:
+    """A polynomial of the root of a distance, which counts as 0 where it is negative."""
+    number = distance.dtype.type
+    root = np.sqrt(np.where(distance > number(0.0), distance, number(0.0)))
+    value = np.full_like(root, coefficients[-1])
+    for coefficient in coefficients[-2::-1]:
+        value = number(coefficient) + (value * root)
+    return np.asarray(value)
+
+
+def _nearest_side(vector: Pair[Reals]) -> tuple[Reals, Reals, tuple[Any, Any]]:
+    """Voltage of the phase between the two others, the difference of these, and whether that
+    phase is a, and whether it is b.
+    """
+    v = clarke_inverse(Floats(vector.x.dtype.type), vector)
+    ab, bc, ca = v.a - v.b, v.b - v.c, v.c - v.a
+    is_a = (np.abs(bc) >= np.abs(ab)) & (np.abs(bc) >= np.abs(ca))
+    is_b = ~is_a & (np.abs(ca) >= np.abs(ab))
+    middle = np.where(is_a, v.a, np.where(is_b, v.b, v.c))
+    side = np.where(is_a, bc, np.where(is_b, -ca, ab))
+    return middle, side, (is_a, is_b)
+
+
+def _on_side(along: Reals, whole: Reals, in_middle: tuple[Any, Any]) -> Pair[Reals]:
+    """Alpha and beta of a voltage of the middle phase and a difference of the two others."""
+    number = along.dtype.type
+    is_a, is_b = in_middle
+    half, root = number(0.5), number(1.0 / math.sqrt(3.0))
+    x = np.where(is_a, along, half * (whole - along))
+    across = ((half * whole) + (number(1.5) * along)) * root
+    y = np.where(is_a, root * whole, np.where(is_b, across, -across))
+    return Pair(x, y)
+
+
+# Zero sequence of all modulators, written once for every kind of number
+# (`dqforge.machines.transforms.Numbers`).
+#
+# ::
+#
+#     SPWM           V0 = v_dc / 2
+#     THIPWM6        V0 = v_dc / 2 - V cos(3 alpha) / 6
+#     THIPWM4        V0 = v_dc / 2 - V cos(3 alpha) / 4
+#     SVPWM          V0 = (v_dc - V_max - V_min) / 2
+#     discontinuous  V0 = v_dc - V_max where the highest phase rests, -V_min where the lowest does
+#
+# with alpha the angle of the voltage vector from phase a. Paper 000 (14) prints -V_max in the last
+# case, which would clamp no phase. Which of the two phases rests:
+#
+# ::
+#
+#     DPWMMAX, DPWMMIN    always the highest, always the lowest
+#     DPWM1, DPWM3        that with the larger, the smaller reference
+#     DPWM0, DPWM2        that with the larger reference 30 degrees ahead, behind
+#     GDPWM               that with the larger reference at the load angle, up to 30 degrees
+#     DDT-GDPWM           that with the larger current
+#
+# Of equal references the first is the highest and the last is the lowest, so that the two are never
+# the same phase; where both might rest equally well it is the highest.
+
+
+def zero_sequence_of(
+    o: Numbers[N, Any],
+    name: ModulationName,
+    v: Triple[N],
+    i: Triple[N],
+    v_dc: N,
+    vector: Pair[N] | None = None,
+    turn: Pair[N] | None = None,
+) -> N:
+    """Zero sequence from the negative rail, in the unit of the references.
+
+    Args:
+        o: The arithmetic.
+        name: The modulator.
+        v, i: References of the phases from the star point, and phase currents, of which DDT-GDPWM
+            compares the magnitudes.
+        v_dc: DC-link voltage in the unit of the references.
+        vector, turn: As of `compared`; with ``vector`` the third harmonic takes its square from
+            there too.
+    """
+    rule = MODULATORS[name]
+    if rule.kind == "sine":
+        return o.halved(v_dc)
+    if rule.kind == "third-harmonic":
+        third = third_harmonic(o, v, rule.share, vector)
+        return o.total(f"{name}: zero sequence", o.halved(v_dc), o.negative(third))
+    if rule.kind != "compared":
+        (high,), (low,) = extremes(o, v)
+        upper = o.total(f"{name}: zero sequence", v_dc, o.negative(high))
+        lower = o.negative(low)
+        if rule.kind == "centred":
+            return o.halved(o.total(f"{name}: zero sequence", upper, lower))
+        return upper if rule.kind == "highest" else lower
+    (high, of_high), (low, of_low) = extremes(o, v, compared(o, name, v, i, vector, turn))
+    upper = o.total(f"{name}: zero sequence", v_dc, o.negative(high))
+    return o.choose(highest_rests(o, name, of_high, of_low), upper, o.negative(low))
+
+
+def third_harmonic(
+    o: Numbers[N, Any], v: Triple[N], share: float, vector: Pair[N] | None = None
+) -> N:
+    """The third harmonic V cos(3 alpha) times a share, from cos(3 alpha) V^3 = 4 a b
+    c of balanced references.
+
+    Args:
+        o: The arithmetic.
+        v: References of the phases in any unit.
+        share: Share of the harmonic, 1/4 at the most.
+        vector: Alpha and beta of the references, if V^2 is to be theirs; else it is 2/3 of the sum
+            of the phases' squares.
+    """
+    if vector is None:
+        squares = [o.product("third harmonic: square", phase, phase) for phase in v]
+        total = o.total("third harmonic: V^2", *(o.lowered(square) for square in squares))
+        length = o.lowered(o.part("third harmonic: V^2", total, 2.0 / 3.0))
+    else:
+        name = "third harmonic: V^2"
+        length = o.total(
+            name, o.product(name, vector.x, vector.x), o.product(name, vector.y, vector.y)
+        )
+    cube = o.product(
+        "third harmonic: a b c", o.lowered(o.product("third harmonic: a b", v.a, v.b)), v.c
+    )
+    quarter = o.ratio("third harmonic: ratio", cube, length)
+    if share == 0.25:
+        return quarter
+    return o.settled("third harmonic", o.part("third harmonic", quarter, 4.0 * share))
+
+
+def extremes(
+    o: Numbers[N, Any], v: Triple[N], *views: Triple[N]
+) -> tuple[tuple[N, ...], tuple[N, ...]]:
+    """The highest and the lowest of three phases: its value, then what each view has of that phase.
+
+    Args:
+        o: The arithmetic.
+        v: References of the phases.
+        views: Other values of the phases, that of the found phase is returned for each.
+    """
+    high = low = (v.a, *(view.a for view in views))
+    for k in (1, 2):
+        other = (v[k], *(view[k] for view in views))
+        keeps, falls = o.at_least(high[0], other[0]), o.at_least(low[0], other[0])
+        high = tuple(o.choose(keeps, x, y) for x, y in zip(high, other, strict=True))
+        low = tuple(o.choose(falls, y, x) for x, y in zip(low, other, strict=True))
+    return high, low
+
+
+def compared(
+    o: Numbers[N, Any],
+    name: ModulationName,
+    v: Triple[N],
+    i: Triple[N],
+    vector: Pair[N] | None = None,
+    turn: Pair[N] | None = None,
+) -> Triple[N]:
+    """What a discontinuous modulator looks at to choose between the highest and the lowest phase.
+
+    References delayed by 30 degrees are differences of two references, but for a factor that does
+    not matter. So DPWM0 and DPWM2 compare these where there is no ``turn``, exactly in integers;
+    the emitted floating-point code turns the vector for them as GDPWM must, for which the load
+    angle is any.
+
+    Args:
+        o: The arithmetic.
+        name: A discontinuous modulator that uses both rails.
+        v, i: References and currents of the phases.
+        vector, turn: Alpha and beta of the references and the delay at which they are compared,
+            that of the modulator or `load_turn`, as cosine and sine; GDPWM needs both, DPWM0 and
+            DPWM2 take them where they are given, the others have no use for them.
+    """
+    rule = MODULATORS[name]
+    if rule.compared == "currents":
+        return i
+    if rule.compared == "voltages":
+        return v
+    if vector is not None and turn is not None:
+        return clarke_inverse(o, park(o, vector, turn))
+    assert rule.delay is not None, f"{name} needs the vectors of voltage and current"
+    other = Triple(v.b, v.c, v.a) if rule.delay.y < 0.0 else Triple(v.c, v.a, v.b)
+    return Triple(
+        *(o.total(f"{name}: difference", x, o.negative(y)) for x, y in zip(v, other, strict=True))
+    )
+
+
+def highest_rests(o: Numbers[N, Any], name: ModulationName, of_high: N, of_low: N) -> Any:
+    """Condition that of the highest and the lowest phase the highest rests.
+
+    Args:
+        o: The arithmetic.
+        name: A discontinuous modulator that uses both rails.
+        of_high, of_low: What `compared` has of the two phases.
+    """
+    of_high, of_low = o.magnitude(of_high), o.magnitude(of_low)
+    if MODULATORS[name].smaller:
+        return o.at_least(of_low, of_high)
+    return o.at_least(of_high, of_low)
+
+
+def load_turn(voltage: Pair[Reals], current: Pair[Reals], reactive: float = 0.0) -> Pair[Reals]:
+    """Cosine and sine of the angle by which the current lags the voltage, held within 30 degrees;
+    0 without current.
+
+    Loss depends on the magnitude of the current alone, so that generating counts as motoring
+    with the current reversed.
+
+    Args:
+        voltage, current: Alpha and beta in any units, numpy arrays of one type and any shapes that
+            fit together.
+        reactive: Loads whose power is above this share of the apparent power, taken negative, count
+            as motoring, so that rounding does not turn the angle to and fro.
+    """
+    number = np.result_type(voltage.x, current.x).type
+    zero, half, one = number(0.0), number(0.5), number(1.0)
+    along = (voltage.x * current.x) + (voltage.y * current.y)
+    across = (voltage.y * current.x) - (voltage.x * current.y)
+    length = np.sqrt((along * along) + (across * across))
+    generating = along < (-number(reactive) * length if reactive else zero)
+    across, along = np.where(generating, -across, across), np.abs(along)
+    known, wide = length > zero, np.abs(across) > number(1.0 / math.sqrt(3.0)) * along
+    divisor = np.where(known, length, one)
+    cosine = np.where(wide, number(math.sqrt(0.75)), along / divisor)
+    sine = np.where(wide, np.where(across < zero, -half, half), across / divisor)
+    return Pair(np.where(known, cosine, one), np.where(known, sine, zero))
+
+
+# Which phase discontinuous modulators tie to which rail, and what that
+# saves of the switching loss.
+#
+# At every instant the phase with the highest reference can rest at the positive rail, or the one
+# with the lowest at the negative. The modulators differ in nothing but this choice: by the sign of
+# the rail (DPWMMAX, DPWMMIN), by the magnitudes of the references seen from another angle (DPWM0 to
+# DPWM3, GDPWM) or by those of the currents (DDT-GDPWM).
+#
+# References:
+#     A. M. Hava, R. J. Kerkman, T. A. Lipo, "A high-performance generalized discontinuous PWM
+#     algorithm", IEEE Transactions on Industry Applications 34(5), 1998, doi:10.1109/28.720446
+#   (clamping angle psi, DPWM0 to DPWM3). A. M. Hava, R. J. Kerkman, T. A. Lipo, "Simple analytical
+#   and graphical methods for carrier-based PWM-VSI drives", IEEE Transactions on Power Electronics
+#     14(1), 1999, doi:10.1109/63.737592 (switching loss function). T. D. Nguyen et al., "A direct
+#   digital technique implementation of general discontinuous pulse width modulation strategy", IEEE
+#     Transactions on Industrial Electronics 58(9), 2011, doi:10.1109/TIE.2010.2102311 (DDT-GDPWM).
+
+# Those of the package's modulators that keep one phase at a rail at every instant.
+DISCONTINUOUS: frozenset[ModulationName] = frozenset(
+    name for name, modulator in MODULATORS.items() if modulator.rests
+)
+
+# Eight Gauss points integrate products of three sines over at most 60 degrees to rounding.
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+
+def compared_at(
+    name: ModulationName, voltage: FloatArray, current: FloatArray
+) -> tuple[Triple[Reals], Triple[Reals], Pair[Reals] | None, Pair[Reals] | None]:
+    """References and currents of the phases, and for GDPWM the references' vector and
+    the turn of the load angle.
+
+    Args:
+        name: The modulator.
+        voltage, current: Phase references in V and phase currents in A, shape (..., 3).
+    """
+    v, i = (Triple(*np.moveaxis(phases, -1, 0)) for phases in (voltage, current))
+    if MODULATORS[name].compared != "load angle":
+        return v, i, None, None
+    vector = clarke(DOUBLES, v)
+    return v, i, vector, load_turn(vector, clarke(DOUBLES, i), REACTIVE)
+
+
+def resting_phase(
+    name: ModulationName, voltage: FloatArray, current: FloatArray
+) -> tuple[IndexArray, BoolArray]:
+    """Index (...) of the phase that a discontinuous modulator clamps, and True (...)
+    where to the positive rail.
+
+    Of equal references the first is the highest and the last is the lowest, so that the two are
+    never the same phase; where both might rest equally well it is the highest.
+
+    Args:
+        name: A modulator that rests a phase.
+        voltage, current: Phase references in V and phase currents in A, shape (..., 3). GDPWM takes
+            the load angle from the space vectors of both, DDT-GDPWM compares currents, the others
+            look at the references alone.
+    """
+    v, i, vector, turn = compared_at(name, voltage, current)
+    number = Triple(*np.arange(3))
+    if MODULATORS[name].one_rail:
+        (_, highest), (_, lowest) = extremes(DOUBLES, v, number)
+        upper = np.full(v.a.shape, MODULATORS[name].kind == "highest")
+    else:
+        seen = compared(DOUBLES, name, v, i, vector, turn)
+        (_, of_high, highest), (_, of_low, lowest) = extremes(DOUBLES, v, seen, number)
+        upper = np.asarray(highest_rests(DOUBLES, name, of_high, of_low))
+    return np.where(upper, highest, lowest), upper
+
+
+def hand_over(name: ModulationName, load_angle: FloatArray) -> FloatArray:
+    """Angle (...) in rad within the first 60 degrees after a positive peak where
+    the resting phase changes.
+
+    0 or 60 degrees where it changes between the sectors only, and for continuous modulators. With
+    DDT-GDPWM it is where the magnitudes of the two currents cross, with the others at the clamping
+    angle.
+
+    Args:
+        name: The modulator.
+        load_angle: Angle in rad by which the current lags the voltage, shape (...).
+    """
+    return MODULATORS[name].hand_over(load_angle)
+
+
+def sector_rule(
+    name: ModulationName, lag: FloatArray, parts: int = 1
+) -> tuple[FloatArray, FloatArray]:
+    """Angles (..., n) of the voltage vector in its first sector, in rad, and their weights (...,
+    n) of sum 1.
+
+    `lag` (...) in rad is the angle by which the current lags the voltage. The sector, 0 to 60
+    degrees, keeps the order V_a > V_b > V_c. It is split where a phase current is zero and where
+    the resting phase changes, and each part gets its own Gauss rule: 24 angles. With modulators of
+    one rail the next sector follows with the same 24.
+
+    Args:
+        name: The modulator.
+        lag: Angle in rad by which the current lags the voltage, shape (...).
+        parts: Equal parts of the sector that get a rule of their own besides, even for waveforms
+            that change at its middle.
+    """
+    current_zero = np.mod(lag + THIRTY, SIXTY)
+    change = hand_over(name, lag)
+    even = [np.full_like(lag, SIXTY * k / parts) for k in range(1, parts)]
+    edges = np.sort(
+        np.stack(
+            [np.zeros_like(lag), current_zero, change, *even, np.full_like(lag, SIXTY)], axis=-1
+        )
+    )
+    half = 0.5 * np.diff(edges, axis=-1)[..., None]
+    middle = 0.5 * (edges[..., 1:] + edges[..., :-1])[..., None]
+    shape = (*lag.shape, (2 + parts) * _GAUSS_NODES.size)
+    angle, weight = (
+        (middle + half * _GAUSS_NODES).reshape(shape),
+        (half * _GAUSS_WEIGHTS / SIXTY).reshape(shape),
+    )
+    if not MODULATORS[name].one_rail:
+        return angle, weight
+    return np.concatenate([angle, angle + SIXTY], axis=-1), np.concatenate(
+        [weight, weight], axis=-1
+    ) / 2.0
+
+
+def switching_loss_factor(name: ModulationName, load_angle: ArrayLike) -> FloatArray:
+    """Switching loss relative to continuous modulators at the same carrier frequency (Hava 1999,
+    SLF).
+
+    ::
+
+        SLF(phi) = 1 - 1/2 sum over the intervals where a phase rests in a half wave of
+            int |cos(x - phi)| dx
+
+    for losses proportional to the current; x from the peak of the phase's reference. The intervals
+    in degrees are -60 to 0 (DPWM0), -30 to 30 (DPWM1), 0 to 60 (DPWM2), -60 to -30 and 30 to 60
+    (DPWM3), psi - 60 to psi (GDPWM), and -60 to 60 in every other half wave (DPWMMIN, DPWMMAX).
+    DDT-GDPWM: see docs/methods/loss-budget.md.
+
+    Args:
+        name: The modulator; 1 for continuous ones.
+        load_angle: Angle phi in rad by which the current lags the voltage, any shape.
+
+    Returns:
+        Of the shape of `load_angle`.
+    """
+    return MODULATORS[name].loss_factor(np.asarray(load_angle, dtype=np.float64))

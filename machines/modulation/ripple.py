@@ -30,7 +30,6 @@ from numpy.typing import ArrayLike
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.machine_batch import MachineOrBatch
 from dqforge.machines.dq_machines.synchronous import Machine
-from dqforge.machines.modulation.clamping import hand_over
 from dqforge.machines.modulation.modulators import (
     MODULATORS,
     SIX_STEP_AMPLITUDE,
@@ -39,6 +38,7 @@ from dqforge.machines.modulation.modulators import (
     modulate,
     sector_waveforms,
 )
+from dqforge.machines.modulation.registry import hand_over
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import dq_to_phases, rotor_axes

@@ -6,10 +6,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import CurrentFrame, Topology
-from dqforge.machines.phase_machines.salient_phase_machine import (
-    AnyPhaseMachine,
-    SalientPhaseMachine,
-)
+from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine, SalientPhaseMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import clarke_matrix

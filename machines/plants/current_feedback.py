@@ -33,9 +33,19 @@ from dqforge.machines.plants.current_regulators.schemes import (
     further_start,
     further_work,
 )
-from dqforge.machines.plants.current_trace import CurrentTrace
-from dqforge.machines.plants.fed_machine import I_D, I_Q, Z_D, Z_Q, BridgeDrive, Plant, build_plant
-from dqforge.machines.plants.switching_events import Controller, LegByLeg, follow
+from dqforge.machines.plants.fed_machine import (
+    I_D,
+    I_Q,
+    Z_D,
+    Z_Q,
+    BridgeDrive,
+    Controller,
+    CurrentTrace,
+    LegByLeg,
+    Plant,
+    build_plant,
+    follow,
+)
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import dq_to_phases
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.modulation.zero_sequence import extremes
+from dqforge.machines.modulation.registry import extremes
 from dqforge.machines.names import Topology
 from dqforge.machines.topologies.topology import TOPOLOGIES, leg_signs
 from dqforge.machines.transforms import Floats, N, Numbers, Triple

@@ -8,9 +8,8 @@ import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.modulation.hexagon import INSCRIBED, SIX_STEP, follows_hexagon
 from dqforge.machines.modulation.modulators import in_linear_range
-from dqforge.machines.modulation.registry import MODULATORS
+from dqforge.machines.modulation.registry import INSCRIBED, MODULATORS, SIX_STEP, follows_hexagon
 from dqforge.machines.names import ModulationName, OvermodulationName, Topology
 from dqforge.machines.topologies.regions import sine_share
 from dqforge.machines.topologies.topology import TOPOLOGIES

@@ -2,7 +2,7 @@
 
 Data sheets write them behind a unit (``100 mOhm phase-to-phase``), within it (``12 Vrms/krpm``) or
 alone, and each in many ways. Here they become two marks: the place that a value belongs to, and its
-measure. Which of them a key may have, the key says (`dqforge.machines.entries.kind_choice`).
+measure. Which of them a key may have, the key says (`dqforge.machines.entries.rules`).
 """
 
 from __future__ import annotations

@@ -22,30 +22,32 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.box_proofs.cell_queue import (
+    CELL_WORK,
+    BoxDrive,
     Cell,
+    Contraction,
+    CurrentLoopBox,
     Cut,
     Empty,
     Open,
     Proven,
     Tree,
     Verdict,
-    search,
-)
-from dqforge.optimizer.box_proofs.contraction import Contraction, contracts, lyapunov_frame
-from dqforge.optimizer.box_proofs.current_loop_model import (
-    BoxDrive,
-    CurrentLoopBox,
+    contracts,
     corner_points,
     drive_at,
     largest_moduli,
     loop_matrices,
+    lyapunov_frame,
     parameters_of,
+    reach_of,
     remainder,
     root_cell,
+    rounded,
+    search,
     shrunk,
     slopes,
 )
-from dqforge.optimizer.box_proofs.current_loop_search import CELL_WORK, reach_of, rounded
 from dqforge.optimizer.box_proofs.interior_point import Blocks, Budget, climb
 
 CELLS = 120

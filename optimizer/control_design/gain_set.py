@@ -1,46 +1,162 @@
-"""Gains of every loop and observer that a design asks for."""
+"""What is proven of each loop by itself: margins over the tolerances, the speed loop, changing
+inductances.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.design.numerical import on_design
+from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.control_design.loop_proofs import LoopProofs, prove_loops
+from dqforge.optimizer.box_proofs.cell_queue import (
+    BoxDrive,
+    CurrentLoopBox,
+    largest_moduli,
+    loop_matrices,
+    parameters_of,
+)
+from dqforge.optimizer.box_proofs.current_loop_proof import (
+    CurrentLoopProof,
+    prove_current_loops,
+    prove_sensitivity,
+)
 from dqforge.optimizer.dynamic_references.solve import DynamicReferences, dynamic_references
 from dqforge.optimizer.estimators.solve import TunedTracker, solve_tracker
-from dqforge.optimizer.loops.gains import speed_delay, tune_current_loop, tune_speed_loop
-from dqforge.optimizer.loops.inductances import inductance_range
-from dqforge.optimizer.loops.integer_gains import PerUnitGains, per_unit_gains
-from dqforge.optimizer.loops.responses import LoopResponse, loop_responses
+from dqforge.optimizer.loops.integer_gains import (
+    LoopResponse,
+    PerUnitGains,
+    inductance_range,
+    loop_responses,
+    per_unit_gains,
+)
+from dqforge.optimizer.loops.loop_gains import speed_delay, tune_current_loop, tune_speed_loop
+from dqforge.optimizer.loops.pi_methods import vendor_inductance
 from dqforge.optimizer.loops.robustness import (
     RobustSet,
     current_robustness,
     speed_robustness,
     turning_robustness,
+    unstable_together,
     zero_robustness,
 )
 from dqforge.optimizer.loops.tolerance_box import Axis, DriveBox, drive_box
-from dqforge.optimizer.loops.vendor_methods import vendor_inductance
 from dqforge.optimizer.observers.solve import solve_observer
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
     from dqforge.machines.design.settings import ControlSettings
-    from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof
+    from dqforge.optimizer.axis_margins import ProvenMargins
+    from dqforge.optimizer.changing_loops import ChangingAxis
     from dqforge.optimizer.control_design.measured_speed_loop import MeasuredSpeed
     from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
-    from dqforge.optimizer.loops.loop_batch import PlantBatch
     from dqforge.optimizer.loops.loop_gains import LoopGains, LoopName
+    from dqforge.optimizer.loops.pi_methods import PlantBatch
     from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule
     from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver, SpeedErrorSlopes
     from dqforge.optimizer.observers.tuning import PositionObserver
     from dqforge.optimizer.phase_control.design import PhaseLoops
+    from dqforge.optimizer.speed_box import SpeedProof
 
+
+@dataclass(frozen=True, slots=True)
+class LoopProofs:
+    """Proofs of single loops.
+
+    Args:
+        margins: Of each current loop over the tolerances; empty without them.
+        speed: Of the speed loop over the tolerances; None without them, or with an observer.
+        observed: Whether there is a speed loop with tolerances whose speed is observed, of which
+            nothing is proven.
+        changing: Of both axes of a machine that saturates while the inductances change; empty for
+            others.
+        measured: The same as ``observed`` where an encoder's edges make the speed.
+    """
+
+    margins: Mapping[LoopName, ProvenMargins] = field(default_factory=dict)
+    speed: SpeedProof | None = None
+    observed: bool = False
+    changing: tuple[ChangingAxis, ...] = ()
+    measured: bool = False
+
+
+def prove_margins_of(
+    box: DriveBox, loops: tuple[LoopGains | None, ...], robust: RobustSet
+) -> dict[LoopName, ProvenMargins]:
+    """Margins of the current loops over the tolerances.
+
+    Args:
+        box: The drive with its tolerances.
+        loops: Loops of d, q and the zero sequence, None where there is none.
+        robust: What corners and samples found.
+    """
+    found = {"i_d": robust.i_d, "i_q": robust.i_q, "i_0": robust.i_0}
+    proven: dict[LoopName, ProvenMargins] = {}
+    for loop in loops:
+        worst = None if loop is None else found[loop.loop]
+        if loop is not None and worst is not None:
+            from dqforge.optimizer.axis_margins import prove_margins
+
+            proven[loop.loop] = prove_margins(box, loop, worst)
+    return proven
+
+
+def prove_loops(
+    box: DriveBox,
+    largest: tuple[float, float],
+    currents: tuple[LoopGains, LoopGains, LoopGains | None],
+    speed: LoopGains | None,
+    found: tuple[RobustSet | None, GainSchedule | None],
+) -> LoopProofs:
+    """All proofs of single loops of a design whose gains are found.
+
+    Args:
+        box: The drive with its tolerances.
+        largest: Largest incremental inductances (l_d, l_q) along the reference, in H.
+        currents: Current loops of d, q and the zero sequence (None where there is none).
+        speed: The speed loop, None where there is none.
+        found: What corners and samples found (None without tolerances), and the gains over the
+            current.
+
+    Raises:
+        NoSolutionError: The speed loop is unstable between the corners and samples; names the
+            drive.
+    """
+    i_d, i_q, _ = currents
+    robust, schedule = found
+    changing: tuple[ChangingAxis, ...] = ()
+    if box.design.phase_machine is None and not isinstance(box.design.machine, LinearMachine):
+        from dqforge.optimizer.changing_loops import prove_changing_currents
+
+        changing = prove_changing_currents(box, largest, (i_d, i_q), schedule)
+    if robust is None:
+        return LoopProofs(changing=changing)
+    observed = speed is not None and speed.observed is not None
+    proof = None
+    if speed is not None and not observed:
+        from dqforge.optimizer.speed_box import prove_speed_loop
+
+        proof = prove_speed_loop(box, speed, i_q, thorough=box.tolerances.thorough)
+        if proof.unstable is not None:
+            raise _refusal(proof.unstable)
+    return LoopProofs(prove_margins_of(box, currents, robust), proof, observed, changing)
+
+
+def _refusal(unstable: Mapping[str, float]) -> NoSolutionError:
+    at = ", ".join(f"{name} {100.0 * value:+.3g} %" for name, value in unstable.items())
+    return NoSolutionError(
+        f"control.speed_loop: within control.tolerances the speed loop is unstable at {at}, "
+        "between the corners and points that were tried; ask for a slower loop, or narrow "
+        "control.tolerances"
+    )
+
+
+# Gains of every loop and observer that a design asks for.
 
 AXES: tuple[Axis, Axis] = ("i_d", "i_q")
 
@@ -200,7 +316,7 @@ def solve_gains(design: Design, *, proofs: bool = True) -> GainSet:
     phases = _judged(design, box, phases)
     schedule = _schedule(design, box if named else None, i_d, i_q)
     if speed is not None and any(each is not None for each in (observer, position, tracker)):
-        from dqforge.optimizer.control_design.observed_speed_loop import judge_observed
+        from dqforge.optimizer.control_design.measured_speed_loop import judge_observed
 
         loops = (i_d, i_q, speed)
         speed = judge_observed(
@@ -257,7 +373,6 @@ def _judged(design: Design, box: DriveBox, phases: PhaseLoops | None) -> PhaseLo
 
 
 def _turning(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> CurrentLoopProof | None:
-    from dqforge.optimizer.control_design.turning_proof import turning_proof
 
     return turning_proof(box, i_d, i_q)
 
@@ -314,7 +429,7 @@ def _observer_lag(
     if position is None:
         return 0.0
     delays = speed_delay(i_q, design.control.t_s, settings)
-    from dqforge.optimizer.observed_drive.tuning_rule import speed_lag
+    from dqforge.optimizer.observed_drive.design_drive import speed_lag
 
     return speed_lag(position, delays, settings.spread)
 
@@ -328,7 +443,7 @@ def _spread_of_corners(
     settings = design.control.speed_loop
     if settings is None or not settings.counts_observer:
         return None
-    from dqforge.optimizer.control_design.observed_speed_loop import held_by_corners
+    from dqforge.optimizer.control_design.measured_speed_loop import held_by_corners
 
     factor = held_by_corners(design, loops, position)
     return None if factor is None or factor == 1.0 else settings.spread / factor
@@ -380,3 +495,77 @@ def gains_or_reason(design: Design, *, proofs: bool = True) -> tuple[GainSet | N
         if design.control.gains == "required":
             raise
         return None, f"no loop was asked for and none was found: {error.message}"
+
+
+# Both current loops of a design together, proven stable over its tolerances.
+
+
+def current_loop_box(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> CurrentLoopBox | None:
+    """All that a proof of both current loops depends on; None where the machine states no largest
+    speed.
+
+    Args:
+        box: The drive with its tolerances.
+        i_d, i_q: The current loops.
+    """
+    machine, control = box.design.machine, box.design.control
+    if machine.omega_m_max is None:
+        return None
+    low_d, high_d = box.inductance_limits("i_d")
+    low_q, high_q = box.inductance_limits("i_q")
+    low_r, high_r = box.tolerances.limits("r_s")
+    low_v, high_v = box.tolerances.limits("v_dc")
+    low_t, high_t = box.tolerances.limits("dead_time")
+    per_second = box.dead_time_resistance if high_t > low_t else 0.0
+    return CurrentLoopBox(
+        t_s=control.t_s,
+        kp=(i_d.kp, i_q.kp),
+        ki_ts=(i_d.ki_ts, i_q.ki_ts),
+        decoupling=(machine.l_d, machine.l_q),
+        r_s=(machine.r_s * (1.0 + low_r), machine.r_s * (1.0 + high_r)),
+        dead_time=(per_second * low_t + 0.0, per_second * high_t),  # no -0
+        l_d=(box.nominal[0] * (1.0 + low_d), box.nominal[0] * (1.0 + high_d)),
+        l_q=(box.nominal[1] * (1.0 + low_q), box.nominal[1] * (1.0 + high_q)),
+        gain=(1.0 + low_v, 1.0 + high_v),
+        omega_e=machine.pole_pairs * machine.omega_m_max,
+    )
+
+
+def turning_proof(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> CurrentLoopProof | None:
+    """What is proven of both current loops together over the tolerances; None where the machine
+    states no largest speed.
+
+    Args:
+        box: The drive with its tolerances.
+        i_d, i_q: The current loops.
+
+    Raises:
+        NoSolutionError: The loops are unstable at a drive between the corners and points that were
+            tried; names it.
+    """
+    inputs = current_loop_box(box, i_d, i_q)
+    if inputs is None:
+        return None
+    proof = prove_current_loops(inputs)
+    if proof.counterexample is not None:
+        raise _turning_proof_refusal(box, inputs, proof.counterexample)
+    if not proof.proven:
+        return proof
+    return replace(proof, sensitivity=prove_sensitivity(inputs, proof.left))
+
+
+def _turning_proof_refusal(
+    box: DriveBox, inputs: CurrentLoopBox, drive: BoxDrive
+) -> NoSolutionError:
+    machine = box.design.machine
+    rpm = drive.omega_e / machine.pole_pairs * 30.0 / np.pi
+    point = parameters_of(inputs, drive)
+    radius = float(largest_moduli(loop_matrices(inputs, point[None]))[0])
+    shares = (
+        ("l_d", drive.l_d / box.nominal[0]),
+        ("l_q", drive.l_q / box.nominal[1]),
+        ("v_dc", drive.gain),
+    )
+    parts = [f"{rpm:.4g} rpm, {drive.r_s:.4g} Ohm"]
+    parts += [f"{name} {100.0 * (share - 1.0):+.3g} %" for name, share in shares]
+    return unstable_together(", ".join(parts), radius)

@@ -13,14 +13,13 @@ from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import DqforgeError
 from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.control_design.observed_speed_loop import held_by_corners, slower_advice
+from dqforge.optimizer.control_design.measured_speed_loop import held_by_corners, slower_advice
 from dqforge.optimizer.observed_drive.design_drive import (
     observed_drive,
     position_estimator,
     top_speed,
 )
-from dqforge.optimizer.observed_drive.speed_range import SpeedPi, worst_corner
-from dqforge.optimizer.observed_drive.tolerance_corners import corner_box
+from dqforge.optimizer.observed_drive.speed_range import SpeedPi, corner_box, worst_corner
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design

@@ -18,15 +18,25 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.errors import DqforgeError
-from dqforge.machines.losses.bridge_heat import at_temperature, junction_balance
+from dqforge.machines.dq_machines.synchronous import linearised
+from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError
+from dqforge.machines.losses.bridge_tables import BridgeTables, at_temperature, junction_balance
 from dqforge.machines.losses.machine_budget import machine_budget
-from dqforge.machines.names import ModulationName
-from dqforge.machines.plants.current_feedback import simulate_currents
-from dqforge.machines.plants.current_trace import CurrentTrace
+from dqforge.machines.names import FeedbackMethod, ModulationName
+from dqforge.machines.plants.current_feedback import (
+    Hysteresis,
+    RampComparison,
+    Scheme,
+    simulate_currents,
+)
+from dqforge.machines.plants.current_regulators.schemes import (
+    FurtherScheme,
+    Sampled,
+    Trajectory,
+    optimal_pattern,
+)
+from dqforge.machines.plants.fed_machine import BridgeDrive, CurrentTrace
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.current_feedback.regulator_numbers import RegulatorPlan, bridge_of
-from dqforge.optimizer.current_feedback.trace_losses import trace_losses
 from dqforge.optimizer.losses.drive_budget import (
     BudgetOptions,
     DriveBudget,
@@ -308,3 +318,256 @@ def modulators_beside(
 
 def _without_dead_time(inverter: Inverter) -> Inverter:
     return replace(inverter, dead_time=0.0)
+
+
+# The regulator of a design: its numbers, given or computed, and what its current loop counts as.
+#
+# Defaults aim at the inverter's switching frequency f_sw with the smaller inductance L:
+#
+#     band     v_dc / (8 L f_sw), at which a phase on the middle of the link would switch at f_sw at
+#              rest (`hysteresis_frequency`); an isolated star point mostly switches less
+#     outer    twice the band
+#   carrier  f_sw, with kp for half of the triangle's slope (`slope_ratio`) at the voltage limit and
+#              ki = kp R / L, which cancels the winding's pole
+#     sampling 10 f_sw; of a trajectory, whose edges need no more, 2 f_sw
+#     pulses   at most 15 per electrical period
+
+METHODS: tuple[FeedbackMethod, ...] = (
+    "hysteresis",
+    "ramp-comparison",
+    "look-up-table",
+    "circle",
+    "predictive",
+    "trajectory",
+)
+
+VOLTAGE_SHARE = 0.95  # Share of v_dc/sqrt(3) that a regulator is given: the rest is for the error.
+_PULSES = 15
+
+
+@dataclass(frozen=True, slots=True)
+class RegulatorPlan:
+    """Numbers of a regulator in SI units; those that its method does not use are defaults.
+
+    Args:
+        method: Which one.
+        band, outer_band: In A.
+        kp, ki: In V/A and V/(A s).
+        carrier: In Hz.
+        comparator_band: In V.
+        t_s: Sampling period in s.
+        pulses: Most pulses of a leg per electrical period.
+    """
+
+    method: FeedbackMethod
+    band: float
+    outer_band: float
+    kp: float
+    ki: float
+    carrier: float
+    comparator_band: float
+    t_s: float
+    pulses: int
+
+    def scheme(self, electrical: float) -> Scheme | FurtherScheme:
+        """The scheme that is simulated, at an electrical frequency in Hz, which decides the pulses
+        of a pattern.
+        """
+        if self.method == "hysteresis":
+            return Hysteresis(self.band)
+        if self.method == "ramp-comparison":
+            return RampComparison(
+                self.kp, self.ki, self.carrier, comparator_band=self.comparator_band
+            )
+        if self.method == "trajectory":
+            return Trajectory(self.angles(electrical), self.t_s)
+        return Sampled(self.method, self.t_s, self.band, self.outer_band)
+
+    def angles(self, electrical: float) -> int:
+        """Angles in a quarter of a pattern at an electrical frequency in Hz: as many pulses as the
+        carrier frequency leaves, three at least.
+        """
+        pulses = min(self.pulses, int(self.carrier / electrical))
+        return max(1, (pulses - 1) // 2)
+
+
+def bridge_of(design: Design) -> BridgeDrive:
+    """Machine and ideal bridge of a design."""
+    return BridgeDrive(linearised(design.machine), design.inverter.v_dc)
+
+
+def regulator_plan(design: Design, method: FeedbackMethod | None = None) -> RegulatorPlan:
+    """Numbers of the design's regulator, or of another one with the same section.
+
+    Args:
+        design: The drive; keys that it leaves open are computed.
+        method: Another method than the design's, for comparisons.
+
+    Raises:
+        InputError: The design's outer band, given or not, is less than its band.
+    """
+    loop, machine = design.control.current_loop, linearised(design.machine)
+    v_dc, f_sw = design.inverter.v_dc, design.inverter.f_sw
+    least = min(machine.l_d, machine.l_q)
+    band = v_dc / (8.0 * least * f_sw) if loop.band is None else loop.band
+    carrier = f_sw if loop.carrier is None else loop.carrier
+    steepest = (2.0 / 3.0 + 1.0 / math.sqrt(3.0)) * v_dc / least
+    kp = v_dc * carrier / steepest if loop.kp is None else loop.kp
+    ki = kp * machine.r_s / least if loop.ki is None else loop.ki
+    outer = 2.0 * band if loop.outer_band is None else loop.outer_band
+    if outer < band:
+        raise InputError(
+            f"control.current_loop.outer_band: {outer:.4g} A is less than the band of {band:.4g} "
+            "A; write both"
+        )
+    chosen = loop.method if method is None else method
+    often = 2.0 if chosen == "trajectory" else 10.0
+    if chosen not in METHODS:
+        raise InputError(
+            f"control.current_loop: the method '{chosen}' does not switch the bridge itself"
+        )
+    return RegulatorPlan(
+        method=chosen,
+        band=band,
+        outer_band=outer,
+        kp=kp,
+        ki=ki,
+        carrier=carrier,
+        comparator_band=0.0 if loop.comparator_band is None else loop.comparator_band,
+        t_s=1.0 / (often * f_sw if loop.sampling is None else loop.sampling),
+        pulses=_PULSES if loop.pulses is None else loop.pulses,
+    )
+
+
+# Losses of a bridge at the switching instants and currents that a regulator really had.
+#
+# Conduction is averaged between the commutations; each commutation costs the energy of the device
+# at the current of that instant. What a leg does follows from the sign of its current: a leg that
+# goes up with the current out of it, or down with the current into it, turns a transistor on
+# against a diode that conducts; the other two turn one off.
+
+
+@dataclass(frozen=True, slots=True)
+class TraceLosses:
+    """Powers of one switch position in W, mean of the three legs, shape (2, J, K, N).
+
+    Upper and lower position; junction of the transistor and, where the diode has its own, of the
+    diode; temperature of the tables.
+
+    Args:
+        conduction, switching: Powers in W.
+        link_square: Mean square of the current from the DC link in A^2, shape (N,).
+        ripple_square: Mean square of what a phase current has beside its reference in A^2, shape
+            (N,).
+    """
+
+    conduction: FloatArray
+    switching: FloatArray
+    link_square: FloatArray
+    ripple_square: FloatArray
+
+
+def trace_losses(tables: BridgeTables, trace: CurrentTrace) -> TraceLosses:
+    """Losses of all points of a trace.
+
+    Args:
+        tables: The device.
+        trace: What the regulator did.
+    """
+    count = trace.plant.i_d.size
+    found = [_one(tables, trace, point) for point in range(count)]
+    stacked = [np.stack([part[k] for part in found], axis=-1) for k in range(4)]
+    conduction, switching = (
+        part if tables.separate_diode else np.sum(part, axis=1, keepdims=True)
+        for part in stacked[:2]
+    )
+    return TraceLosses(conduction, switching, stacked[2], stacked[3])
+
+
+def _one(
+    tables: BridgeTables, trace: CurrentTrace, point: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Conduction and switching (2, 2, K), mean squares of link current and ripple, of a point."""
+    weight, current, error = trace.samples_of(point)
+    on = trace.legs[:, point]
+    size = np.abs(current)
+    channel = tables.channel.at(size) * size
+    diode = channel if tables.synchronous or tables.diode is None else tables.diode.at(size) * size
+    conduction = np.zeros((2, 2, tables.temperatures.size))
+    for place, (own, out) in enumerate(((on, current > 0.0), (~on, current <= 0.0))):
+        shares = weight[..., None] / 3.0
+        ahead, back = shares * (own & out), shares * (own & ~out)
+        conduction[place, 0] = np.sum(channel * ahead, axis=(1, 2, 3))
+        part = np.sum(diode * back, axis=(1, 2, 3))
+        conduction[place, 0 if tables.synchronous else 1] += part
+    link = np.sum(weight * np.sum(np.where(on, current, 0.0), axis=-1) ** 2)
+    ripple = np.sum(weight * np.mean(error**2, axis=-1))
+    return conduction, _events(tables, trace, point), link, ripple
+
+
+def _events(tables: BridgeTables, trace: CurrentTrace, point: int) -> FloatArray:
+    """Switching power (2, 2, K) of the positions of a leg, mean of the three."""
+    power = np.zeros((2, 2, tables.temperatures.size))
+    duration = float(trace.duration[point])
+    for leg in range(3):
+        time, up = trace.instants(point, leg)
+        if not time.size:
+            continue
+        current = trace.phase_currents(point, time)[:, leg]
+        size, out = np.abs(current), current > 0.0
+        turn_on, turn_off = tables.turn_on.at(size), tables.turn_off.at(size)
+        recovery = tables.recovery.at(size)
+        scale = 1.0 / (3.0 * duration)
+        # With the current out of the leg its upper transistor switches, the lower diode recovers.
+        for place, works in enumerate((out, ~out)):
+            starts = works & (up == (place == 0))
+            ends = works & (up != (place == 0))
+            power[place, 0] += scale * (turn_on @ starts + turn_off @ ends)
+            power[1 - place, 1] += scale * (recovery @ starts)
+    return power
+
+
+# Pulse patterns of a design that tracks trajectories, at the points at which it is judged.
+
+
+@dataclass(frozen=True, slots=True)
+class DesignPattern:
+    """One pattern.
+
+    Args:
+        omega_m: Mechanical speed in rad/s at which it is meant.
+        index: Amplitude of the phase voltage over half the DC link.
+        sign: Level of a leg behind the angle 0 of its voltage's sine.
+        angles: Of a quarter of the period, in rad.
+    """
+
+    omega_m: float
+    index: float
+    sign: int
+    angles: tuple[float, ...]
+
+
+def design_patterns(
+    design: Design, plan: RegulatorPlan, points: WorkingPoints
+) -> tuple[DesignPattern, ...]:
+    """Patterns at points; none of another regulator, or where no pattern makes the voltage.
+
+    Args:
+        design: The drive.
+        plan: Its regulator.
+        points: Where.
+    """
+    if plan.method != "trajectory":
+        return ()
+    omega_e = design.machine.pole_pairs * points.omega_m
+    voltage = np.hypot(*design.machine.voltage(points.i_d, points.i_q, omega_e))
+    found = []
+    for speed, turning, amplitude in zip(points.omega_m, omega_e, voltage, strict=True):
+        index = float(amplitude / (0.5 * design.inverter.v_dc))
+        try:
+            pattern = optimal_pattern(plan.angles(float(turning) / (2.0 * math.pi)), index)
+        except NoSolutionError:
+            continue
+        angles = tuple(float(angle) for angle in pattern.angles)
+        found.append(DesignPattern(float(speed), index, pattern.sign, angles))
+    return tuple(found)

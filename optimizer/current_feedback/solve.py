@@ -17,23 +17,20 @@ from dqforge.machines.names import ModulationName
 from dqforge.machines.plants.current_regulators.sampled_rules import RuleConstants
 from dqforge.machines.plants.current_regulators.schemes import Sampled
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.current_feedback.patterns import DesignPattern, design_patterns
-from dqforge.optimizer.current_feedback.regulator_numbers import (
+from dqforge.optimizer.current_feedback.regulator_runs import (
     METHODS,
     VOLTAGE_SHARE,
+    DesignPattern,
     RegulatorPlan,
-    bridge_of,
-    regulator_plan,
-)
-from dqforge.optimizer.current_feedback.regulator_runs import (
     RegulatorRun,
     WorkingPoints,
+    bridge_of,
+    design_patterns,
     modulators_beside,
+    regulator_plan,
     run_regulator,
 )
-from dqforge.optimizer.loops.analysis import analyse_current_loop
-from dqforge.optimizer.loops.gains import tune_speed_loop
-from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.loops.loop_gains import LoopGains, analyse_current_loop, tune_speed_loop
 from dqforge.optimizer.losses.drive_budget import DriveBudget
 from dqforge.optimizer.losses.drive_comparison import strategy_currents
 from dqforge.optimizer.losses.loss_map import budget_options

@@ -10,39 +10,43 @@ from dataclasses import replace
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError
-from dqforge.machines.names import FitForm, NumberFormat
+from dqforge.machines.names import Core, FitForm, FitMethod, NumberFormat
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.current_reference.cost_model import AXES
 from dqforge.optimizer.current_reference.forms import (
+    FIXED_WIDTHS,
     ClosedForm,
     CurrentReference,
+    Emitted,
     ErrorCurves,
+    FixedReference,
     Form,
     Polynomials,
     Proportional,
     Reference,
     ReferenceErrors,
     ReluctanceClosedForm,
+    SignedReference,
     TorqueExact,
     error_curves,
     reference_errors,
 )
-from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
-from dqforge.optimizer.current_reference.integer_scales import code_scale, in_fixed_point, on_codes
-from dqforge.optimizer.curves.breakpoints import search, segment_errors
-from dqforge.optimizer.curves.edge_levelling import level_edges
+from dqforge.optimizer.curves.breakpoints import Segmentations, level_edges, search, segment_errors
 from dqforge.optimizer.curves.fitting import (
     Curve,
     SideConditions,
     fit_curve,
     squared_error_integral,
 )
-from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
-from dqforge.optimizer.curves.segmentations import Segmentations
-from dqforge.optimizer.curves.single_precision import SinglePolynomial
+from dqforge.optimizer.curves.integer_polynomial import CodeScale, fit_fixed
+from dqforge.optimizer.curves.single_precision import (
+    PiecewisePolynomial,
+    SinglePolynomial,
+    multiply_add,
+)
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint, domain_end
 
 # Torques at which the errors are kept over the torque, some more where a reference has breakpoints.
@@ -342,3 +346,378 @@ def _raised(fit: PiecewisePolynomial, constant: float) -> PiecewisePolynomial:
     coefficients = fit.coefficients.copy()
     coefficients[:, 0] += constant
     return PiecewisePolynomial(fit.edges, coefficients)
+
+
+# What a current reference costs on a core: cycles to rank candidates by, and bytes of constants.
+#
+# The cycles are fitted to compiled instances, sign and clamping included, each the middle of its
+# estimate on the emulated core; tests/benchmarks/test_firmware_cost.py measures them anew.
+
+# The axes that each form holds as polynomials.
+AXES: dict[FitForm, tuple[str, ...]] = {
+    "polynomial": ("d", "q"),
+    "even-odd": ("d", "q"),
+    "torque-exact": ("d",),
+    "closed-form": ("q",),
+}
+
+_FLOAT_BYTES = 4
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """Cycles of two segments at degree 0, per degree, what a single segment saves,
+    and what each further one costs.
+    """
+
+    base: float
+    per_degree: float
+    single: float
+    further: float
+
+    def cycles(self, degree: int, segments: int) -> float:
+        return (
+            self.base
+            + self.per_degree * degree
+            - (self.single if segments == 1 else self.further * (2 - segments))
+        )
+
+
+_M4: dict[str, _Line] = {
+    "polynomial": _Line(22.3, 6.7, 9.6, 6.0),
+    "even-odd": _Line(25.4, 6.2, 12.2, 6.0),
+    "torque-exact": _Line(39.2, 4.65, 6.5, 6.0),
+    "closed-form": _Line(44.7, 4.0, 6.5, 6.0),
+    "q15": _Line(36.6, 6.55, 9.5, 5.3),
+    "q31": _Line(30.4, 20.4, 16.0, 5.0),
+}
+
+# Rows for the forms in single precision, and for polynomials in fixed point.
+_CYCLES: dict[Core, dict[str, _Line]] = {
+    "cortex-m4": _M4,
+    "cortex-m33": _M4,
+    "cortex-m7": {
+        "polynomial": _Line(16.5, 4.85, 7.7, 5.3),
+        "even-odd": _Line(18.8, 4.75, 9.8, 5.6),
+        "torque-exact": _Line(32.1, 3.75, 5.4, 5.3),
+        "closed-form": _Line(33.5, 4.1, 4.7, 3.8),
+        "q15": _Line(26.6, 4.65, 9.0, 5.5),
+        "q31": _Line(24.0, 15.0, 12.0, 5.5),
+    },
+    "cortex-m3": {
+        "polynomial": _Line(171.9, 171.9, 168.0, 73.0),
+        "even-odd": _Line(219.0, 171.0, 233.0, 89.0),
+        "torque-exact": _Line(377.6, 85.5, 104.0, 57.0),
+        "closed-form": _Line(670.0, 87.0, 127.0, 69.0),
+        "q15": _Line(36.3, 8.25, 10.3, 6.1),
+        "q31": _Line(29.0, 29.0, 18.0, 7.6),
+    },
+    "cortex-m0plus": {
+        "polynomial": _Line(186.6, 446.7, 246.0, 114.0),
+        "even-odd": _Line(356.0, 444.0, 367.0, 131.0),
+        "torque-exact": _Line(823.4, 223.9, 163.0, 83.0),
+        "closed-form": _Line(889.5, 225.0, 176.0, 104.0),
+        "q15": _Line(58.6, 9.85, 16.0, 4.0),
+        "q31": _Line(85.2, 132.0, 25.0, 16.0),
+    },
+}
+
+
+def estimated_cycles(
+    form: FitForm,
+    degree: int,
+    segments: int,
+    number_format: NumberFormat = "float32",
+    core: Core = "cortex-m4",
+) -> float:
+    """Cycles of both currents on a core, an estimate to rank candidates by.
+
+    Args:
+        form: Form of the reference.
+        degree: Degree of its polynomials.
+        segments: Number of their segments.
+        number_format: Format of its numbers.
+        core: The processor core.
+    """
+    return _CYCLES[core][form if number_format == "float32" else number_format].cycles(
+        degree, segments
+    )
+
+
+def constant_bytes(
+    form: FitForm, degree: int, segments: int, number_format: NumberFormat = "float32"
+) -> int:
+    """Bytes of the constants of a form whose axes share their breakpoints.
+
+    Args:
+        form: Form of the reference.
+        degree: Degree of its polynomials.
+        segments: Number of their segments.
+        number_format: Format of its numbers.
+    """
+    polynomials = len(AXES[form])
+    if number_format != "float32":
+        word = FIXED_WIDTHS[number_format] // 4
+        return polynomials * segments * (4 + word * degree) + 4 * segments
+    extra = {"polynomial": 0, "even-odd": segments - 2, "torque-exact": 2, "closed-form": 2}[form]
+    # The first segment of each polynomial has no constant, the first start is zero;
+    # each has its value at the end.
+    floats = polynomials * (segments * (degree + 1)) + (segments - 1) + extra
+    return _FLOAT_BYTES * (floats + 1)
+
+
+def _fixed_bytes(reference: FixedReference) -> int:
+    """Bytes of the different integers of a reference in fixed point.
+
+    Constants are as wide as the products.
+    """
+    segments = [
+        s
+        for polynomial in (reference.d, reference.q)
+        if polynomial is not None
+        for s in polynomial.segments
+    ]
+    words = {
+        reference.end,
+        *(segment.start for segment in segments),
+        *(segment.leading for segment in segments),
+    }
+    constants = {constant for segment in segments for constant in segment.constants}
+    return 4 * len(words - {0}) + reference.width // 4 * len(constants - {0})
+
+
+def reference_bytes(reference: Emitted) -> int:
+    """Bytes of the different constants of a reference that is emitted, the
+    end of its domain included.
+    """
+    if isinstance(reference, FixedReference):
+        return _fixed_bytes(reference)
+    if isinstance(reference, SignedReference):
+        return reference_bytes(reference.positive) + reference_bytes(reference.negative)
+    constants = {float(reference.torque_max)}
+    for name in reference.form.__dataclass_fields__:
+        value = getattr(reference.form, name)
+        if isinstance(value, SinglePolynomial):
+            end = value.evaluate(np.array([reference.torque_max]), multiply_add)
+            constants.update(
+                float(constant) for constant in (*value.coefficients.flat, *value.starts, *end)
+            )
+        elif name != "sign":
+            constants.add(float(value))
+    if isinstance(reference.form, ClosedForm):
+        constants.add(float(reference.form.base_squared))
+    return _FLOAT_BYTES * len(constants - {0.0})
+
+
+# Full scales of fixed-point references, checked against what they must hold,
+# and integers on them.
+
+
+def code_scale(choice: CurrentChoice, settings: FitSettings, end: float) -> CodeScale:
+    """Full scales of a fixed-point format, checked against what it must hold.
+
+    Args:
+        choice: Machine, strategy and limits.
+        settings: Format and full scales as far as they are given.
+        end: End of the domain in N m.
+    """
+    if settings.full_scale is None or settings.format is None:
+        raise InputError(
+            f"fit.format: {settings.format} needs the bases of torque and current; give full_scale"
+        )
+    torque_base, current_base = settings.full_scale
+    if end > torque_base * (1.0 + 1e-9):
+        raise InputError(
+            f"control.per_unit.torque: {torque_base:.4g} N m is full scale in {settings.format}, "
+            f"but the references go up to {end:.4g} N m; write torque: {_rounded_up(end)} N m, or "
+            "a smaller fit.max_torque"
+        )
+    largest = float(np.max(np.abs(choice.currents(np.linspace(0.0, end, 101)))))
+    if largest > current_base * (1.0 + 1e-9):
+        raise InputError(
+            f"control.per_unit.current: {current_base:.4g} A is full scale in {settings.format}, "
+            f"but the references go up to {largest:.4g} A; write current: {_rounded_up(largest)} "
+            "A, or a smaller fit.max_torque"
+        )
+    return CodeScale(torque_base, current_base, FIXED_WIDTHS[settings.format])
+
+
+def _rounded_up(value: float) -> str:
+    """Two significant digits, not below the value."""
+    unit = 10.0 ** (np.floor(np.log10(value)) - 1.0)
+    return f"{np.ceil(value / unit * (1.0 - 1e-12)) * unit:.6g}"
+
+
+def on_codes(edges: FloatArray, scale: CodeScale) -> FloatArray:
+    """Segment edges whose inner ones are whole codes.
+
+    Args:
+        edges: Edges in N m, shape (S + 1,).
+        scale: Full scales of torque and current.
+    """
+    inner = [float(scale.arguments(np.array(scale.code(edge)))) for edge in edges[1:-1]]
+    return np.array([0.0, *inner, edges[-1]])
+
+
+def in_fixed_point(
+    choice: CurrentChoice, settings: FitSettings, end: float, fits: dict[str, PiecewisePolynomial]
+) -> FixedReference:
+    """Integers of polynomials, or of the straight line where the exact reference is one.
+
+    Args:
+        choice: Machine, strategy and limits.
+        settings: Format and full scales as far as they are given.
+        end: End of the domain in N m.
+        fits: Polynomials of the currents in A over torque in N m, by axis.
+    """
+    scale, curves = code_scale(choice, settings, end), choice.curves(end)
+    machine = choice.machine
+    if not fits:
+        line = np.array([[0.0, 1.0 / machine.torque_per_ampere]])
+        fits = {"q": PiecewisePolynomial(np.array([0.0, end]), line)}
+    found = {
+        axis: fit_fixed(
+            fit,
+            curves[axis],
+            scale,
+            exact_at_zero=settings.exact_at_zero,
+            continuous=settings.continuous,
+        )
+        for axis, fit in fits.items()
+    }
+    return FixedReference(found.get("d"), found["q"], scale.argument, scale.result)
+
+
+def holds(
+    choice: CurrentChoice, settings: FitSettings, number_format: NumberFormat, end: float
+) -> bool:
+    """Whether the full scales hold torques and currents up to the end of the domain in N m.
+
+    Floats hold everything.
+
+    Args:
+        choice: Machine, strategy and limits.
+        settings: Full scales as far as they are given.
+        number_format: Format of the numbers.
+        end: End of the domain in N m.
+    """
+    if number_format == "float32":
+        return True
+    if settings.full_scale is None:
+        return False
+    try:
+        code_scale(choice, replace(settings, format=number_format), end)
+    except InputError:
+        return False
+    return True
+
+
+# What other forms, number formats, methods and side conditions would give beside a fit.
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """One row of the table of alternatives: what was changed, and the errors that result."""
+
+    label: str
+    settings: FitSettings
+    errors: ReferenceErrors
+
+
+def _fixed_breakpoints(fit: ReferenceFit) -> FitSettings:
+    """The settings of a fit with its breakpoints written in, where it has one set of them."""
+    polynomial = fit.d or fit.q
+    shared = fit.settings.breakpoint_mode == "shared" or fit.d is None or fit.q is None
+    if polynomial is None or not shared:
+        return fit.settings
+    return replace(fit.settings, breakpoints=tuple(float(edge) for edge in polynomial.breakpoints))
+
+
+def alternatives(choice: CurrentChoice, fit: ReferenceFit) -> tuple[Alternative, ...]:
+    """What other forms, methods and side conditions would give: one change
+    at a time against ``fit``.
+
+    Other forms search their own breakpoints; other methods and side conditions keep those of
+    ``fit``, so that the price of each option is seen alone. Empty where the reference needs no
+    polynomial.
+
+    Args:
+        choice: Machine, strategy and limits.
+        fit: The fit to vary.
+    """
+    if fit.d is None and fit.q is None:
+        return ()
+    fixed = _fixed_breakpoints(fit)
+    rows: list[tuple[str, FitSettings]] = []
+    rows += [
+        (f"form {form}", replace(fit.settings, form=form))
+        for form in possible_forms(choice, fit.settings.format or "float32")
+        if form != fit.settings.form
+        and exact_form(choice, form) is None
+        and fit.settings.degree >= least_degree(form, fit.settings)
+    ]
+    formats: tuple[NumberFormat, ...] = ("float32", "q15", "q31")
+    rows += [
+        (f"format {other}", replace(fixed, format=other))
+        for other in formats
+        if other != fit.settings.format
+        and fit.settings.form == "polynomial"
+        and holds(choice, fit.settings, other, fit.torque_max)
+    ]
+    methods: tuple[FitMethod, ...] = ("lagrange", "least-squares", "minimax")
+    rows += [
+        (f"method {method}", replace(fixed, method=method))
+        for method in methods
+        if method != fixed.method
+    ]
+    if fit.settings.form != "even-odd":  # which is exact there by its make
+        rows.append(
+            (
+                f"exact at zero: {'off' if fixed.exact_at_zero else 'on'}",
+                replace(fixed, exact_at_zero=not fixed.exact_at_zero),
+            )
+        )
+    if fixed.segments > 1:
+        rows.append(
+            (
+                f"continuous: {'off' if fixed.continuous else 'on'}",
+                replace(fixed, continuous=not fixed.continuous),
+            )
+        )
+    return tuple(
+        Alternative(label, settings, fit_reference(choice, settings).errors)
+        for label, settings in rows
+    )
+
+
+# Current references of positive and negative torques, where these differ.
+
+
+def signed_reference(positive: ReferenceFit, negative: ReferenceFit) -> SignedReference:
+    """The references of both signs of the torque as one.
+
+    Args:
+        positive, negative: Fits of positive torques, and of those of the mirrored machine.
+
+    Raises:
+        InputError: One of them is in fixed point.
+    """
+    if isinstance(positive.reference, FixedReference) or isinstance(
+        negative.reference, FixedReference
+    ):
+        raise InputError(
+            "machine.flux_map.symmetry: keep needs references in float32; write fit: format: "
+            "float32"
+        )
+    return SignedReference(positive.reference, negative.reference)
+
+
+def signed_designs(design: Design) -> tuple[Design, Design | None]:
+    """The design as positive torques see it, and its mirror image as negative ones do.
+
+    None where that is the same.
+    """
+    if design.halves is None:
+        return design, None
+    positive, negative = (replace(design, machine=half) for half in design.halves)
+    return positive, negative

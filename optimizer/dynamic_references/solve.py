@@ -55,8 +55,10 @@ def dynamic_references(
     from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 
     most = float(mtpa_locus(design.machine, design.i_max).torque[-1])
-    from dqforge.optimizer.dynamic_references.answered_steps import answered_step
-    from dqforge.optimizer.dynamic_references.voltage_feedback import voltage_feedback
+    from dqforge.optimizer.dynamic_references.voltage_feedback import (
+        answered_step,
+        voltage_feedback,
+    )
 
     return DynamicReferences(
         settings=wanted,

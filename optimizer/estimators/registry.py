@@ -15,6 +15,6 @@ TRACKERS: LoadedByName[str, Tracker] = LoadedByName(
         "injection": "dqforge.optimizer.saliency.injection:TRACKER",
         "inform": "dqforge.optimizer.saliency.inform:TRACKER",
         "inductance-mapping": "dqforge.optimizer.saliency.inductance_mapping:TRACKER",
-        "third-harmonic": "dqforge.optimizer.harmonic_trackers.sum_voltage:TRACKER",
+        "third-harmonic": "dqforge.optimizer.harmonic_trackers:TRACKER",
     }
 )

@@ -14,12 +14,7 @@ from dqforge.machines.exploration.row_designs import design_of
 from dqforge.machines.exploration.study import Study, Tolerance
 from dqforge.machines.files.positioned_yaml import YamlValue
 from dqforge.optimizer.exploration.group_rows import Group
-from dqforge.optimizer.exploration.row_inputs import (
-    InputKey,
-    Inputs,
-    input_keys,
-    row_assignments,
-)
+from dqforge.optimizer.exploration.row_block import InputKey, Inputs, input_keys, row_assignments
 from dqforge.optimizer.variant_steps.step_cache import Work
 from dqforge.optimizer.variant_steps.variation import Corner, Variation, variation
 

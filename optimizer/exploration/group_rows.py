@@ -13,18 +13,16 @@ from dqforge.machines.arrays import BoolArray, FloatArray, IndexArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import DqforgeError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.exploration.block_rows import BlockRows
-from dqforge.optimizer.exploration.exact_rows import (
+from dqforge.optimizer.exploration.block_rows import (
+    BlockRows,
     exact_row,
     exact_step,
     put_losses,
     table_losses,
 )
-from dqforge.optimizer.variant_steps.asked_steps import Asked
-from dqforge.optimizer.variant_steps.batch_steps import BATCH_STEPS, BatchRows
 from dqforge.optimizer.variant_steps.exact_steps import ExactSteps
-from dqforge.optimizer.variant_steps.outputs import Step
-from dqforge.optimizer.variant_steps.variation import Variation
+from dqforge.optimizer.variant_steps.outputs import Asked, Step
+from dqforge.optimizer.variant_steps.variation import BATCH_STEPS, BatchRows, Variation
 
 _CARRIER = "inverter.f_sw"
 

@@ -7,47 +7,75 @@ A block holds the same numbers wherever and whenever it is computed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.arrays import BoolArray, FloatArray, IndexArray
 from dqforge.machines.design.design import Design
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine, ScaledMachines
+from dqforge.machines.dq_machines.machine_batch import MachineBatch
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.errors import DqforgeError, InputError
 from dqforge.machines.exploration.row_designs import design_of
-from dqforge.machines.exploration.study import Study
+from dqforge.machines.exploration.study import Bound, Study
 from dqforge.machines.exploration.study_checks import row_count
 from dqforge.machines.files.positioned_yaml import YamlValue
 from dqforge.machines.modulation.registry import MODULATORS
+from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.exploration.audit import audited_rows, deviations, largest
+from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.exploration.block_groups import LEAST_TOGETHER, Grouping, key_bounds
-from dqforge.optimizer.exploration.block_rows import BlockRows
-from dqforge.optimizer.exploration.group_rows import fill_group, goes_together
+from dqforge.optimizer.exploration.block_rows import BlockRows, Column, put_losses
+from dqforge.optimizer.exploration.group_rows import Group, fill_group, goes_together
 from dqforge.optimizer.exploration.row_block import (
     INPUT_COLUMN,
     OUTPUT_COLUMN,
+    STATES,
     ColumnKind,
     ColumnSpec,
-    RowBlock,
-)
-from dqforge.optimizer.exploration.row_inputs import (
     Inputs,
+    RowBlock,
     input_columns,
     input_keys,
     row_inputs,
+    row_keys,
+    within,
 )
-from dqforge.optimizer.exploration.row_keys import row_keys
-from dqforge.optimizer.exploration.study_limits import NamedLimit, hold_limits, study_limits
-from dqforge.optimizer.exploration.yield_rows import YieldStudy, fill_yields, nominal_inverter
-from dqforge.optimizer.variant_steps.asked_steps import Asked
+from dqforge.optimizer.losses.loss_map import budget_options
 from dqforge.optimizer.variant_steps.exact_steps import ExactSteps
-from dqforge.optimizer.variant_steps.loss_tables import LossGrid
-from dqforge.optimizer.variant_steps.outputs import Output, named_outputs, study_outputs
+from dqforge.optimizer.variant_steps.outputs import (
+    Asked,
+    LossColumns,
+    LossGrid,
+    LossRows,
+    Output,
+    bound_output,
+    loss_columns,
+    mapped,
+    named_outputs,
+    output_named,
+    study_outputs,
+)
 from dqforge.optimizer.variant_steps.step_cache import Work
-from dqforge.optimizer.variant_steps.variation import batch_keys, variation
-from dqforge.optimizer.yields.fixed_header import FixedHeader, nominal_header
-from dqforge.optimizer.yields.yield_outputs import check_outputs
+from dqforge.optimizer.variant_steps.variation import (
+    BatchRows,
+    batch_keys,
+    point_weights,
+    variation,
+)
+from dqforge.optimizer.yields import (
+    FixedDrive,
+    FixedHeader,
+    Machines,
+    check_outputs,
+    header_budget,
+    nominal_header,
+    yield_outputs,
+)
 
 # Rows per part: of machines under a fixed header, of rows that formulas compute together, and of
 # designs made one by one.
@@ -277,3 +305,266 @@ def _many(study: Study, usable: Sequence[str]) -> bool:
                 return False
             others *= len(axis.steps)
     return row_count(study) >= LEAST_TOGETHER * others
+
+
+# Rows of a study whose header is fixed: what it makes of every machine.
+
+
+@dataclass(frozen=True, slots=True)
+class YieldStudy:
+    """A header and what is asked of it.
+
+    Args:
+        header: What is flashed to every drive.
+        asked: What the study asks for.
+        nominal: Fields of the inverter that are drawn, with their values in the design itself:
+            losses are those at its link and carrier.
+    """
+
+    header: FixedHeader
+    asked: Asked
+    nominal: Mapping[str, float]
+
+    def point_drive(self, design: Design) -> Design:
+        """A design with the link and the carrier at which losses are stated."""
+        nominal: dict[str, Any] = dict(self.nominal)
+        return replace(design, inverter=replace(design.inverter, **nominal))
+
+
+_DRAWN_FIELDS = {
+    "inverter.v_dc": "v_dc",
+    "inverter.switching_frequency": "f_sw",
+    "inverter.max_current": "i_max",
+}
+
+
+def nominal_inverter(base: Design, drawn: Collection[str]) -> dict[str, float]:
+    """Fields of the inverter that are drawn, with their values in the design itself.
+
+    Args:
+        base: The design that the study starts from.
+        drawn: Keys that are drawn.
+    """
+    found = {
+        name: getattr(base.inverter, name) for key, name in _DRAWN_FIELDS.items() if key in drawn
+    }
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def fill_yields(study: YieldStudy, block: BlockRows, group: Group) -> None:
+    """Compute all outputs of the machines of a group.
+
+    Args:
+        study: Header and outputs.
+        block: Filled; rows whose design is refused end there.
+        group: The rows.
+    """
+    if group.variation is not None:
+        rows = BatchRows(group.variation.base, group.variation.columns(group.numbers), study.asked)
+        machines, fine = rows.drawn_machines()
+        voltage = rows.of("inverter").get("v_dc", np.array(rows.base.inverter.v_dc))
+        voltage = np.broadcast_to(voltage, (rows.count,))[fine]
+        drive = study.point_drive(rows.base)
+        _fill(study, block, group.rows[fine], (machines, voltage), drive)
+        left = np.flatnonzero(~fine)
+    else:
+        left = np.arange(group.rows.size)
+    for place in left.tolist():
+        row = group.rows[place : place + 1]
+        try:
+            design = group.design(place)
+            machines = _one_machine(design)
+            voltage = np.array([design.inverter.v_dc])
+            _fill(study, block, row, (machines, voltage), study.point_drive(design))
+        except DqforgeError as error:
+            block.refuse(row, error)
+
+
+def _one_machine(design: Design) -> Machines:
+    """The machine of a design as a batch of one, with its own map where it has one."""
+    machine = design.machine
+    if design.phase_machine is None and isinstance(machine, LinearMachine):
+        return MachineBatch.of([machine])
+    if design.phase_machine is None and isinstance(machine, SaturatedMachine):
+        return ScaledMachines.varied(machine, 1, {})
+    raise InputError("header: a fixed header is tried on machines with sinusoidal back-EMF alone")
+
+
+def _fill(
+    study: YieldStudy,
+    block: BlockRows,
+    rows: IndexArray,
+    drives: tuple[Machines, FloatArray],
+    design: Design,
+) -> None:
+    """Fill in all outputs of machines with their link voltages in V."""
+    machines, v_dc = drives
+    names = [output.name for output in study.asked.outputs if output.step != "losses"]
+    block.put(rows, yield_outputs(study.header, machines, names, v_dc))
+    if study.asked.of_step("losses"):
+        put_losses(block, rows, _losses(study, machines, design))
+
+
+def _losses(study: YieldStudy, machines: Machines, design: Design) -> LossColumns:
+    """Columns of losses, with the currents of the header, by the inverter of a design."""
+    losses, outputs = design.losses, study.asked.of_step("losses")
+    if losses is None or not losses.points:
+        raise InputError("losses: this variant names no operating points")
+    modulations = _modulations(outputs, losses.modulations)
+    found = header_budget(
+        FixedDrive(study.header, design.inverter, budget_options(design)),
+        machines,
+        np.array([point.torque for point in losses.points]),
+        np.array([point.omega_m for point in losses.points]),
+        modulations,
+    )
+    count = len(losses.points)
+
+    def by_point(values: NDArray[Any]) -> NDArray[Any]:
+        return np.swapaxes(values[:, 0].reshape(-1, machines.count, count), -1, -2)[None]
+
+    budget = mapped(found, by_point)
+    rows = LossRows(
+        ("mtpa",),
+        modulations,
+        losses.points,
+        budget,
+        np.ones(budget.total.shape, dtype=np.bool_),
+        point_weights(losses.points),
+    )
+    return loss_columns(rows, outputs)
+
+
+def _modulations(
+    outputs: tuple[Output, ...], listed: tuple[ModulationName, ...]
+) -> tuple[ModulationName, ...]:
+    """Modulators of the design that the outputs look at: all, unless each names its own."""
+    named = {"" if output.point is None else output.point.modulation for output in outputs}
+    return listed if "" in named else tuple(name for name in listed if name in named)
+
+
+# Limits of a study held against the columns of a block.
+
+_DIGITS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class NamedLimit:
+    """A limit with the output that it looks at, in SI units, and its place in the study."""
+
+    output: str
+    unit: str
+    place: str
+    bound: Bound
+
+    def broken(self, values: FloatArray) -> BoolArray:
+        """Where values lie beyond the limit, or do not exist.
+
+        Args:
+            values: Values in SI units, any shape.
+        """
+        return ~within(values, self.bound.below, self.bound.above)
+
+    def words(self, value: float) -> str:
+        """What is wrong with a value that breaks the limit."""
+        if np.isnan(value):
+            return f"{self.place}: there is no value"
+        low, high = self.bound.above, self.bound.below
+        above = high is not None and value > high
+        end, side = (high, "above") if above else (low, "below")
+        assert end is not None
+        found, bound = (format_quantity(each, self.unit, _DIGITS) for each in (value, end))
+        return f"{self.place}: {found} is {side} {bound}"
+
+
+def study_limits(study: Study, design: Design) -> tuple[NamedLimit, ...]:
+    """The limits of a study whose names are checked.
+
+    Args:
+        study: The study.
+        design: The design it starts from.
+    """
+    found = []
+    for bound in study.limits:
+        name = bound_output(bound, design)
+        output = output_named(name)
+        assert output is not None
+        found.append(NamedLimit(name, output.unit, _place(study, bound.output), bound))
+    return tuple(found)
+
+
+def _place(study: Study, name: str) -> str:
+    if study.places is None:
+        return f"limits.{name}"
+    line, column = study.places.of_key(("limits", name))
+    return f"{study.places.source}:{line}:{column}: limits.{name}"
+
+
+def hold_limits(block: BlockRows, limits: Sequence[NamedLimit]) -> None:
+    """End rows whose numbers break a limit.
+
+    Args:
+        block: Rows with all their columns.
+        limits: The limits.
+    """
+    ended = block.states > STATES.index("limit")
+    for limit in limits:
+        values = np.asarray(block.columns[limit.output], dtype=np.float64)
+        for row in np.flatnonzero(limit.broken(values) & ~ended).tolist():
+            block.end(row, "limit", limit.words(float(values[row])))
+
+
+# Rows that were computed together, computed once more one by one: how far the two are apart.
+
+EVERY = 1000  # Of every so many rows of a study one is computed by both paths.
+
+
+def audited_rows(first: int, end: int) -> range:
+    """Rows first to end - 1 that both paths compute.
+
+    Args:
+        first, end: Rows of a block.
+    """
+    return range(first + (-first) % EVERY, end, EVERY)
+
+
+def deviations(
+    outputs: Sequence[Output],
+    row: int,
+    batch: Mapping[str, Column],
+    single: Mapping[str, Column],
+) -> dict[str, float]:
+    """Relative deviation of every number of a row from the single path's, by output.
+
+    A number that only one of the two paths has deviates infinitely; so does another choice. What
+    says which path was taken is no number of the design.
+
+    Args:
+        outputs: What was asked for.
+        row: Place of the row in ``batch``.
+        batch: Columns of the block.
+        single: Columns of the row alone.
+    """
+    return {
+        output.name: _apart(float(batch[output.name][row]), float(single[output.name][0]))
+        for output in outputs
+        if output.name != "fit.path"
+    }
+
+
+def _apart(batch: float, single: float) -> float:
+    if batch == single or (np.isnan(batch) and np.isnan(single)):
+        return 0.0
+    if not (np.isfinite(batch) and np.isfinite(single)):
+        return float("inf")
+    return abs(batch - single) / max(abs(single), abs(batch))
+
+
+def largest(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Largest deviations of several rows, by output in the order of the first.
+
+    Args:
+        found: Deviations of each row.
+    """
+    names = found[0] if found else ()
+    return {name: max(each[name] for each in found) for name in names}

@@ -11,7 +11,7 @@ rounding may let the evaluator take there.
 
 Whoever asks for more than the limit gets the currents at the limit: they are compared with the
 largest torque of all, which is enclosed for itself
-(`dqforge.optimizer.field_weakening.limit_bounds`).
+(`dqforge.optimizer.field_weakening.error_bounds`).
 
 The copper loss above the least and the distance from the exact currents are not bounded:
 they stay sampled.
@@ -27,31 +27,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.field_weakening.certified_domain import (
+from dqforge.optimizer.field_weakening.enclosures import Boxes
+from dqforge.optimizer.field_weakening.error_bounds import (
     STRIPS,
     CertifiedDomain,
+    Enclosed,
     boxes_between,
+    enclose,
     halved,
+    limit_range,
 )
-from dqforge.optimizer.field_weakening.drop_reference import DropReference
-from dqforge.optimizer.field_weakening.enclosures import Boxes
-from dqforge.optimizer.field_weakening.error_bounds import Enclosed, enclose
-from dqforge.optimizer.field_weakening.exact import WeakeningRegion
-from dqforge.optimizer.field_weakening.form import WeakeningReference
+from dqforge.optimizer.field_weakening.form import WeakeningReference, WeakeningRegion
 from dqforge.optimizer.field_weakening.largest_torque import LargestTorque, largest_torque
-from dqforge.optimizer.field_weakening.limit_bounds import limit_range
-from dqforge.optimizer.field_weakening.voltage_bounds import (
+from dqforge.optimizer.field_weakening.voltage_region import (
     FLUX_SHARE,
     ROUNDING,
     TORQUE_SHARE,
+    DropReference,
     Taken,
+    VoltageRegion,
     moved,
     voltage_excess,
 )
-from dqforge.optimizer.field_weakening.voltage_region import VoltageRegion
 
 _HALVINGS = 8
 _CLOSE = 1.02  # Bounds within this factor of the errors found at centres are not refined.

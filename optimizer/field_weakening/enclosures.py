@@ -17,21 +17,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.certificates.ball import Value
-from dqforge.optimizer.certificates.ball_arrays import Balls, magnitude, most
-from dqforge.optimizer.certificates.enclosures import Jet, JetFunction, bicubic
-from dqforge.optimizer.certificates.exact_conditions import torque_parts
-from dqforge.optimizer.certificates.rounding import (
+from dqforge.optimizer.certificates.ball import (
+    Jet,
+    JetFunction,
     Rounded,
+    Value,
+    bicubic,
     exact,
     horner,
     product,
     rounded,
     rounded_sum,
+    torque_parts,
 )
+from dqforge.optimizer.certificates.ball_arrays import Balls, magnitude, most
 from dqforge.optimizer.field_weakening.form import SingleSurface, WeakeningReference
 
 # Cells of a flux map that one box may touch; of wider ones nothing is known until they are halved.

@@ -4,15 +4,17 @@ torque and excess flux linkage.
 
 from __future__ import annotations
 
-from dataclasses import fields
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
+from dqforge.optimizer.certificates.ball import Rounded, Value, horner, rounded
 from dqforge.optimizer.certificates.ball_arrays import Balls, magnitude, most
-from dqforge.optimizer.field_weakening.border_curves import in_double
 from dqforge.optimizer.field_weakening.enclosures import (
     Bend,
     Boxes,
@@ -24,10 +26,10 @@ from dqforge.optimizer.field_weakening.enclosures import (
     inverse_square,
     machine_parts,
     resolved,
+    rounding,
+    taylor,
 )
-from dqforge.optimizer.field_weakening.exact import WeakeningRegion
-from dqforge.optimizer.field_weakening.form import WeakeningReference
-from dqforge.optimizer.field_weakening.limit_bounds import limit_room
+from dqforge.optimizer.field_weakening.form import WeakeningReference, WeakeningRegion, in_double
 
 # Share of the least flux linkage below which a box is halved first: it reaches far beyond the
 # domain.
@@ -212,3 +214,300 @@ def enclose(
 
 def _rest(bend: Bend) -> tuple[object, ...]:
     return bend.x, bend.tt, bend.tx, bend.xx
+
+
+# The plane of torque and excess flux linkage that a certificate covers, cut into boxes.
+
+_FIRST = 16  # Parts of the torques and of the excess flux linkages to begin with.
+STRIPS = 1024
+_MARGIN = 1.01
+
+
+@dataclass(frozen=True, slots=True)
+class CertifiedDomain:
+    """What the boxes have to cover: torques in N m on each segment, and flux linkages in Wb."""
+
+    region: WeakeningRegion
+    reference: WeakeningReference
+    ends: FloatArray  # of the segments, from the least torque to the largest
+    most_excess: float
+    seam: float  # by so much rounding may move the decision whether the field is weakened
+    overhang: float  # by so much in N m a torque may lie above the limit of its own flux linkage
+
+    @classmethod
+    def of(cls, region: WeakeningRegion, reference: WeakeningReference) -> CertifiedDomain:
+        """Domain of a reference within a region, with room for the rounding at its seams."""
+        flux = np.linspace(float(reference.flux_min), float(reference.flux_max), STRIPS + 1)
+        lower, upper = limit_range(reference, flux[:-1], flux[1:])
+        starts = np.append(reference.flux.starts.astype(np.float64)[1:], np.inf)
+        end = float(np.max(upper))
+        ends = np.unique(
+            np.minimum(np.concatenate([[min(0.0, float(np.min(lower)))], starts]), end)
+        )
+        overhang = limit_decrease(reference)
+        ends[-1] += overhang
+        whole = cls(region, reference, ends, 0.0, 0.0, overhang)
+        seam, largest = 0.0, -np.inf
+        for segment in range(ends.size - 1):
+            edges = np.linspace(ends[segment], ends[segment + 1], STRIPS + 1)
+            boxes = boxes_between(
+                segment, edges[:-1], edges[1:], np.zeros(STRIPS), np.zeros(STRIPS), weakens=False
+            )
+            seam = max(seam, float(np.max(rounding(reference, boxes)[2])))
+            largest = max(
+                largest, float(np.max(whole.flux_range(segment, edges[:-1], edges[1:])[1]))
+            )
+        excess = largest - float(reference.flux_min)
+        return replace(
+            whole, most_excess=max(excess * (1.0 + 1e-12), 0.0) + seam, seam=seam * _MARGIN
+        )
+
+    def flux_range(
+        self, segment: int, low: FloatArray, high: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Bounds of the flux linkage of the MTPA currents in Wb for torques in N m on a segment,
+        shape (N,).
+        """
+        curve, t = self.reference.flux, Balls.between(low, high)
+        row, start = [float(c) for c in curve.coefficients[segment]], float(curve.starts[segment])
+        value, slope, _ = taylor(row, Balls.exact(t.mid) - start)
+        bend = Balls.of(taylor(row, t - start)[2])
+        return Bend(value, slope, 0, 0, 0, 0).range(
+            Bend(0, 0, 0, bend, 0, 0), t.rad, np.zeros(t.rad.shape)
+        )
+
+    def clipped(self, boxes: Boxes) -> Boxes:
+        """Boxes without those outside the domain, the others cut where they stick out of it."""
+        least, largest = float(self.reference.flux_min), float(self.reference.flux_max)
+        low, high = self.flux_range(boxes.segment, boxes.t_low, boxes.t_high)
+        if not boxes.weakens:
+            return boxes.chosen(low - self.seam <= largest)
+        x_low = np.maximum(boxes.x_low, low - largest)
+        x_high = np.minimum(boxes.x_high, high - least)
+        a_low, a_high = np.maximum(low - x_high, least), np.minimum(high - x_low, largest)
+        # One unit in the last place makes up for the rounding of these differences.
+        slack = 4e-16 * (np.abs(low) + np.abs(high) + np.abs(boxes.x_high) + least)
+        x_low, x_high, a_low, a_high = x_low - slack, x_high + slack, a_low - slack, a_high + slack
+        inside = np.flatnonzero((x_low <= x_high) & (a_low <= a_high))
+        top = limit_range(
+            self.reference, np.maximum(a_low[inside], least), np.minimum(a_high[inside], largest)
+        )[1]
+        t_high = np.minimum(boxes.t_high[inside], top + self.overhang)
+        kept = t_high >= boxes.t_low[inside]
+        inside = inside[kept]
+        return boxes.chosen(inside, t_high=t_high[kept], x_low=x_low[inside], x_high=x_high[inside])
+
+    def available(self, boxes: Boxes) -> tuple[FloatArray, FloatArray]:
+        """Bounds of the available flux linkage in Wb on boxes inside the domain, shape (N,)."""
+        least, largest = float(self.reference.flux_min), float(self.reference.flux_max)
+        low, high = self.flux_range(boxes.segment, boxes.t_low, boxes.t_high)
+        if not boxes.weakens:
+            return np.clip(low - self.seam, least, largest) * (1.0 - 1e-15), np.full(
+                low.shape, largest
+            )
+        a_low, a_high = (
+            np.clip(low - boxes.x_high, least, None),
+            np.clip(high - boxes.x_low, None, largest),
+        )
+        return a_low * (1.0 - 1e-15), np.maximum(a_high, a_low) * (1.0 + 1e-15)
+
+    def holds(self, boxes: Boxes) -> NDArray[np.bool_]:
+        """Whether the centres of boxes lie in the domain, so that errors there are really made.
+
+        Not proven.
+        """
+        if not boxes.weakens:
+            return np.ones(boxes.count, dtype=np.bool_)
+        t, x = 0.5 * (boxes.t_low + boxes.t_high), 0.5 * (boxes.x_low + boxes.x_high)
+        flux = self.flux_range(boxes.segment, t, t)[0] - x
+        least, largest = float(self.reference.flux_min), float(self.reference.flux_max)
+        limit = limit_range(self.reference, *[np.clip(flux, least, largest)] * 2)[0]
+        return np.asarray((x > 0.0) & (flux >= least) & (flux <= largest) & (t <= limit))
+
+    def first(self) -> Iterator[Boxes]:
+        """Boxes over the whole domain to begin with, with what rounding may add on them and inside
+        them.
+        """
+        for segment, (start, end) in enumerate(pairwise(self.ends.tolist())):
+            edges = np.linspace(start, end, _FIRST + 1)
+            seam = np.full(_FIRST, self.seam)
+            yield self.rounded(
+                boxes_between(segment, edges[:-1], edges[1:], seam, seam, weakens=False)
+            )
+            across = np.linspace(0.0, max(self.most_excess, self.seam), _FIRST + 1)
+            across[0] = -self.seam
+            low_t, low_x = (part.ravel() for part in np.meshgrid(edges[:-1], across[:-1]))
+            high_t, high_x = (part.ravel() for part in np.meshgrid(edges[1:], across[1:]))
+            yield self.rounded(boxes_between(segment, low_t, high_t, low_x, high_x, weakens=True))
+
+    def rounded(self, boxes: Boxes) -> Boxes:
+        """Boxes with what rounding may add on them."""
+        by_d, by_q, _ = rounding(self.reference, boxes)
+        return replace(boxes, rounding_d=by_d, rounding_q=by_q)
+
+
+def boxes_between(
+    segment: int,
+    t_low: FloatArray,
+    t_high: FloatArray,
+    x_low: FloatArray,
+    x_high: FloatArray,
+    *,
+    weakens: bool,
+) -> Boxes:
+    """Boxes of one segment between bounds of the torque (N m) and of the excess flux (Wb)."""
+    zero = np.zeros_like(t_low)
+    return Boxes(segment, weakens, t_low, t_high, x_low, x_high, zero, zero)
+
+
+def halved(boxes: Boxes, along: NDArray[np.bool_]) -> Boxes:
+    """Both halves of each box, cut across the direction in which the errors bend more."""
+    along = along | (not boxes.weakens)
+    t_mid, x_mid = 0.5 * (boxes.t_low + boxes.t_high), 0.5 * (boxes.x_low + boxes.x_high)
+    twice = np.concatenate([np.arange(boxes.count)] * 2)
+    return boxes.chosen(
+        twice,
+        t_high=np.concatenate([np.where(along, t_mid, boxes.t_high), boxes.t_high]),
+        t_low=np.concatenate([boxes.t_low, np.where(along, t_mid, boxes.t_low)]),
+        x_high=np.concatenate([np.where(along, boxes.x_high, x_mid), boxes.x_high]),
+        x_low=np.concatenate([boxes.x_low, np.where(along, boxes.x_low, x_mid)]),
+    )
+
+
+# Proven bounds of the torque limit of a two-dimensional reference.
+
+
+def limit_range(
+    reference: WeakeningReference, low: FloatArray, high: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Bounds in N m of the rounded torque limit on intervals of the flux linkage in Wb
+    in the domain, shape (N,).
+    """
+    curve = reference.limit
+    above_least = Balls.between(low, high) - float(reference.flux_min)
+    argument = rounded(above_least, Balls.exact(np.zeros(low.shape)))
+    least, largest = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
+    ends = [*(float(start) for start in curve.starts[1:]), np.inf]
+    first, last = (
+        argument.value.lower() - argument.error.upper(),
+        argument.value.upper() + argument.error.upper(),
+    )
+    for segment, end in enumerate(ends):
+        start = float(curve.starts[segment])
+        places = np.flatnonzero(((last >= start) | (segment == 0)) & (first <= end))
+        if places.size == 0:
+            continue
+        given = Rounded(argument.value.at(places), argument.error.at(places))
+        row = [float(c) for c in curve.coefficients[segment]]
+        value, slope, _ = taylor(row, Balls.exact(given.value.mid) - start)
+        over = Balls.of(taylor(row, given.value - start)[2])
+        error = horner(curve.starts, curve.coefficients, segment, given).error.upper()
+        here, whole = Bend(value, slope, 0, 0, 0, 0), Bend(0, 0, 0, over, 0, 0)
+        bottom, top = here.range(whole, given.value.rad, np.zeros(places.size))
+        least[places] = np.minimum(least[places], bottom - error)
+        largest[places] = np.maximum(largest[places], top + error)
+    return least, largest
+
+
+def limit_decrease(reference: WeakeningReference, strips: int = 1024) -> float:
+    """Bound in N m of what the rounded torque limit can lose where the flux linkage rises.
+
+    It should never.
+    """
+    curve, span = reference.limit, float(reference.flux_max) - float(reference.flux_min)
+    ends = np.append(
+        curve.starts.astype(np.float64), max(span, float(curve.starts[-1])) * (1.0 + 1e-6)
+    )
+    total, before, rounding = 0.0, -np.inf, 0.0
+    for segment, (start, end) in enumerate(pairwise(ends.tolist())):
+        edges = np.linspace(start, end, strips + 1)
+        given = Balls.between(edges[:-1], edges[1:])
+        row = [float(c) for c in curve.coefficients[segment]]
+        slope = Balls.of(taylor(row, given - start, 1)[1])
+        steep = np.broadcast_to(np.maximum(-slope.lower(), 0.0), (strips,))
+        total += float(np.sum(steep * np.diff(edges))) * (1.0 + 1e-12)
+        error = horner(
+            curve.starts, curve.coefficients, segment, Rounded(given, Balls.exact(np.zeros(strips)))
+        )
+        rounding = max(rounding, float(np.max(error.error.upper())))
+        first, last = (
+            Balls.of(taylor(row, Balls.exact(np.array([at])) - start, 0)[0]) for at in (start, end)
+        )
+        total += max(before - float(first.lower()[0]), 0.0)
+        before = float(last.upper()[0])
+    return total + 2.0 * rounding
+
+
+def limit_room(
+    reference: WeakeningReference, available: Bend, over: Bend, places: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], Bend, Bend, FloatArray]:
+    """Torque limit as a function on boxes, at the centres and over them,
+    where one segment of it serves.
+
+    ``available`` and ``over`` are the available flux linkage in Wb likewise, ``places`` the boxes
+    that matter. Returned are the boxes that one segment serves, the functions in N m, and bounds of
+    the rounding, shape (M,).
+    """
+    curve, least = reference.limit, float(reference.flux_min)
+    flux, most_flux = over.value.at(places), float(reference.flux_max)
+    low, high = np.clip(flux.lower(), least, most_flux), np.clip(flux.upper(), least, most_flux)
+    argument = rounded(Balls.between(low, high) - least, Balls.exact(np.zeros(low.shape)))
+    reach = argument.error.upper()
+    starts = curve.starts[1:].astype(np.float64)
+    first = np.searchsorted(starts, argument.value.lower() - reach, side="right")
+    segment = np.searchsorted(starts, argument.value.upper() + reach, side="right")
+    served = np.flatnonzero(first == segment)
+    values, bends, errors = [], [], []
+    order = []
+    for number in range(curve.starts.size):
+        mine = served[segment[served] == number]
+        if mine.size == 0:
+            continue
+        row, start = [float(c) for c in curve.coefficients[number]], float(curve.starts[number])
+        at, all_over = (part.at(places[mine]) for part in (available, over))
+        value, slope, _ = taylor(row, at.value - least - start)
+        _, wide_slope, bend = taylor(row, all_over.value - least - start)
+        values.append(_through(value, slope, at))
+        bends.append(_bent(wide_slope, bend, all_over))
+        given = Rounded(argument.value.at(mine), argument.error.at(mine))
+        errors.append(horner(curve.starts, curve.coefficients, number, given).error.upper())
+        order.append(mine)
+    if not order:
+        empty = Balls.exact(np.zeros(0))
+        nothing = Bend(empty, empty, empty, empty, empty, empty)
+        return places[:0], nothing, nothing, np.zeros(0)
+    return places[np.concatenate(order)], _joined(values), _joined(bends), np.concatenate(errors)
+
+
+def _through(value: Value, slope: Value, inner: Bend) -> Bend:
+    like = inner.value
+    return Bend(*(_wide(part, like) for part in (value, slope * inner.t, slope * inner.x, 0, 0, 0)))
+
+
+def _bent(slope: Value, bend: Value, inner: Bend) -> Bend:
+    like = inner.value
+    second = (
+        bend * inner.t * inner.t + slope * inner.tt,
+        bend * inner.t * inner.x + slope * inner.tx,
+        bend * inner.x * inner.x + slope * inner.xx,
+    )
+    return Bend(*(_wide(part, like) for part in (0, 0, 0, *second)))
+
+
+def _wide(value: Value, like: Balls) -> Balls:
+    """Balls of the same shape as others."""
+    balls = Balls.of(value)
+    return Balls(
+        np.broadcast_to(balls.mid, like.mid.shape), np.broadcast_to(balls.rad, like.mid.shape)
+    )
+
+
+def _joined(parts: list[Bend]) -> Bend:
+    names = [field.name for field in fields(Bend)]
+    columns = ([getattr(part, name) for part in parts] for name in names)
+    return Bend(
+        *(
+            Balls(np.concatenate([b.mid for b in column]), np.concatenate([b.rad for b in column]))
+            for column in columns
+        )
+    )

@@ -7,33 +7,42 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.numerical import on_design
 from dqforge.machines.design.settings import WeakeningSettings
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.single_precision import SinglePolynomial
 from dqforge.optimizer.curves.two_family_levelling import Aims, level
-from dqforge.optimizer.field_weakening.border_curves import Mtpa, fit_limit, fit_mtpa, in_double
 from dqforge.optimizer.field_weakening.certificate import SurfaceCertificate, certify_step
-from dqforge.optimizer.field_weakening.drop_reference import DropReference
-from dqforge.optimizer.field_weakening.error_chart import ErrorChart, error_chart
-from dqforge.optimizer.field_weakening.exact import WeakeningRegion
 from dqforge.optimizer.field_weakening.form import (
+    Mtpa,
     SingleSurface,
     SurfaceErrors,
+    SurfaceSamples,
     WeakeningReference,
+    WeakeningRegion,
+    error_map,
+    fit_limit,
+    fit_mtpa,
+    in_double,
     surface_errors,
 )
-from dqforge.optimizer.field_weakening.resistance_drop import with_drop
 from dqforge.optimizer.field_weakening.voltage_region import (
+    LEAST_VOLTAGE,
+    DropReference,
     VoltageErrors,
     VoltageRegion,
     voltage_errors,
     voltage_region,
     voltage_samples,
 )
+from dqforge.optimizer.linear_programme import least_cost
+from dqforge.optimizer.operating_points.mtpa_locus import Active
 
 _FLUX_LEVELS = 48
 _TORQUE_LEVELS = 40
@@ -334,3 +343,173 @@ def _refusal(trials: list[SurfaceTrial], settings: WeakeningSettings) -> str:
         f"field_weakening: no size keeps the permitted errors{found}; lower the speed, raise "
         "torque_error or voltage_excess"
     )
+
+
+# What a two-dimensional reference errs by over its domain, and the lines that divide the domain:
+# for people to see.
+
+_COUNT = 56
+_BORDER_POINTS = 200
+_BEYOND = 1.04  # Multiple of the largest flux linkage at which the chart ends.
+
+
+@dataclass(frozen=True, slots=True)
+class DomainBorders:
+    """Lines in the plane of available flux linkage in Wb and torque in N m.
+
+    ``mtpa_flux`` and ``mtpa_torque``, shape (K,), are the least-loss currents, above which the
+    field is weakened; ``flux`` and ``largest_torque``, shape (N,), the most torque that can be had.
+    ``mtpv``, shape (N,), says where the voltage alone holds that torque.
+    """
+
+    mtpa_flux: FloatArray
+    mtpa_torque: FloatArray
+    flux: FloatArray
+    largest_torque: FloatArray
+    mtpv: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorChart:
+    """Errors of the float32 currents over available flux linkage in Wb and torque in N m,
+    arrays of shape (N, N).
+
+    The flux linkage varies along the first axis, the torque along the second up to the largest of
+    its row. ``torque_error`` is relative to the largest torque of all, ``voltage_error`` to the
+    voltage of the optimum, both signed fractions; where the optimum takes less than the least flux
+    linkage, only too little is counted.
+    """
+
+    flux: FloatArray
+    torque: FloatArray
+    torque_error: FloatArray
+    voltage_error: FloatArray
+    borders: DomainBorders
+
+
+def _samples(region: WeakeningRegion) -> SurfaceSamples:
+    """Even grid up to the largest torque of each flux linkage, flux linkages along the first
+    axis.
+    """
+    flux = np.linspace(region.flux_min, _BEYOND * region.flux_max, _COUNT)
+    most = region.largest_torque(flux)
+    torque = np.linspace(0.0, 1.0, _COUNT) * most[:, np.newaxis]
+    spread, limits = (
+        np.broadcast_to(row[:, np.newaxis], torque.shape).ravel() for row in (flux, most)
+    )
+    return SurfaceSamples(torque.astype(np.float32).ravel(), spread.astype(np.float32), limits)
+
+
+def _borders(region: WeakeningRegion) -> DomainBorders:
+    torque = np.linspace(0.0, region.torque_max, _BORDER_POINTS)
+    taken = region.flux(*region.mtpa(torque))
+    seen = taken >= region.flux_min
+    flux = np.linspace(region.flux_min, _BEYOND * region.flux_max, _BORDER_POINTS)
+    points = region.points(np.full(flux.size, 2.0 * region.torque_max), flux)
+    return DomainBorders(
+        taken[seen], torque[seen], flux, points.torque, points.active == Active.MTPV
+    )
+
+
+def error_chart(region: WeakeningRegion, reference: WeakeningReference) -> ErrorChart:
+    """Errors of a reference over an even grid of its domain, without fused multiply-add."""
+    samples = _samples(region)
+    found = error_map(region, reference, samples)
+    shape = (_COUNT, _COUNT)
+    flux, torque = (
+        values.astype(np.float64).reshape(shape) for values in (samples.flux, samples.torque)
+    )
+    # Where MTPA takes less than is available, that is what is aimed at.
+    aim = np.minimum(region.flux(*region.mtpa(torque.ravel())), flux.ravel())
+    excess = region.flux(found.i_d, found.i_q) / np.maximum(aim, 0.5 * region.flux_min) - 1.0
+    excess = np.where(aim < region.flux_min, np.minimum(excess, 0.0), excess)
+    return ErrorChart(
+        flux=flux,
+        torque=torque,
+        torque_error=(found.torque / region.torque_max).reshape(shape),
+        voltage_error=excess.reshape(shape),
+        borders=_borders(region),
+    )
+
+
+# What a current reference over torque and flux linkage needs to know of the resistance drop.
+
+# Share of the permitted voltage excess up to which a bound of the current stands for the current
+# itself.
+_NEGLIGIBLE = 0.1
+_LEVELS = 201
+
+# Share of the squared current limit by which the emitted currents may lie above the exact ones.
+_MARGIN = 0.003
+
+# Share of the squared current limit below which it is worth saying that MTPV takes less than the
+# limit.
+_WORTH = 0.97
+
+
+def _single_above(value: float) -> np.float32:
+    """The least float that is not below a number."""
+    found = np.float32(value)
+    return found if float(found) >= value else np.nextafter(found, np.float32(np.inf))
+
+
+def _near_mtpv(region: VoltageRegion) -> tuple[float, float] | None:
+    """(c, e): |i|^2 <= c + e a^2 at the largest torque of every flux linkage a at which the
+    current is not the limit.
+
+    The line lies as low as it can (a linear programme). None where the
+    current limit holds everywhere.
+    """
+    flux, square = region.flux, region.flux.i_max**2
+    levels = np.linspace(flux.flux_min, flux.flux_max, _LEVELS)
+    points = flux.points(np.full(_LEVELS, 2.0 * flux.torque_max), levels)
+    used = (points.i_d**2 + points.i_q**2) / square
+    below = used < 1.0 - 1e-6
+    if not np.any(used < _WORTH):
+        return None
+    argument, target = (levels[below] / flux.flux_max) ** 2, used[below] + _MARGIN
+    rows = np.column_stack([np.ones(argument.size), argument])
+    found = least_cost(rows.sum(axis=0), -rows, -target, bounds=(0.0, np.inf))
+    if found is None:
+        return None
+    constant, slope = (float(part) * square for part in found)
+    return constant, slope / flux.flux_max**2
+
+
+def with_drop(
+    region: VoltageRegion, surface: WeakeningReference, settings: WeakeningSettings
+) -> DropReference:
+    """The whole step about a surface: what the resistance takes of the voltage,
+    bounded and then evaluated.
+    """
+    r_s, i_max = region.machine.r_s, region.flux.i_max
+    share = (r_s * i_max / (LEAST_VOLTAGE * region.v_max)) ** 2
+    passes = 1 if 0.5 * share <= _NEGLIGIBLE * settings.voltage_excess else 2
+    near = _near_mtpv(region) if passes > 1 else None
+    return DropReference(
+        surface=surface,
+        torque_max=np.float32(region.flux.torque_max),
+        per_torque=np.float32(region.per_torque),
+        square=np.float32(r_s**2),
+        reserve=_single_above((r_s * i_max) ** 2),
+        near=None
+        if near is None
+        else (_single_above(near[0] * r_s**2), _single_above(near[1] * r_s**2)),
+        passes=passes,
+    )
+
+
+# The field-weakening reference that a design asks for.
+
+
+@on_design("field_weakening")
+def solve_weakening(design: Design) -> WeakeningFit | None:
+    """Two-dimensional reference of the design, None where it asks for none.
+
+    Raises:
+        NoSolutionError: As `fit_weakening`.
+    """
+    if design.weakening is None:
+        return None
+
+    return fit_weakening(design.machine, design.i_max, design.v_max, design.weakening)

@@ -10,7 +10,7 @@ from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.ball_arrays import Balls
 from dqforge.optimizer.field_weakening.enclosures import formulas, machine_parts, resolved
-from dqforge.optimizer.field_weakening.exact import WeakeningRegion
+from dqforge.optimizer.field_weakening.form import WeakeningRegion
 
 _SOLVED = 800
 _NODES = 40_001

@@ -8,31 +8,35 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.firmware.asked import asked as asked_of
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
-from dqforge.optimizer.firmware.gain_search.current_gains import CurrentSearch
-from dqforge.optimizer.firmware.gain_search.speed_gains import speed_search
-from dqforge.optimizer.firmware.gain_search.structure_box import (
+from dqforge.optimizer.firmware.firmware_method import (
+    JudgedFirmware,
+    JudgedLoop,
+    judge,
+    judged_loop,
+)
+from dqforge.optimizer.firmware.firmware_method import asked as asked_of
+from dqforge.optimizer.firmware.gain_search import (
     AXES,
+    CurrentSearch,
     axis_plants,
     speed_plants_over,
+    speed_search,
 )
-from dqforge.optimizer.firmware.judge import JudgedFirmware, JudgedLoop, judge, judged_loop
-from dqforge.optimizer.firmware.lacking import check_drivable
-from dqforge.optimizer.firmware.registry import METHODS
+from dqforge.optimizer.firmware.own_values import METHODS, check_drivable
 from dqforge.optimizer.loops.plants import SpeedLoop
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
     from dqforge.machines.names import Firmware
+    from dqforge.optimizer.firmware.configuration import LoopProfile, PiController
     from dqforge.optimizer.firmware.firmware_method import (
         Asked,
         FirmwareMethod,
         FreeGains,
         Shortfall,
     )
-    from dqforge.optimizer.firmware.gain_search.chosen import Chosen
-    from dqforge.optimizer.firmware.profile import LoopProfile, PiController
+    from dqforge.optimizer.firmware.gain_search import Chosen
     from dqforge.optimizer.loops.loop_gains import LoopGains, LoopName
     from dqforge.optimizer.loops.robustness import LoopRobustness
     from dqforge.optimizer.loops.tolerance_box import DriveBox

@@ -8,13 +8,14 @@ import math
 from collections.abc import Mapping
 
 from dqforge.machines.design.design import Design
+from dqforge.machines.design.numerical import on_design
 from dqforge.machines.design.settings import filter_share
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
-from dqforge.optimizer.fixed_control.arithmetic import Reach
-from dqforge.optimizer.fixed_control.gains import QuantisedLoop, quantised_loop, real_pi
+from dqforge.optimizer.control_design.gain_set import GainSet
+from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
+from dqforge.optimizer.fixed_control.arithmetic import QuantisedLoop, Reach, quantised_loop, real_pi
 from dqforge.optimizer.fixed_control.ranges import (
     DeadBand,
     control_ranges,
@@ -25,15 +26,16 @@ from dqforge.optimizer.fixed_control.ranges import (
     require,
     with_fraction,
 )
-from dqforge.optimizer.fixed_control.step import (
+from dqforge.optimizer.fixed_control.transforms import (
     FixedControl,
     FixedDecoupling,
     FixedObserver,
     FixedPi,
     FixedReferences,
     PiForm,
+    full_scale,
+    sine_error,
 )
-from dqforge.optimizer.fixed_control.transforms import full_scale, sine_error
 from dqforge.optimizer.loops.integer_gains import FixedGain, given, quantise
 from dqforge.optimizer.loops.loop_gains import LoopGains, decoupling
 from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
@@ -454,3 +456,21 @@ def _observer(design: Design, observer: ReducedOrderObserver, width: int) -> Fix
         return found
     assert fault is not None
     raise fault
+
+
+# The integer control that a design asks for.
+
+
+@on_design("export.control")
+def solve_fixed(
+    design: Design,
+    gains: GainSet,
+    torque_max: float | None = None,
+    references: Mapping[int, FixedReferences] | None = None,
+) -> tuple[FixedControlFit, ...]:
+    """Control functions in the fixed-point formats that the design asks for.
+
+    Arguments and errors as `fit_controls`.
+    """
+    loops = (gains.i_d, gains.i_q, gains.speed)
+    return fit_controls(design, loops, gains.observer, torque_max, references)

@@ -14,10 +14,10 @@ from dataclasses import replace
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
-from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, Reach
-from dqforge.optimizer.fixed_control.gains import scaled
-from dqforge.optimizer.fixed_control.step import (
+from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, Reach, scaled
+from dqforge.optimizer.fixed_control.transforms import (
     IDLE,
+    Codes,
     FixedControl,
     FixedObserver,
     FixedPi,
@@ -29,15 +29,17 @@ from dqforge.optimizer.fixed_control.step import (
     VelocityState,
     current_control,
     decouple,
+    duties,
+    full_scale,
     observe,
     pi_integral,
     pi_output,
     pi_step,
     pi_update,
     pi_velocity,
+    rotation,
     speed_loop,
 )
-from dqforge.optimizer.fixed_control.transforms import Codes, duties, full_scale, rotation
 from dqforge.optimizer.loops.integer_gains import FixedGain
 
 

@@ -19,12 +19,6 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair, park
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, Range, rounded
 from dqforge.optimizer.fixed_control.transforms import Codes, rotation
-from dqforge.optimizer.fixed_observers.fixed_method import (
-    FixedMethod,
-    TrackedState,
-    Word,
-    code_limits,
-)
 from dqforge.optimizer.fixed_observers.fixed_sampled_machine import (
     FixedSampled,
     combined_currents,
@@ -37,21 +31,25 @@ from dqforge.optimizer.fixed_observers.fixed_sampled_machine import (
 from dqforge.optimizer.fixed_observers.kit import (
     ONE,
     WIDTH,
+    FixedMethod,
+    FixedPolynomials,
+    Scales,
+    TrackedState,
+    Word,
+    code_limits,
+    common_scale,
+    gain,
+    odd_value_of,
     predicted,
     saturated,
+    speed_limit,
     times,
     turned_by,
-)
-from dqforge.optimizer.fixed_observers.polynomials import (
-    FixedPolynomials,
-    common_scale,
-    odd_value_of,
     value_of,
 )
-from dqforge.optimizer.fixed_observers.scales import Scales, gain, speed_limit
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.ekf import EkfGains
-from dqforge.optimizer.observers.sampled_gains import EVEN
+from dqforge.optimizer.observers.sampled_machine import EVEN
 
 ANGLE_BITS = 2  # An angle of the covariance has 2^2 rad of full scale.
 P_BITS = 54  # Fractional bits of the covariance.

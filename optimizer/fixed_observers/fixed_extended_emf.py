@@ -6,33 +6,31 @@ from typing import Any
 
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair, park, park_inverse
-from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded
-from dqforge.optimizer.fixed_control.gains import scaled
+from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded, scaled
 from dqforge.optimizer.fixed_control.transforms import Codes, rotation
-from dqforge.optimizer.fixed_observers.fixed_method import (
-    FixedMethod,
-    TrackedState,
-    code_limits,
-    vector_words,
-)
 from dqforge.optimizer.fixed_observers.kit import (
     WIDTH,
+    FixedMethod,
     FixedPll,
+    FixedPolynomials,
+    Scales,
+    TrackedState,
+    code_limits,
+    common_scale,
     corrected,
+    gain,
+    odd_value_of,
     predicted,
     saturated,
     scaled_pair,
     sine_of_angle,
+    size_floor,
+    speed_limit,
     times,
+    value_of,
+    vector_words,
     with_sign_of,
 )
-from dqforge.optimizer.fixed_observers.polynomials import (
-    FixedPolynomials,
-    common_scale,
-    odd_value_of,
-    value_of,
-)
-from dqforge.optimizer.fixed_observers.scales import Scales, gain, size_floor, speed_limit
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.extended_emf import EemfGains
 

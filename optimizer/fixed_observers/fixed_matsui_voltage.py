@@ -6,28 +6,33 @@ from typing import Any
 
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair
-from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, Range, rounded
-from dqforge.optimizer.fixed_control.gains import scaled
-from dqforge.optimizer.fixed_observers.fixed_matsui import (
+from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, Range, rounded, scaled
+from dqforge.optimizer.fixed_observers.fixed_sampled_machine import (
     ANGLE_ROOM,
     SPEED_ROOM,
     VOLT_BITS,
+    FixedSampled,
     FixedShown,
+    fixed_sampled,
     fixed_shown,
     half_turn_gain,
     shown_errors,
     shown_gap,
 )
-from dqforge.optimizer.fixed_observers.fixed_method import (
+from dqforge.optimizer.fixed_observers.kit import (
+    ONE,
     FixedMethod,
+    Scales,
     TrackedState,
     Word,
     code_limits,
+    gain,
+    quotient,
+    saturated,
+    speed_limit,
+    times,
     vector_words,
 )
-from dqforge.optimizer.fixed_observers.fixed_sampled_machine import FixedSampled, fixed_sampled
-from dqforge.optimizer.fixed_observers.kit import ONE, quotient, saturated, times
-from dqforge.optimizer.fixed_observers.scales import Scales, gain, speed_limit
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.matsui_voltage import MatsuiVoltageGains
 

@@ -3,22 +3,62 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.dq_machines.synchronous import linearised
+from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import NumberFormat
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
-from dqforge.optimizer.fixed_control.arithmetic import Reach
+from dqforge.machines.transforms import N, Pair
+from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
+from dqforge.optimizer.fixed_control.arithmetic import (
+    Arithmetic,
+    Range,
+    Ranges,
+    Reach,
+    rounded,
+    scaled,
+)
 from dqforge.optimizer.fixed_control.design import require_scales
-from dqforge.optimizer.fixed_control.transforms import TurnSteps, sine_error, turn_steps
-from dqforge.optimizer.fixed_observers.fixed_method import FixedMethod
-from dqforge.optimizer.fixed_observers.fixed_registry import fixed_method_named
-from dqforge.optimizer.fixed_observers.kit import WIDTH
-from dqforge.optimizer.fixed_observers.scales import Scales
-from dqforge.optimizer.fixed_observers.state_proof import observer_reaches
+from dqforge.optimizer.fixed_control.ranges import codes, require
+from dqforge.optimizer.fixed_control.transforms import TurnSteps, rotation, sine_error, turn_steps
+from dqforge.optimizer.fixed_observers import fixed_ekf, fixed_extended_emf, fixed_matsui_voltage
+from dqforge.optimizer.fixed_observers import fixed_sampled_machine as fixed_matsui_current
+from dqforge.optimizer.fixed_observers import kit as fixed_open_loop_flux
+from dqforge.optimizer.fixed_observers.kit import (
+    NARROW,
+    TOP,
+    WIDTH,
+    FixedCurrentModel,
+    FixedFluxPath,
+    FixedMethod,
+    FixedPll,
+    Scales,
+    TrackedState,
+    active_angle,
+    code_limits,
+    corrected,
+    difference,
+    fixed_current_model,
+    fixed_flux_path,
+    flux_floor,
+    gain,
+    integrated,
+    model_flux,
+    predicted,
+    saturated,
+    shown,
+    speed_size,
+    vector_words,
+    widened,
+)
+from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.tuning import PositionObserver
 
 
@@ -117,3 +157,175 @@ def solve_fixed_observers(
         return ()
     widths = [FIXED_WIDTHS[name] for name in design.export.control if name in FIXED_WIDTHS]
     return tuple(fit_observer(design, observer, width) for width in widths)
+
+
+# Flux observer in integers (`dqforge.optimizer.observers.methods.flux`).
+
+SHARE_BITS = 30  # Fractional bits of the share of the current model.
+ALL = 1 << SHARE_BITS  # The whole of the current model.
+
+
+@dataclass(frozen=True, slots=True)
+class FixedFlux:
+    """Voltage and current model, share of the latter (2^30 codes of 1) at rest and by the speed,
+    least active flux linkage in codes of 16 bits, loop.
+    """
+
+    path: FixedFluxPath
+    model: FixedCurrentModel
+    alpha_0: int
+    alpha_1: FixedGain
+    floor: int
+    pll: FixedPll
+
+
+def design(gains: FluxGains, scales: Scales) -> FixedFlux:
+    """The observer in integers.
+
+    Args:
+        gains: Those in double precision.
+        scales: Full scales of the control.
+    """
+    return FixedFlux(
+        path=fixed_flux_path(gains.path, scales),
+        model=fixed_current_model(gains.l_d, gains.l_q, gains.psi_pm, scales),
+        alpha_0=round(gains.alpha_0 * 2**SHARE_BITS),
+        alpha_1=gain("share by the speed", 0.5 * gains.alpha_1 * scales.turn),
+        floor=flux_floor(gains.floor, scales),
+        pll=scales.pll(gains.pll),
+    )
+
+
+def begin(
+    o: Arithmetic[N, Any], gains: FixedFlux, state: TrackedState[N], v: Pair[N], i: Pair[N]
+) -> TrackedState[N]:
+    """The flux linkage of the current model."""
+    del v
+    psi = model_flux(o, gains.model, i, rotation(o, WIDTH, state.theta))
+    return TrackedState(state.theta, state.omega, (psi.x, psi.y, i.x, i.y))
+
+
+def step(
+    o: Arithmetic[N, Any], gains: FixedFlux, state: TrackedState[N], v: Pair[N], i: Pair[N]
+) -> TrackedState[N]:
+    """One sample: ``v`` acted over the period that ends at the sampling instant of ``i``."""
+    before, last = Pair(*state.words[:2]), Pair(*state.words[2:])
+    theta_p = predicted(o, gains.pll.advance, state.theta, state.omega)
+    turn = rotation(o, WIDTH, theta_p)
+    psi = integrated(o, gains.path, before, v, (last, i), state.omega)
+    model = model_flux(o, gains.model, i, turn)
+    by_speed = scaled(o, "alpha_1 omega", gains.alpha_1, speed_size(o, state.omega))
+    alpha = o.clamp(o.total("alpha", by_speed, o.const(gains.alpha_0)), -ALL, ALL)
+    gap = difference(o, "model - flux", model, psi)
+
+    def pulled(own: N, apart: N) -> N:
+        part = rounded(o, "alpha gap", o.product("alpha gap", alpha, apart), SHARE_BITS)
+        return saturated(o, o.total("corrected flux", own, part))
+
+    psi = Pair(pulled(psi.x, gap.x), pulled(psi.y, gap.y))
+    error = active_angle(o, gains.model, psi, i, turn, gains.floor)
+    theta, omega = corrected(o, gains.pll, theta_p, state.omega, error)
+    return TrackedState(theta, omega, (psi.x, psi.y, i.x, i.y))
+
+
+METHOD = FixedMethod(
+    name="flux",
+    code="flux",
+    gains=FixedFlux,
+    design=design,
+    words=vector_words("psi", "i"),
+    limits=code_limits(4),
+    begin=begin,
+    step=step,
+)
+
+
+# What the integers of an observer can become: proof that nothing overflows, for any inputs and any
+# past.
+#
+# The step runs on ranges in place of numbers, from every angle, every speed and all that the words
+# of the state are said to hold. What it leaves must lie within the same ranges: so they hold for
+# every number of samples.
+
+
+def observer_reaches(method: FixedMethod, gains: Any, width: int) -> tuple[Reach, ...]:
+    """Range of every named product and sum of the emitted functions, in the order of evaluation.
+
+    Args:
+        method, gains: The observer.
+        width: Bits of a code of the control.
+
+    Raises:
+        NoSolutionError: A quantity can leave its word, or a state its range; the message names it.
+    """
+    every, angle = codes(width), Range(0, 2**width - 1)
+    found: dict[str, Reach] = {}
+    speed = Range(-TOP - 1, TOP)
+    for name, function in (("begin", method.begin), ("step", method.step)):
+        o = Ranges(WIDTH, f"{name}: ")
+        x = widened(o, "voltage or current", every, width)
+        vector = Pair(x, x)
+        before = TrackedState(Range(0, 2**WIDTH - 1), speed, method.limits(gains))
+        after = function(o, gains, before, vector, vector)
+        shown(o, after, width)
+        widened(o, "angle or speed of the start", angle, width)
+        widened(o, "angle or speed of the start", every, width)
+        _require_closed(method, gains, after)
+        o.reaches = {key: _in_its_word(reach) for key, reach in o.reaches.items()}
+        require(o)
+        found |= o.reaches
+    return tuple(found.values())
+
+
+def _in_its_word(reach: Reach) -> Reach:
+    """What the C divides in 32 bits must fit these."""
+    return replace(reach, bits=WIDTH) if NARROW in reach.name else reach
+
+
+def _require_closed(method: FixedMethod, gains: Any, after: TrackedState[Range]) -> None:
+    """Refuse a step that leaves the ranges from which it was taken."""
+    limits = {
+        "theta": (after.theta, Range(0, 2**WIDTH - 1)),
+        "omega": (after.omega, Range(-TOP - 1, TOP)),
+    }
+    named = zip(method.words, after.words, method.limits(gains), strict=True)
+    limits |= {word.name: (is_, may) for word, is_, may in named}
+    for name, (is_, may) in limits.items():
+        if is_.low < may.low or is_.high > may.high:
+            raise NoSolutionError(
+                f"fixed point: '{name}' of the observer can reach {is_.largest}, beyond "
+                f"{may.largest}; use larger bases in control.per_unit"
+            )
+
+
+# The position observers that there are in integers, by name.
+
+# The methods by name.
+FIXED_METHODS: Mapping[str, FixedMethod] = MappingProxyType(
+    {
+        method.name: method
+        for method in (
+            fixed_extended_emf.METHOD,
+            METHOD,
+            fixed_open_loop_flux.METHOD,
+            fixed_matsui_voltage.METHOD,
+            fixed_matsui_current.METHOD,
+            fixed_ekf.METHOD,
+        )
+    }
+)
+
+
+def fixed_method_named(name: str) -> FixedMethod:
+    """The method of that name.
+
+    Raises:
+        InputError: It is not there in integers.
+    """
+    if name not in FIXED_METHODS:
+        raise InputError(
+            f"export.control: the observer {name} is not there in fixed point; write "
+            "export.control: float32, or one of the observers "
+            f"{', '.join(FIXED_METHODS)}"
+        )
+    return FIXED_METHODS[name]

@@ -13,13 +13,31 @@ make it the model of the emitted C, ranges its proof.
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Generic, Literal
 
+import numpy as np
+
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import N, Pair
-from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, magnitude, rounded
-from dqforge.optimizer.fixed_control.gains import scaled
-from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.machines.transforms import N, Pair, park, park_inverse
+from dqforge.optimizer.fixed_control.arithmetic import (
+    Arithmetic,
+    CodeArray,
+    Integers,
+    Range,
+    larger,
+    magnitude,
+    rounded,
+    scaled,
+)
+from dqforge.optimizer.fixed_control.transforms import Codes, full_scale, rotation
+from dqforge.optimizer.loops.integer_gains import FixedGain, quantise
+from dqforge.optimizer.observers.methods.flux_gains import FluxPath
+from dqforge.optimizer.observers.methods.open_loop_flux import OpenLoopFluxGains
+from dqforge.optimizer.observers.pll import PllGains
 
 WIDTH = 32  # Bits of every code inside an observer.
 ONE = 2 ** (WIDTH - 1)  # Codes of full scale, and of a radian.
@@ -128,3 +146,521 @@ def with_sign_of(o: Arithmetic[N, Any], sign: N, a: N) -> N:
 def speed_size(o: Arithmetic[N, Any], omega: N) -> N:
     """Magnitude of a speed, a code."""
     return o.clamp(magnitude(o, omega), 0, TOP)
+
+
+# Voltage model of the stator flux linkage in integers, and the angle of its active part.
+
+_TWO_CODES = 2 * ONE
+
+
+@dataclass(frozen=True, slots=True)
+class FixedFluxPath:
+    """Gains to codes of the flux linkage: of the voltage, of the sum of two currents, of their
+    difference by L_q, and both parts of the end correction.
+    """
+
+    volt: FixedGain
+    half_drop: FixedGain
+    l_q: FixedGain
+    end_drop: FixedGain
+    end_turn: FixedGain
+
+
+@dataclass(frozen=True, slots=True)
+class FixedCurrentModel:
+    """Inductances from codes of the current to those of the flux linkage, and the magnet's."""
+
+    l_d: FixedGain
+    l_q: FixedGain
+    psi_pm: int
+
+
+def fixed_flux_path(path: FluxPath, scales: Scales) -> FixedFluxPath:
+    """The voltage model in integers.
+
+    Args:
+        path: In double precision.
+        scales: Full scales of the control.
+    """
+    current = scales.current / scales.flux
+    return FixedFluxPath(
+        volt=gain("flux of a voltage", path.t_s * scales.voltage / scales.flux),
+        half_drop=gain("flux of a voltage drop", path.half_drop * current, _TWO_CODES),
+        l_q=gain("L_q", path.l_q * current, _TWO_CODES),
+        end_drop=gain("end correction", path.end * path.drop * current, _TWO_CODES),
+        end_turn=gain("end correction", path.end * scales.turn),
+    )
+
+
+def fixed_current_model(l_d: float, l_q: float, psi_pm: float, scales: Scales) -> FixedCurrentModel:
+    """The current model in integers, from inductances in H and the magnet flux linkage in V s."""
+    current = scales.current / scales.flux
+    return FixedCurrentModel(
+        gain("L_d", l_d * current), gain("L_q", l_q * current), code("psi_pm", psi_pm / scales.flux)
+    )
+
+
+def flux_floor(floor: float, scales: Scales) -> int:
+    """Least active flux linkage that counts in full, ``floor`` in V s, in codes of 16 bits."""
+    return size_floor(floor / scales.flux)
+
+
+def model_flux(
+    o: Arithmetic[N, Any], model: FixedCurrentModel, i: Pair[N], turn: Pair[N]
+) -> Pair[N]:
+    """Flux linkage (alpha, beta) of the current model."""
+    codes = Codes(o, WIDTH)
+    current = park(codes, i, turn)
+    along = o.total(
+        "flux of the d axis", scaled(o, "l_d i_d", model.l_d, current.x), o.const(model.psi_pm)
+    )
+    across = saturated(o, scaled(o, "l_q i_q", model.l_q, current.y))
+    return park_inverse(codes, Pair(saturated(o, along), across), turn)
+
+
+def integrated(
+    o: Arithmetic[N, Any],
+    path: FixedFluxPath,
+    psi: Pair[N],
+    v: Pair[N],
+    currents: tuple[Pair[N], Pair[N]],
+    omega: N,
+) -> Pair[N]:
+    """Flux linkage after a period by the voltage model; ``currents`` before and after it."""
+    last, i = currents
+    both = Pair(o.total("both currents", last.x, i.x), o.total("both currents", last.y, i.y))
+    volts = scaled_pair(o, "flux of the voltage", path.volt, v)
+    drop = scaled_pair(o, "flux of the drop", path.half_drop, both)
+    first = difference(o, "v - R i", volts, drop)
+    change = difference(o, "change of the current", i, last)
+    own = scaled_pair(o, "l_q change", path.l_q, change)
+    turning = saturated_pair(o, difference(o, "turning flux", first, own))
+    turned = Pair(
+        times(o, "omega turning", omega, turning.x), times(o, "omega turning", omega, turning.y)
+    )
+    end = scaled_pair(o, "end: drop", path.end_drop, change)
+    around = scaled_pair(o, "end: turn", path.end_turn, turned)
+    return Pair(
+        saturated(o, o.total("flux", psi.x, first.x, o.negative(end.x), around.y)),
+        saturated(o, o.total("flux", psi.y, first.y, o.negative(end.y), o.negative(around.x))),
+    )
+
+
+def active_angle(
+    o: Arithmetic[N, Any],
+    model: FixedCurrentModel,
+    psi: Pair[N],
+    i: Pair[N],
+    turn: Pair[N],
+    floor: int,
+) -> N:
+    """Sine of the angle from the direction ``turn`` to the active flux psi - l_q i."""
+    own = scaled_pair(o, "l_q i", model.l_q, i)
+    active = saturated_pair(o, difference(o, "active flux", psi, own))
+    across = park(Codes(o, WIDTH), active, turn).y
+    return sine_of_angle(o, across, active, floor)
+
+
+# What a position observer in integers is: its record, its state, and a run over samples.
+
+WordType = Literal["int32_t", "int64_t", "uint32_t"]
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """A word of the state: its member in C and its type."""
+
+    name: str
+    type: WordType = "int32_t"
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedState(Generic[N]):
+    """Angle, 2^32 codes of a turn, speed, 2^31 codes of full scale, and what else is kept."""
+
+    theta: N
+    omega: N
+    words: tuple[N, ...]
+
+
+Step = Callable[[Any, Any, TrackedState[Any], Pair[Any], Pair[Any]], TrackedState[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class FixedMethod:
+    """One method of observing the position, in integers.
+
+    Args:
+        name, code: As those of the `ObserverMethod` of the same name.
+        gains: The dataclass that ``design`` returns: integers, `FixedGain` and records of them.
+        design: (gains of the method in double precision, scales) -> gains in integers.
+        words: What the state holds besides angle and speed.
+        limits: gains -> what each word can be; ``step`` leaves none of these ranges.
+        begin, step: (arithmetic, gains, state, voltage, current) -> state after the first and after
+            any other sample; both vectors (alpha, beta) in codes of 32 bits.
+    """
+
+    name: str
+    code: str
+    gains: type[Any]
+    design: Callable[[Any, Scales], Any]
+    words: tuple[Word, ...]
+    limits: Callable[[Any], tuple[Range, ...]]
+    begin: Step
+    step: Step
+
+
+def code_limits(count: int) -> Callable[[Any], tuple[Range, ...]]:
+    """``limits`` of a state of so many codes."""
+
+    def limits(_: Any) -> tuple[Range, ...]:
+        return (Range(-TOP - 1, TOP),) * count
+
+    return limits
+
+
+def vector_words(*names: str) -> tuple[Word, ...]:
+    """Words of vectors in stationary coordinates."""
+    return tuple(Word(f"{name}.{part}") for name in names for part in ("alpha", "beta"))
+
+
+def widened(o: Arithmetic[N, Any], name: str, a: N, width: int) -> N:
+    """A code of ``width`` bits as one of 32 bits."""
+    return o.product(name, a, o.const(1 << (WIDTH - width)))
+
+
+def shown(o: Arithmetic[N, Any], state: TrackedState[N], width: int) -> tuple[N, N]:
+    """Angle and speed in codes of ``width`` bits."""
+    bits = WIDTH - width
+    theta = o.wrapped(rounded(o, "angle shown", state.theta, bits), width)
+    top = full_scale(width)
+    return theta, o.clamp(rounded(o, "speed shown", state.omega, bits), -top, top)
+
+
+def observe_codes(
+    method: FixedMethod,
+    gains: Any,
+    width: int,
+    start: tuple[CodeArray, CodeArray],
+    samples: tuple[CodeArray, CodeArray, CodeArray, CodeArray],
+) -> tuple[CodeArray, CodeArray]:
+    """Estimated angle and speed in codes of ``width`` bits, shape (K, S).
+
+    Args:
+        method, gains, width: The observer and the format of the control.
+        start: Angle and speed before the first sample in codes of ``width`` bits, shape (S,).
+        samples: v_alpha, v_beta, i_alpha and i_beta in codes of ``width`` bits, shape (K, S).
+    """
+    o = Integers()
+    theta, omega = (
+        widened(o, "angle or speed of the start", np.asarray(part), width) for part in start
+    )
+    empty = np.zeros_like(theta)
+    state = TrackedState(theta, omega, (empty,) * len(method.words))
+    wide = [widened(o, "voltage or current", part, width) for part in samples]
+    angles, speeds = np.empty_like(wide[0]), np.empty_like(wide[0])
+    for k in range(len(angles)):
+        v, i = Pair(wide[0][k], wide[1][k]), Pair(wide[2][k], wide[3][k])
+        state = (method.step if k else method.begin)(o, gains, state, v, i)
+        angles[k], speeds[k] = shown(o, state, width)
+    return angles, speeds
+
+
+# Open-loop flux estimator in integers (`dqforge.optimizer.observers.methods.open_loop_flux`).
+
+BITS = 25  # Fractional bits of the factor c of the filter, which stays below 2^(30 - 25).
+LARGEST = 1 << (WIDTH - 2)  # Limit of both parts of c in codes.
+_MOST_CORNER = 1 << 36
+_SHARE_BITS = 30
+
+
+@dataclass(frozen=True, slots=True)
+class FixedOpenLoop:
+    """Voltage and current model; corner kappa of the filter over the angle of a period at full
+    speed: by the speed (``corner``), and the least (``least``), codes of 2^31; half of kappa from
+    there; least speed; half cotangent times x; least active flux linkage; loop.
+    """
+
+    path: FixedFluxPath
+    model: FixedCurrentModel
+    corner: FixedGain
+    least: int
+    half: FixedGain
+    slowest: int
+    cotangent: FixedPolynomials
+    floor: int
+    pll: FixedPll
+
+
+def design(gains: OpenLoopFluxGains, scales: Scales) -> FixedOpenLoop:
+    """The estimator in integers.
+
+    Args:
+        gains: Those in double precision.
+        scales: Full scales of the control.
+
+    Raises:
+        NoSolutionError: A gain has no format, or the corner of the filter is beyond that of any
+            speed.
+    """
+    x = scales.turn
+    least = round(gains.kappa_0 / x * ONE)
+    if max(least, gains.kappa_1 * ONE) > _MOST_CORNER:
+        raise NoSolutionError(
+            "fixed point: observer, the filter's corner is more than 32 times the full scale of "
+            "the speed; use a larger base in control.per_unit.speed"
+        )
+    series = [1.0, -(x**2) / 12.0, -(x**4) / 720.0]
+    return FixedOpenLoop(
+        path=fixed_flux_path(gains.path, scales),
+        model=fixed_current_model(gains.l_d, gains.l_q, gains.psi_pm, scales),
+        corner=gain("corner by the speed", gains.kappa_1),
+        least=least,
+        half=gain("half of kappa", 0.5 * x * 2**BITS / ONE, _MOST_CORNER),
+        slowest=max(1, round(gains.x_min / x * ONE)),
+        cotangent=common_scale("half cotangent", [series], _SHARE_BITS),
+        floor=flux_floor(gains.floor, scales),
+        pll=scales.pll(gains.pll),
+    )
+
+
+def _factor(o: Arithmetic[N, Any], gains: FixedOpenLoop, omega: N) -> tuple[Pair[N], N]:
+    """Real and imaginary part of c, and half of kappa, in codes of 2^BITS."""
+    size = speed_size(o, omega)
+    kappa = larger(o, scaled(o, "corner", gains.corner, size), o.const(gains.least))
+    slow = o.clamp(size, gains.slowest, ONE)
+    half = scaled(o, "half of kappa", gains.half, kappa)
+    over = quotient(o, "kappa / x", kappa, slow, BITS)
+    # The angle of a period enters the series as the speed does: its square is one of codes.
+    share = value_of(o, gains.cotangent.rows[0], times(o, "square of the speed", slow, slow))
+    part = rounded(
+        o, "half cotangent", o.product("half cotangent", share, over), gains.cotangent.shift
+    )
+    imaginary = o.clamp(part, -LARGEST, LARGEST)
+    real = o.clamp(o.total("1 + kappa / 2", o.const(1 << BITS), half), -LARGEST, LARGEST)
+    return Pair(real, o.negative(with_sign_of(o, omega, imaginary))), half
+
+
+def begin(
+    o: Arithmetic[N, Any], gains: FixedOpenLoop, state: TrackedState[N], v: Pair[N], i: Pair[N]
+) -> TrackedState[N]:
+    """The flux linkage of the current model, as the filter would have it: psi conj(c) / |c|^2."""
+    del v
+    c, _ = _factor(o, gains, state.omega)
+    psi = model_flux(o, gains.model, i, rotation(o, WIDTH, state.theta))
+    square = o.total("|c|^2", o.product("|c|^2", c.x, c.x), o.product("|c|^2", c.y, c.y))
+    size = o.clamp(o.shifted(square, BITS), 1, 1 << (2 * WIDTH - 2))
+    first = o.total(
+        "conj(c) psi", o.product("conj(c) psi", c.x, psi.x), o.product("conj(c) psi", c.y, psi.y)
+    )
+    second = o.total(
+        "conj(c) psi",
+        o.product("conj(c) psi", c.x, psi.y),
+        o.negative(o.product("conj(c) psi", c.y, psi.x)),
+    )
+    filtered = (
+        saturated(o, o.quotient("psi / c", first, size)),
+        saturated(o, o.quotient("psi / c", second, size)),
+    )
+    return TrackedState(state.theta, state.omega, (*filtered, i.x, i.y))
+
+
+def step(
+    o: Arithmetic[N, Any], gains: FixedOpenLoop, state: TrackedState[N], v: Pair[N], i: Pair[N]
+) -> TrackedState[N]:
+    """One sample: ``v`` acted over the period that ends at the sampling instant of ``i``."""
+    before, last = Pair(*state.words[:2]), Pair(*state.words[2:])
+    c, half = _factor(o, gains, state.omega)
+    theta_p = predicted(o, gains.pll.advance, state.theta, state.omega)
+    turn = rotation(o, WIDTH, theta_p)
+    psi = integrated(o, gains.path, before, v, (last, i), state.omega)
+    one = o.const(1 << BITS)
+    keep = quotient(o, "1 / (1 + kappa)", one, o.total("1 + kappa", one, half, half), _SHARE_BITS)
+
+    def kept(own: N) -> N:
+        return rounded(o, "kept flux", o.product("kept flux", keep, own), _SHARE_BITS)
+
+    filtered = Pair(kept(psi.x), kept(psi.y))
+    real = o.total(
+        "c psi",
+        o.product("c psi", c.x, filtered.x),
+        o.negative(o.product("c psi", c.y, filtered.y)),
+    )
+    imaginary = o.total(
+        "c psi", o.product("c psi", c.x, filtered.y), o.product("c psi", c.y, filtered.x)
+    )
+    psi = Pair(
+        saturated(o, rounded(o, "c psi", real, BITS)),
+        saturated(o, rounded(o, "c psi", imaginary, BITS)),
+    )
+    error = active_angle(o, gains.model, psi, i, turn, gains.floor)
+    theta, omega = corrected(o, gains.pll, theta_p, state.omega, error)
+    return TrackedState(theta, omega, (filtered.x, filtered.y, i.x, i.y))
+
+
+METHOD = FixedMethod(
+    name="open-loop-flux",
+    code="open_loop_flux",
+    gains=FixedOpenLoop,
+    design=design,
+    words=vector_words("psi", "i"),
+    limits=code_limits(4),
+    begin=begin,
+    step=step,
+)
+
+
+# Full scales of an observer in integers, and gains between them.
+
+_FLUX_RESERVE = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """Full scales: ``current`` in A, ``voltage`` in V, ``speed`` (electrical) in rad/s; ``t_s``
+    in s; the machine for which the observer was made.
+    """
+
+    current: float
+    voltage: float
+    speed: float
+    t_s: float
+    machine: LinearMachine
+
+    @property
+    def turn(self) -> float:
+        """Angle in rad by which the drive turns in a period at full scale of the speed."""
+        return self.t_s * self.speed
+
+    @property
+    def flux(self) -> float:
+        """Full scale of flux linkages in V s: half as much again as magnet and largest current
+        make together.
+        """
+        machine = self.machine
+        inductance = max(machine.l_d, machine.l_q)
+        return _FLUX_RESERVE * (machine.psi_pm + inductance * self.current)
+
+    def emf(self, omega_max: float) -> float:
+        """Full scale of EMFs in V: at least that of the voltage, and half as much again as the
+        machine makes at ``omega_max`` rad/s.
+        """
+        machine = self.machine
+        flux = machine.psi_pm + abs(machine.l_d - machine.l_q) * self.current
+        return max(self.voltage, _FLUX_RESERVE * omega_max * flux)
+
+    def pll(self, gains: PllGains) -> FixedPll:
+        """A phase-locked loop in integers."""
+        return FixedPll(
+            advance=self.advance,
+            l_1=gain("share of the angle error", gains.l_1 / math.pi),
+            l_2=gain("speed of the angle error", gains.l_2 / self.speed),
+        )
+
+    @property
+    def advance(self) -> FixedGain:
+        """Codes of the angle of a period from codes of the speed."""
+        return gain("angle of a period", self.turn / math.pi)
+
+
+def gain(name: str, value: float, argument: int = ONE) -> FixedGain:
+    """A gain between codes.
+
+    Args:
+        name: What it is, for the message.
+        value: The gain.
+        argument: Largest magnitude of what it is multiplied with.
+
+    Raises:
+        NoSolutionError: No format of 32 bits holds it.
+    """
+    try:
+        return quantise(value, WIDTH, argument)
+    except NoSolutionError as error:
+        raise NoSolutionError(f"fixed point: observer, {name}: {error}") from None
+
+
+def code(name: str, share: float, one: int = ONE) -> int:
+    """Code of a share of full scale.
+
+    Raises:
+        NoSolutionError: It is beyond full scale.
+    """
+    found = round(share * one)
+    if abs(found) > TOP:
+        raise NoSolutionError(
+            f"fixed point: observer, {name} is {share:.4g} of full scale; use larger bases in "
+            "control.per_unit"
+        )
+    return found
+
+
+def size_floor(share: float) -> int:
+    """Code of 16 bits of a least length, for `kit.sine_of_angle`; at least one."""
+    return max(1, round(share * 2**15))
+
+
+def speed_limit(omega: float, scales: Scales) -> int:
+    """Code of a speed limit in rad/s, at most full scale."""
+    limit: int = min(TOP, round(omega / scales.speed * ONE))
+    return limit
+
+
+# Polynomials of the speed in integers: mantissas of one scale, by Horner's rule.
+
+_MOST_SHIFT = 60
+
+
+@dataclass(frozen=True, slots=True)
+class FixedPolynomials:
+    """Polynomials p(s) = sum of ``rows[n][k]`` s^k / 2^shift of the square of a speed per unit,
+    0 <= s <= 1; their values are mantissas of that ``shift``.
+    """
+
+    rows: tuple[tuple[int, ...], ...]
+    shift: int
+
+
+def common_scale(
+    name: str, rows: Sequence[Sequence[float]], bits: int, weights: Sequence[float] | None = None
+) -> FixedPolynomials:
+    """Coefficients at the finest common scale at which no value needs more than ``bits`` bits.
+
+    Args:
+        name: What the polynomials are, for the message.
+        rows: Coefficients of rising powers of s per unit.
+        bits: A value stays below 2^bits in magnitude.
+        weights: Largest s^k of each power where that is less than 1.
+
+    Raises:
+        NoSolutionError: No scale holds them.
+    """
+    count = len(rows[0])
+    most = weights if weights is not None else [1.0] * count
+    largest = max(sum(abs(c) * w for c, w in zip(row, most, strict=True)) for row in rows)
+    if not 0.0 < largest < 2.0**bits:
+        raise NoSolutionError(
+            f"fixed point: {name} has no scale of {bits} bits; use other bases in control.per_unit"
+        )
+    shift = min(_MOST_SHIFT, math.floor(bits - math.log2(largest) - 1e-9))
+    # A coefficient beyond 32 bits of its own power would not be a mantissa.
+    widest = max(abs(c) for row in rows for c in row)
+    shift = min(shift, math.floor(31 - math.log2(widest) - 1e-9))
+    if shift < 0:
+        raise NoSolutionError(
+            f"fixed point: {name} has no scale of 32 bits; use other bases in control.per_unit"
+        )
+    return FixedPolynomials(tuple(tuple(round(c * 2.0**shift) for c in row) for row in rows), shift)
+
+
+def value_of(o: Arithmetic[N, Any], row: tuple[int, ...], square: N) -> N:
+    """Mantissa of a polynomial at the code ``square``."""
+    value = o.const(row[-1])
+    for coefficient in row[-2::-1]:
+        value = o.total("polynomial", times(o, "polynomial", value, square), o.const(coefficient))
+    return value
+
+
+def odd_value_of(o: Arithmetic[N, Any], row: tuple[int, ...], square: N, x: N) -> N:
+    """Mantissa of x p(x^2) at the code ``x`` with its square."""
+    return times(o, "odd polynomial", value_of(o, row, square), x)

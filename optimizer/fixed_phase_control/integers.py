@@ -11,8 +11,9 @@ from typing import Generic, NamedTuple
 from dqforge.machines.names import CurrentFrame, Feedforward, NumberFormat, Topology
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N
-from dqforge.optimizer.fixed_control.step import FixedPi, PiForm
 from dqforge.optimizer.fixed_control.transforms import (
+    FixedPi,
+    PiForm,
     TurnSteps,
     full_scale,
     turn_steps,

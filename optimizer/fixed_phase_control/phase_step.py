@@ -6,19 +6,20 @@ the proof that nothing overflows. Vectors are alpha, beta and zero sequence (mea
 
 from __future__ import annotations
 
+import math
 from typing import Any, Generic
 
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import N, Pair, Triple, clarke, clarke_inverse, park, park_inverse
-from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, magnitude, rounded
-from dqforge.optimizer.fixed_control.gains import scaled
-from dqforge.optimizer.fixed_control.transforms import Codes, rotation
-from dqforge.optimizer.fixed_phase_control.feeding import leg_duties, within_region
-from dqforge.optimizer.fixed_phase_control.frame_integrators import (
-    frame_errors,
-    frame_voltage,
+from dqforge.optimizer.fixed_control.arithmetic import (
+    Arithmetic,
+    larger,
+    magnitude,
+    rounded,
+    scaled,
 )
+from dqforge.optimizer.fixed_control.transforms import Codes, rotation
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedAxis,
     FixedHarmonic,
@@ -458,3 +459,278 @@ def torque_reference(o: Arithmetic[N, Any], control: FixedPhaseControl, torque: 
     """Currents (d, q) in codes for a torque where the references are sinusoids."""
     asked = scaled(o, "current per torque", control.current_per_torque, torque)
     return Pair(o.const(0), Codes(o, control.width).saturated(asked))
+
+
+# Integrators in dq0, dqx and dqy without angles: errors and voltages along the flux.
+#
+# In dqx and dqy of paper 002 quantities are divided by a = c / |f|. An axis b of length |f| then
+# sees b'e and makes I b / |f|^2, so that neither a root nor an angle of dqx is needed. The inner
+# product counts the zero sequence twice, as the mean of the phases asks for.
+
+Vectors = tuple[N, N, N]
+
+
+def frame_errors(
+    o: Arithmetic[N, Any],
+    control: FixedPhaseControl,
+    error: tuple[N, ...],
+    electrical: N,
+    flux: Vector[N],
+) -> Triple[N]:
+    """Errors on the axes of the frame, in codes; flux and angle are those of the sample."""
+    codes = Codes(o, control.width)
+    if control.frame in ("dq", "table"):
+        pair = park(codes, (error[0], error[1]), rotation(o, control.width, electrical))
+        return Triple(pair.x, pair.y, error[2])
+    found = []
+    for axis in frame_axes(o, control, flux):
+        terms = [
+            o.shifted(o.product("frame: error", part, value), 2)
+            for part, value in zip(axis, error, strict=True)
+        ]
+        total = o.total("frame: error", *terms, terms[2])
+        found.append(codes.saturated(rounded(o, "frame: error", total, control.width - 3)))
+    return Triple(*found)
+
+
+def frame_voltage(
+    o: Arithmetic[N, Any],
+    control: FixedPhaseControl,
+    integral: Triple[N],
+    acting: tuple[N, N],
+    flux: Vector[N],
+) -> Vectors[N]:
+    """Voltage of the integrals in codes, at the angle at which it acts.
+
+    ``acting`` are the angle of the shape and the electrical angle there, ``flux`` is that there.
+    """
+    codes = Codes(o, control.width)
+    held = [
+        o.const(0)
+        if axis is None
+        else codes.saturated(rounded(o, "integral", value, axis.fraction))
+        for value, axis in zip(integral, (control.d, control.q, control.zero), strict=True)
+    ]
+    if control.frame in ("dq", "table"):
+        turn = rotation(o, control.width, acting[1])
+        pair = park_inverse(codes, (held[0], held[1]), turn)
+        return pair.x, pair.y, held[2]
+    bits = control.width - 1
+    square = axis_square(o, control, flux)
+    parts = [
+        codes.saturated(
+            o.quotient(
+                "frame: I / |f|^2", o.product("frame: I", x, o.const(1 << (bits - 1))), square
+            )
+        )
+        for x in held
+    ]
+    axes = frame_axes(o, control, flux)
+    found = [
+        codes.saturated(
+            rounded(
+                o,
+                "frame: voltage",
+                o.total(
+                    "frame: voltage",
+                    *(
+                        o.shifted(o.product("frame: voltage", part, axis[place]), 1)
+                        for part, axis in zip(parts, axes, strict=True)
+                    ),
+                ),
+                bits - 2,
+            )
+        )
+        for place in range(3)
+    ]
+    return found[0], found[1], found[2]
+
+
+def axis_square(o: Arithmetic[N, Any], control: FixedPhaseControl, flux: Vector[N]) -> N:
+    """Square of the length of the axes in codes: of the flux in the plane, in dqy of all of it."""
+    bits = control.width - 1
+    squares = [o.shifted(o.product("frame: square", x, x), bits) for x in flux]
+    terms = squares[:2] if control.frame == "dqx" else [*squares, squares[2]]
+    return o.clamp(o.total("frame: square", *terms), control.least_square, 4 << bits)
+
+
+def frame_axes(
+    o: Arithmetic[N, Any], control: FixedPhaseControl, flux: Vector[N]
+) -> tuple[Vectors[N], Vectors[N], Vectors[N]]:
+    """Axes d, q and 0 of dqx or dqy, each as long as the flux, in codes."""
+    none = o.const(0)
+    across: Vectors[N] = (flux.beta, o.negative(flux.alpha), none)
+    if control.frame == "dqx":
+        return across, (flux.alpha, flux.beta, none), (none, none, none)
+    codes, bits = Codes(o, control.width), control.width - 1
+    quarter = [o.shifted(o.product("frame: length", x, x), 2) for x in flux]
+    plane = o.total("frame: length", quarter[0], quarter[1])
+    whole = o.total("frame: length", plane, quarter[2], quarter[2])
+    end = (1 << (2 * bits + 1)) - 1
+    half_plane = o.clamp(o.root(o.clamp(plane, 0, end)), 1, 2 << bits)
+    half_whole = o.root(o.clamp(whole, 0, end))
+    # Ratios in codes of one half, since they may pass 1.
+    longer = codes.saturated(
+        o.quotient(
+            "frame: |f| / plane",
+            o.product("frame: |f|", o.clamp(half_whole, 0, 1 << bits), o.const(1 << (bits - 1))),
+            half_plane,
+        )
+    )
+    steep = codes.saturated(
+        o.quotient(
+            "frame: zero / plane",
+            o.product("frame: zero", flux.zero, o.const(1 << (bits - 2))),
+            half_plane,
+        )
+    )
+
+    def doubled(name: str, a: N, b: N) -> N:
+        return codes.saturated(rounded(o, name, o.product(name, a, b), bits - 1))
+
+    d: Vectors[N] = (
+        doubled("frame: d", across[0], longer),
+        doubled("frame: d", across[1], longer),
+        none,
+    )
+    root_half = o.const(round(2**bits * math.sqrt(0.5)))
+    inclined = [doubled("frame: 0", x, steep) for x in (flux.alpha, flux.beta)]
+    # sqrt 2 times, as twice the product with its half.
+    zero: Vectors[N] = (
+        doubled("frame: 0", inclined[0], root_half),
+        doubled("frame: 0", inclined[1], root_half),
+        o.negative(
+            codes.settled(
+                "frame: 0",
+                o.product(
+                    "frame: 0", o.clamp(_twice(o, half_plane), 0, (1 << bits) - 1), root_half
+                ),
+            )
+        ),
+    )
+    return d, (flux.alpha, flux.beta, flux.zero), zero
+
+
+def _twice(o: Arithmetic[N, Any], a: N) -> N:
+    return o.product("frame: plane", o.const(2), a)
+
+
+# Voltages that the legs of a topology can make, and their duty cycles, in integers.
+
+_COARSE = 3  # bits that a voltage beyond full scale is lowered by before it is shortened
+
+
+def smaller(o: Arithmetic[N, Any], a: N, b: N) -> N:
+    """The smaller of two numbers."""
+    return o.choose(o.at_least(a, b), b, a)
+
+
+def phase_voltages(
+    o: Arithmetic[N, Any], control: FixedPhaseControl, alpha: N, beta: N, zero: N
+) -> tuple[N, N, N]:
+    """Phases of a vector in codes of one word; sums of two have a bit more."""
+    bits = control.width - 1
+    half = o.product("phases: alpha / 2", alpha, o.const(1 << (bits - 1)))
+    side = o.product("phases: beta", beta, o.const(round(2**bits * math.sqrt(0.75))))
+    b = rounded(o, "phases: b", o.total("phases: b", side, o.negative(half)), bits)
+    c = rounded(o, "phases: c", o.total("phases: c", o.negative(side), o.negative(half)), bits)
+    return (
+        o.total("phases: a", alpha, zero),
+        o.total("phases: b", b, zero),
+        o.total("phases: c", c, zero),
+    )
+
+
+def ends(o: Arithmetic[N, Any], values: tuple[N, ...]) -> tuple[N, N]:
+    """Largest and least of some numbers."""
+    high = low = values[0]
+    for value in values[1:]:
+        high, low = larger(o, high, value), smaller(o, low, value)
+    return high, low
+
+
+def link_demand(o: Arithmetic[N, Any], control: FixedPhaseControl, phases: tuple[N, N, N]) -> N:
+    """What phase voltages ask of the link (of half of it where it is split), as their codes."""
+    high, low = ends(o, phases)
+    rule = TOPOLOGIES[control.topology]
+    if rule.between is None:
+        return larger(o, high, o.negative(low))
+    if rule.neutral:
+        high, low = larger(o, high, o.const(0)), smaller(o, low, o.const(0))
+    spread = o.total("demand: spread", high, o.negative(low))
+    return spread if rule.between == 1.0 else o.shifted(spread, 1)
+
+
+def link_voltage(o: Arithmetic[N, Any], control: FixedPhaseControl, v_dc: N, v_m: N) -> N:
+    """What there is of it, in codes of the voltage."""
+    there = v_dc
+    if control.midpoint is not None:
+        above = o.total("link: above the midpoint", v_dc, o.negative(v_m))
+        there = o.clamp(smaller(o, v_m, above), 1, control.top)
+    return o.product("link", there, o.const(1 << control.dc_scale))
+
+
+def within_region(
+    o: Arithmetic[N, Any], control: FixedPhaseControl, asked: Vector[N], v_dc: N, v_m: N
+) -> tuple[Vector[N], Any]:
+    """A voltage shortened along its direction into what the legs can make, and whether it was."""
+    codes, bits = Codes(o, control.width), control.width - 1
+    coarse = [codes.saturated(o.shifted(x, _COARSE)) for x in asked]
+    # A range does not know that the larger of two is positive; 8 full scales are never passed.
+    demand = o.clamp(link_demand(o, control, phase_voltages(o, control, *coarse)), 1, 8 << bits)
+    most = o.clamp(o.shifted(link_voltage(o, control, v_dc, v_m), _COARSE), 0, (1 << bits) - 1)
+    limited = o.at_least(demand, most)
+    share = o.quotient("region: share", o.product("region: link", most, o.const(1 << bits)), demand)
+    share = o.clamp(share, 0, control.top)
+    found = []
+    for whole, part in zip(asked, coarse, strict=True):
+        short = rounded(
+            o, "region: shortened", o.product("region: shortened", part, share), bits - _COARSE
+        )
+        found.append(codes.saturated(o.choose(limited, short, whole)))
+    return asked._replace(alpha=found[0], beta=found[1], zero=found[2]), limited
+
+
+def centred(o: Arithmetic[N, Any], phases: tuple[N, N, N], middle: N) -> tuple[N, N, N]:
+    """Phases less what is common to them."""
+    back = o.negative(middle)
+    a, b, c = (o.total("duties: centred", x, back) for x in phases)
+    return a, b, c
+
+
+def leg_duties(
+    o: Arithmetic[N, Any], control: FixedPhaseControl, voltage: Vector[N], v_dc: N, v_m: N
+) -> tuple[N, ...]:
+    """Duty cycles of the legs, 0 to 2^(width - 1), in the order of the topology."""
+    codes, one = Codes(o, control.width), 1 << (control.width - 1)
+    factor = o.const(one >> control.dc_scale)
+    phases = phase_voltages(o, control, voltage.alpha, voltage.beta, voltage.zero)
+    rule = TOPOLOGIES[control.topology]
+    bridges = len(rule.legs) == 6
+    if bridges and not rule.neutral:
+        high, low = ends(o, phases)
+        middle = o.shifted(o.total("duties: ends", high, low), 1)
+        phases = centred(o, phases, middle)
+    share = tuple(
+        codes.saturated(
+            o.quotient("duties: v / v_dc", o.product("duties: v", codes.saturated(x), factor), v_dc)
+        )
+        for x in phases
+    )
+    half = o.const(one >> 1)
+
+    def limited(*terms: N) -> N:
+        return o.clamp(o.total("duties: sum", *terms), 0, one)
+
+    if bridges:
+        halves = [o.shifted(x, 1) for x in share]
+        first = [limited(half, x) for x in halves]
+        return (*first, *(limited(half, o.negative(x)) for x in halves))
+    if rule.midpoint:
+        wide = o.product("duties: v_m", v_m, o.const(one))
+        zero = o.clamp(o.quotient("duties: v_m / v_dc", wide, v_dc), 0, one)
+        return tuple(limited(x, zero) for x in share)
+    high, low = ends(o, (*share, o.const(0)) if rule.neutral else share)
+    zero = o.shifted(o.total("duties: offset", o.const(one), o.negative(high), o.negative(low)), 1)
+    legs = tuple(limited(x, zero) for x in share)
+    return (*legs, limited(zero)) if rule.neutral else legs

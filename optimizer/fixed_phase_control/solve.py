@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, TypeAlias
 
 from dqforge.machines.design.numerical import on_design
-from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
+from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
     from dqforge.optimizer.control_design.gain_set import GainSet
     from dqforge.optimizer.fixed_control.design import FixedControlFit
-    from dqforge.optimizer.fixed_control.step import FixedReferences
+    from dqforge.optimizer.fixed_control.transforms import FixedReferences
     from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
 
 IntegerFit: TypeAlias = "FixedControlFit | FixedPhaseFit"
@@ -34,7 +34,7 @@ def solve_integers(
     if not widths:
         return ()
     if gains.phases is None:
-        from dqforge.optimizer.fixed_control.solve import solve_fixed
+        from dqforge.optimizer.fixed_control.design import solve_fixed
 
         return solve_fixed(design, gains, torque_max, references)
     from dqforge.optimizer.fixed_phase_control.design import fit_phase_control

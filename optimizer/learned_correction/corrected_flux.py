@@ -11,21 +11,30 @@ the correction acted, by the same filter, and why it did not at the last one.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals, park
 from dqforge.optimizer.learned_correction.correction_frame import (
+    TOLD,
     Inputs,
     brought,
     outside,
     speed_inputs,
 )
 from dqforge.optimizer.observers.methods import flux
-from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
+from dqforge.optimizer.observers.parts import (
+    Arithmetic,
+    ObserverState,
+    ObserverTuning,
+    Pair,
+    flux_in_words,
+)
 
 # (gains, inputs of -1 to 1, arithmetic) -> correction in rad, within the limit.
 Learned = Callable[[Any, Inputs, Arithmetic], Reals]
@@ -110,3 +119,215 @@ def scale(gains: Any) -> tuple[float, float]:
         gains: With a member ``flux``.
     """
     return float(gains.flux.path.t_s), float(gains.flux.psi_pm)
+
+
+# A small network: five inputs, two hidden layers, one answer, hyperbolic tangents throughout.
+#
+#     a = tanh(W_1 x + b_1),  b = tanh(W_2 a + b_2),  y = limit tanh(w_3 b + b_3)
+#
+# The limit is part of the network: nothing larger can come out. Beyond that nothing is proven of
+# it. tanh is the rational function of `hyperbolic_tangent` here, in training and in the emitted C
+# alike.
+#
+# The training is L-BFGS on the mean square, with the gradient written out, from seeded weights and
+# for a fixed number of steps. All sums are numpy's own loops: its bytes do not depend on the
+# threads of a linear algebra library; they do depend on the instructions that numpy is compiled
+# for.
+
+STEPS = 400  # Of L-BFGS.
+SEED = 20
+END = 4.97  # Size of the argument from which on the rational function is replaced by its sign.
+TANH_ERROR = 1.0e-4  # Largest difference of `hyperbolic_tangent` from the hyperbolic tangent.
+_UPPER = (135135.0, 17325.0, 378.0, 1.0)
+_LOWER = (135135.0, 62370.0, 3150.0, 28.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Network:
+    """Weights, row by row: as many rows as the layer has neurons."""
+
+    weights_1: tuple[float, ...]
+    offsets_1: tuple[float, ...]
+    weights_2: tuple[float, ...]
+    offsets_2: tuple[float, ...]
+    weights_3: tuple[float, ...]
+    offset_3: float
+
+    def __post_init__(self) -> None:
+        """Refuse layers that do not fit."""
+        first, second = len(self.offsets_1), len(self.offsets_2)
+        if (len(self.weights_1), len(self.weights_2), len(self.weights_3)) != (
+            TOLD * first,
+            first * second,
+            second,
+        ):
+            raise ValueError("the layers of the network do not fit")
+
+    @property
+    def size(self) -> int:
+        """How many numbers it has."""
+        parts = (self.weights_1, self.offsets_1, self.weights_2, self.offsets_2, self.weights_3)
+        return sum(map(len, parts)) + 1
+
+
+# A network that answers nought.
+NO_NETWORK = Network((0.0,) * TOLD, (0.0,), (0.0,), (0.0,), (0.0,), 0.0)
+
+
+def hyperbolic_tangent(x: Reals, maths: Arithmetic) -> Reals:
+    """Lambert's continued fraction to the seventh power, within -1 to 1 for every x.
+
+    Args:
+        x: Any shape.
+        maths: In whose numbers.
+    """
+    number = maths.number
+    end = number(END)
+    x = np.where(x < end, x, end)
+    x = np.where(x > -end, x, -end)
+    q = x * x
+    upper, lower = number(_UPPER[3]), number(_LOWER[3])
+    for power in (2, 1, 0):
+        upper = number(_UPPER[power]) + q * upper
+        lower = number(_LOWER[power]) + q * lower
+    t = (x * upper) / lower
+    t = np.where(t < number(1.0), t, number(1.0))
+    return np.where(t > number(-1.0), t, number(-1.0))
+
+
+def _layer(weights: Any, offsets: Any, x: list[Reals], maths: Arithmetic) -> list[Reals]:
+    """Neurons of a layer, each shape (N,); products are added in the order of the inputs."""
+    rows, columns = len(offsets), len(x)
+    matrix = np.array(weights).reshape(rows, columns)
+    total = np.array(offsets)[:, None]
+    for k in range(columns):
+        total = total + matrix[:, k, None] * x[k]
+    return list(hyperbolic_tangent(total, maths))
+
+
+def answered(network: Any, limit: Any, x: Inputs, maths: Arithmetic) -> Reals:
+    """What the network says to inputs of -1 to 1, in rad.
+
+    Args:
+        network: `Network` in the numbers of an arithmetic.
+        limit: Of the answer in rad.
+        x: The six inputs, shape (N,) each.
+        maths: The arithmetic.
+    """
+    first = _layer(network.weights_1, network.offsets_1, list(x[:TOLD]), maths)
+    second = _layer(network.weights_2, network.offsets_2, first, maths)
+    (last,) = _layer(network.weights_3, (network.offset_3,), second, maths)
+    return np.asarray(limit * last)
+
+
+def _curve(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """`hyperbolic_tangent` in double precision, and its derivative."""
+    inside = np.abs(x) < END
+    x = np.clip(x, -END, END)
+    q = x * x
+    upper = _UPPER[0] + q * (_UPPER[1] + q * (_UPPER[2] + q * _UPPER[3]))
+    lower = _LOWER[0] + q * (_LOWER[1] + q * (_LOWER[2] + q * _LOWER[3]))
+    upper_slope = _UPPER[1] + q * (2.0 * _UPPER[2] + q * (3.0 * _UPPER[3]))
+    lower_slope = _LOWER[1] + q * (2.0 * _LOWER[2] + q * (3.0 * _LOWER[3]))
+    t = x * upper / lower
+    slope = (upper + 2.0 * q * upper_slope - 2.0 * x * t * lower_slope) / lower
+    within = inside & (np.abs(t) < 1.0)
+    return np.clip(t, -1.0, 1.0), np.where(within, slope, 0.0)
+
+
+def _parts(
+    flat: FloatArray, first: int, second: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]:
+    ends = np.cumsum([TOLD * first, first, first * second, second, second])
+    a, b, c, d, e, f = np.split(flat, ends)
+    return a.reshape(first, TOLD), b, c.reshape(second, first), d, e, float(f[0])
+
+
+def mean_square(
+    x: FloatArray, wanted: FloatArray, first: int, second: int
+) -> Callable[[FloatArray], tuple[float, FloatArray]]:
+    """Weights -> mean square of answer less ``wanted`` (over the limit), and its gradient.
+
+    Args:
+        x: Inputs of -1 to 1, shape (5, M).
+        wanted: Corrections over the limit, shape (M,).
+        first, second: Neurons of the hidden layers.
+    """
+    count = len(wanted)
+
+    def cost(flat: FloatArray) -> tuple[float, FloatArray]:
+        w_1, b_1, w_2, b_2, w_3, b_3 = _parts(flat, first, second)
+        one, one_slope = _curve(np.einsum("ij,jn->in", w_1, x) + b_1[:, None])
+        two, two_slope = _curve(np.einsum("ij,jn->in", w_2, one) + b_2[:, None])
+        last, last_slope = _curve(np.einsum("i,in->n", w_3, two) + b_3)
+        gap = last - wanted
+        back_3 = (2.0 / count) * gap * last_slope
+        back_2 = w_3[:, None] * back_3 * two_slope
+        back_1 = np.einsum("ij,in->jn", w_2, back_2) * one_slope
+        slopes = [
+            np.einsum("in,jn->ij", back_1, x).ravel(),
+            np.einsum("in->i", back_1),
+            np.einsum("in,jn->ij", back_2, one).ravel(),
+            np.einsum("in->i", back_2),
+            np.einsum("in,n->i", two, back_3),
+            np.einsum("n->", back_3).reshape(1),
+        ]
+        return float(np.einsum("n,n->", gap, gap)) / count, np.concatenate(slopes)
+
+    return cost
+
+
+def trained_network(
+    x: FloatArray, wanted: FloatArray, hidden: tuple[int, int], limit: float
+) -> Network:
+    """A network of two hidden layers.
+
+    Args:
+        x: Inputs of -1 to 1, shape (6, M).
+        wanted: Corrections in rad, shape (M,).
+        hidden: Neurons of the hidden layers.
+        limit: Of the answer in rad.
+    """
+    from scipy.optimize import minimize
+
+    first, second = hidden
+    generator = np.random.default_rng(SEED)
+
+    def spread(rows: int, columns: int) -> FloatArray:
+        return np.asarray(generator.standard_normal(rows * columns) / np.sqrt(columns))
+
+    begin = [spread(first, TOLD), np.zeros(first), spread(second, first), np.zeros(second)]
+    begin += [spread(1, second), np.zeros(1)]
+    found = minimize(
+        mean_square(np.ascontiguousarray(x[:TOLD]), wanted / limit, first, second),
+        np.concatenate(begin),
+        jac=True,
+        method="L-BFGS-B",
+        options={"maxiter": STEPS, "maxfun": 10 * STEPS, "ftol": 0.0, "gtol": 0.0, "maxcor": 20},
+    )
+    single = np.asarray(found.x, dtype=np.float32).astype(np.float64)
+    w_1, b_1, w_2, b_2, w_3, b_3 = _parts(single, first, second)
+    plain = [tuple(part.ravel().tolist()) for part in (w_1, b_1, w_2, b_2, w_3)]
+    return Network(plain[0], plain[1], plain[2], plain[3], plain[4], b_3)
+
+
+# By what numbers a correction works, in words.
+
+
+def in_words(tuning: ObserverTuning, gains: Any, t_s: float, what: str) -> str:
+    """Numbers of the flux observer, then those of the correction.
+
+    Args:
+        gains: With a member ``frame``.
+        t_s: Sampling period in s.
+        what: What was learned.
+    """
+    frame = gains.frame
+    words = flux_in_words(tuning, gains, t_s)
+    if frame.share >= 1.0:
+        return f"{words}; no correction is trained"
+    filter_time = -t_s / math.log1p(-frame.share)
+    return (
+        f"{words}; correction: {what}, at most {math.degrees(frame.limit):.3g} deg, filter "
+        f"{1e3 * filter_time:.3g} ms"
+    )

@@ -13,23 +13,29 @@ from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.learned_correction import corrected_flux, network
-from dqforge.optimizer.learned_correction.assessment import assessed, training_drives
+from dqforge.optimizer.learned_correction import corrected_flux
+from dqforge.optimizer.learned_correction import corrected_flux as network
+from dqforge.optimizer.learned_correction.corrected_flux import NO_NETWORK, Network, in_words
 from dqforge.optimizer.learned_correction.correction_frame import (
     SILENT,
     CorrectionFrame,
     Inputs,
+    assessed,
+    frame_for,
     inputs_of,
+    training_drives,
 )
-from dqforge.optimizer.learned_correction.correction_words import in_words
-from dqforge.optimizer.learned_correction.network import NO_NETWORK, Network
-from dqforge.optimizer.learned_correction.wishes import frame_for
-from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.methods import flux
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
-from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair
-from dqforge.optimizer.observers.training import Training, TrainingBox
-from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
+from dqforge.optimizer.observers.parts import (
+    EXACT,
+    Arithmetic,
+    ObserverMethod,
+    ObserverState,
+    ObserverTuning,
+    Pair,
+)
+from dqforge.optimizer.observers.reduced_order import Training, TrainingBox
 
 HIDDEN = (8, 8)  # Neurons of the hidden layers where the design names none.
 _EVERY = 2  # Of the drawn drives, every second one trains: twice as many gain no tenth of a degree.

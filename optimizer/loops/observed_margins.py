@@ -8,10 +8,12 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from dqforge.machines.arrays import FloatArray
+from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.plants import PiLoop
+from dqforge.optimizer.sampled_systems import LEAST_SHARE, LoopMargins
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,3 +259,272 @@ class ObservedLoop:
     def holds(self) -> bool:
         """Whether the loop has the required margin at every speed."""
         return self.stable and bool((abs(self.phase_margin) >= self.required).all())
+
+
+# Margins of current loops in closed form, any number of loops at once.
+#
+# With the winding L di/dt = g v - R i, one period of computation, a zero-order hold and the PI of
+# `dqforge.optimizer.loops.plants.close_pi` the open loop is::
+#
+#     L(z) = b (n1 z - n0) / (z (z - 1) (z - a)),   a = exp(-R t_s/L), s = 1 - a, b = g s/R,
+#                                                   n0 = kp, q = ki t_s, n1 = n0 + q
+#
+# On the unit circle every square is a polynomial in y = 1 - cos(omega t_s), from 0 at standstill to
+# 2 at the Nyquist frequency::
+#
+#     gain crossover   4 a y^2 + 2 (s^2 - b^2 n1 n0) y - b^2 q^2 = 0
+#     phase crossing   4 n0 y^2 - 2 (n0 (1 + s) - q) y - s q = 0
+#     peak of |S|      c1 e0 / y^2 + 2 c2 e0 / y + c2 e1 - c1 e2 - 2 c1 e3 y - c2 e3 y^2 = 0
+#                      |S|^2 = (c1 y + c2 y^2) / (e0 + e1 y + e2 y^2 + e3 y^3)
+#
+# The two roots of the first have opposite signs: a loop has one crossover or none. The last falls
+# over all of y > 0: |S| has one peak, whatever the gains. Nothing is scanned, and in y, with s from
+# expm1, nothing cancels in loops that are slow against their sampling.
+#
+# Source: derived; stability by E. I. Jury, "Theory and Application of the z-Transform Method", 1964
+# (quoted without the book at hand).
+
+_MOST_STEPS = 80
+_STILL = 1e-8  # Step in log y after which the peak stands still to rounding: |S| is level there.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurrentLoops:
+    """N current loops, arrays of shape (N,).
+
+    Args:
+        decay: s = 1 - exp(-R t_s/L), dimensionless; 0 without resistance, negative for a negative
+            one.
+        gain: b in A/V: current after one period of 1 V, with the gain of the voltage.
+        kp: n0 in V/A, positive.
+        step: q = ki t_s in V/A, positive.
+        t_s: Sampling period in s.
+    """
+
+    decay: FloatArray
+    gain: FloatArray
+    kp: FloatArray
+    step: FloatArray
+    t_s: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurrentMargins:
+    """Margins of N current loops as in `dqforge.optimizer.sampled_systems.LoopMargins`, arrays of
+    shape (N,).
+
+    ``stable`` by Jury's conditions; the others mean something where it holds.
+    """
+
+    stable: BoolArray
+    crossover: FloatArray
+    phase_margin: FloatArray
+    gain_margin: FloatArray
+    gain_reduction: FloatArray
+    delay_margin: FloatArray
+    max_sensitivity: FloatArray
+
+    def of(self, place: int) -> LoopMargins:
+        """Those of one loop."""
+        crossover = float(self.crossover[place])
+        found = [] if np.isnan(crossover) else [crossover]
+        return LoopMargins(
+            crossovers=np.array(found, dtype=np.float64),
+            crossover=crossover,
+            phase_margin=float(self.phase_margin[place]),
+            gain_margin=float(self.gain_margin[place]),
+            gain_reduction=float(self.gain_reduction[place]),
+            delay_margin=float(self.delay_margin[place]),
+            max_sensitivity=float(self.max_sensitivity[place]),
+        )
+
+
+def has_closed_margins(kp: ArrayLike, ki: ArrayLike) -> BoolArray:
+    """Whether the formulas hold: both gains positive and finite, any shapes that fit.
+
+    Args:
+        kp, ki: Gains in V/A and V/(A s).
+    """
+    both = np.stack(np.broadcast_arrays(np.asarray(kp), np.asarray(ki)))
+    return np.asarray(np.all((both > 0.0) & np.isfinite(both), axis=0))
+
+
+def current_loops(
+    r_s: ArrayLike,
+    inductance: ArrayLike,
+    t_s: ArrayLike,
+    kp: ArrayLike,
+    ki: ArrayLike,
+    gain: ArrayLike = 1.0,
+) -> CurrentLoops:
+    """Loops of windings under PI control, every argument one number or of shape (N,).
+
+    Args:
+        r_s: Phase resistances in Ohm; zero and negative ones are permitted.
+        inductance: Inductances in H.
+        t_s: Sampling periods in s.
+        kp, ki: Gains in V/A and V/(A s), positive.
+        gain: Gain of the voltage: link voltage that acts over the one that is reckoned with.
+    """
+    given = (np.asarray(value, dtype=np.float64) for value in (r_s, inductance, t_s, kp, ki, gain))
+    r_s, inductance, t_s, kp, ki, gain = (
+        np.atleast_1d(value) for value in np.broadcast_arrays(*given)
+    )
+    exponent = r_s * t_s / inductance
+    decay = -np.expm1(-exponent)
+    at_rest = exponent == 0.0
+    share = np.where(at_rest, 1.0, decay / np.where(at_rest, 1.0, exponent))
+    return CurrentLoops(decay, gain * share * t_s / inductance, kp, ki * t_s, t_s)
+
+
+def current_margins(loops: CurrentLoops) -> CurrentMargins:
+    """Stability and margins of current loops.
+
+    As `dqforge.optimizer.sampled_systems.loop_margins` of each, which finds them by a scan; like
+    there a crossover below `LEAST_SHARE` of the Nyquist frequency is none.
+
+    Args:
+        loops: N loops.
+    """
+    crossing = _crossover(loops)
+    angle = 2.0 * np.arcsin(np.sqrt(0.5 * crossing))
+    angle = np.where(angle < LEAST_SHARE * np.pi, np.nan, angle)
+    none = np.isnan(angle)
+    phase = _to_critical(loops, crossing)
+    margin, reduction = _gain_factors(loops)
+    return CurrentMargins(
+        stable=_stable(loops),
+        crossover=angle / loops.t_s,
+        phase_margin=np.where(none, np.inf, phase),
+        gain_margin=margin,
+        gain_reduction=reduction,
+        delay_margin=np.where(none, np.inf, np.mod(phase, 2.0 * np.pi) / angle * loops.t_s),
+        max_sensitivity=_peak(loops),
+    )
+
+
+def _stable(loops: CurrentLoops) -> BoolArray:
+    """Jury's conditions for z (z - 1) (z - a) + b (n1 z - n0): b n0 < 1 and (1 - b n0) (s + b n0) >
+    b q; the others hold for all positive gains.
+    """
+    u = loops.gain * loops.kp
+    return np.asarray((u < 1.0) & ((1.0 - u) * (loops.decay + u) > loops.gain * loops.step))
+
+
+def _crossover(loops: CurrentLoops) -> FloatArray:
+    """The y at which the loop gain is one, NaN where there is none."""
+    a, square = 1.0 - loops.decay, loops.gain**2
+    half = loops.decay**2 - square * (loops.kp + loops.step) * loops.kp
+    rest = square * loops.step**2
+    root = np.sqrt(half * half + 4.0 * a * rest)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        y = np.where(half > 0.0, rest / (half + root), (root - half) / (4.0 * a))
+    return np.where(y < 2.0, y, np.nan)
+
+
+def _sine(y: FloatArray) -> FloatArray:
+    return np.sqrt(y * (2.0 - y))
+
+
+def _phase(loops: CurrentLoops, y: FloatArray) -> FloatArray:
+    """Angle of -L in rad, not wrapped, at y of any shape (..., N)."""
+    sine = _sine(y)
+    turn = 2.0 * np.arcsin(np.sqrt(0.5 * y))
+    n1 = loops.kp + loops.step
+    ahead = np.arctan2(n1 * sine, loops.step - n1 * y)
+    behind = np.arctan2(sine, loops.decay - y)
+    return np.asarray(0.5 * np.pi - 1.5 * turn + ahead - behind)
+
+
+def _to_critical(loops: CurrentLoops, y: FloatArray) -> FloatArray:
+    """Angle of -L in rad from -pi to pi."""
+    phase = _phase(loops, y)
+    return np.asarray(phase - 2.0 * np.pi * np.rint(phase / (2.0 * np.pi)))
+
+
+def _gain_factors(loops: CurrentLoops) -> tuple[FloatArray, FloatArray]:
+    """Gain margin, and the largest factor below one that reaches -1 too.
+
+    At the Nyquist frequency L is positive for all positive gains.
+    """
+    y = _phase_crossings(loops)
+    meets = np.isfinite(y) & (np.cos(_phase(loops, y)) > 0.0)
+    y = np.where(meets, y, 1.0)
+    a, n1 = 1.0 - loops.decay, loops.kp + loops.step
+    above = 2.0 * y * (loops.decay**2 + 2.0 * a * y)
+    below = loops.gain**2 * (loops.step**2 + 2.0 * n1 * loops.kp * y)
+    factor = np.where(meets, np.sqrt(above / below), np.nan)
+    margin = np.min(np.where(factor > 1.0, factor, np.inf), axis=0)
+    return margin, np.max(np.where(factor <= 1.0, factor, 0.0), axis=0)
+
+
+def _phase_crossings(loops: CurrentLoops) -> FloatArray:
+    """The y between 0 and 2 at which L is real, shape (2, N), NaN where there is none."""
+    half = loops.kp * (1.0 + loops.decay) - loops.step
+    under = half * half + 4.0 * loops.kp * loops.decay * loops.step
+    with np.errstate(invalid="ignore", divide="ignore"):
+        far = half + np.copysign(np.sqrt(under), half)
+        y = np.stack([far / (4.0 * loops.kp), -loops.decay * loops.step / far])
+        return np.where((y > 0.0) & (y < 2.0), y, np.nan)
+
+
+def _peak(loops: CurrentLoops) -> FloatArray:
+    """Largest |S| up to the Nyquist frequency: at the one y where it is level, or at 2."""
+    s, b, n0, q = loops.decay, loops.gain, loops.kp, loops.step
+    c1, c2 = 2.0 * s * s, 4.0 * (1.0 - s)
+    e0 = (b * q) ** 2
+    e1 = c1 + 2.0 * b * (b * (n0 + q) * n0 + s * (2.0 * n0 - q) - 2.0 * q)
+    e2 = c2 + 4.0 * b * (q - 3.0 * n0 - n0 * s)
+    e3 = 8.0 * b * n0
+    middle = c2 * e1 - c1 * e2
+    y = _balance(
+        (c1 * e0, 2.0 * c2 * e0, np.maximum(middle, 0.0)),
+        (np.maximum(-middle, 0.0), 2.0 * c1 * e3, c2 * e3),
+    )
+    return _sensitivity(loops, y)
+
+
+def _balance(
+    falling: tuple[FloatArray, FloatArray, FloatArray],
+    rising: tuple[FloatArray, FloatArray, FloatArray],
+) -> FloatArray:
+    """Least of 2 and the y with f2/y^2 + f1/y + f0 = r0 + r1 y + r2 y^2, all coefficients not
+    negative.
+
+    Newton's method on the difference of the logarithms over log y, whose slope lies between -4 and
+    -1; a bracket that shrinks with every point holds it.
+    """
+    (f2, f1, f0), (r0, r1, r2) = falling, rising
+    with np.errstate(divide="ignore"):
+        least = f1 / (f0 + r0 + 2.0 * r1 + 4.0 * r2)
+        low = np.log(np.clip(least, 1e-300, 2.0))
+    high = np.full(low.shape, np.log(2.0))
+    t, moves = 0.5 * (low + high), np.ones(low.shape, dtype=np.bool_)
+    for _ in range(_MOST_STEPS):
+        y = np.exp(t)
+        one, two = f1 / y, f2 / (y * y)
+        three, four = r1 * y, r2 * y * y
+        left, right = one + two + f0, three + four + r0
+        gap = np.log(left) - np.log(right)
+        low, high = np.where(gap > 0.0, t, low), np.where(gap > 0.0, high, t)
+        slope = -(one + 2.0 * two) / left - (three + 2.0 * four) / right
+        aim = t - gap / slope
+        step = np.where((aim >= low) & (aim <= high), aim, 0.5 * (low + high)) - t
+        # A loop that stands still is left alone, so that its neighbours change no digit of it.
+        t = np.where(moves, t + step, t)
+        moves = moves & (np.abs(step) >= _STILL)
+        if not np.any(moves):
+            break
+    return np.asarray(np.minimum(np.exp(t), 2.0))
+
+
+def _sensitivity(loops: CurrentLoops, y: FloatArray) -> FloatArray:
+    """|S| at y, from the factors themselves: of a peak next to instability little is left of the
+    square.
+    """
+    turning = 1j * _sine(y)
+    n1 = loops.kp + loops.step
+    own = (1.0 - y + turning) * (turning - y) * (loops.decay - y + turning)
+    closed = own + loops.gain * (loops.step + n1 * (turning - y))
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.abs(own) / np.abs(closed))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.loops.loop_batch import PlantBatch, close_loops, peak_sensitivities
+from dqforge.optimizer.loops.pi_methods import PlantBatch, close_loops, peak_sensitivities
 
 FloatArray = NDArray[np.float64]
 

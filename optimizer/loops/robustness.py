@@ -14,22 +14,24 @@ from dqforge.machines.design.settings import CurrentLoopSettings, SpeedLoopSetti
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof
-from dqforge.optimizer.loops.coupled_loops import CurrentControl, largest_pole
-from dqforge.optimizer.loops.gains import speed_delay
-from dqforge.optimizer.loops.loop_batch import BatchMargins, PlantBatch, batch_margins, close_loops
-from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.loops.integer_gains import CurrentControl, largest_pole
+from dqforge.optimizer.loops.loop_gains import LoopGains, speed_delay
 from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
 from dqforge.optimizer.loops.pi_methods import (
     CURRENT_DELAY,
+    BatchMargins,
+    PlantBatch,
     Settings,
+    batch_margins,
     calmer,
+    close_loops,
     current_pi,
     largest_factor,
     loop_advice,
     speed_pi,
+    vendor_inductance,
 )
 from dqforge.optimizer.loops.tolerance_box import Axis, BoxPoints, DriveBox
-from dqforge.optimizer.loops.vendor_methods import vendor_inductance
 
 FloatArray = NDArray[np.float64]
 

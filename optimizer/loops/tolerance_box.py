@@ -32,8 +32,8 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ToleranceName, Tolerances
 from dqforge.machines.dq_machines.synchronous import LinearMachine, torque_from_flux
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.loops.coupled_loops import TurningMachines
-from dqforge.optimizer.loops.loop_batch import (
+from dqforge.optimizer.loops.integer_gains import TurningMachines
+from dqforge.optimizer.loops.pi_methods import (
     DriveVariants,
     PlantBatch,
     current_plants,

@@ -19,9 +19,9 @@ from dqforge.optimizer.losses.drive_comparison import (
     usable_limit,
 )
 from dqforge.optimizer.losses.phase_comparison import PhaseDrive, compare_phases
-from dqforge.optimizer.operating_points.characteristics import characteristics
-from dqforge.optimizer.operating_points.operating_map import (
+from dqforge.optimizer.operating_points.characteristics import (
     VoltageLimit,
+    characteristics,
     fastest_speed,
     voltage_limit,
 )

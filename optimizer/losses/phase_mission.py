@@ -13,24 +13,36 @@ import numpy as np
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.design.settings import AnyStrategy
 from dqforge.machines.errors import NoSolutionError
-from dqforge.machines.losses.bridge_heat import at_temperature
-from dqforge.machines.losses.bridge_tables import BridgeTables
-from dqforge.machines.losses.junction_transient import (
+from dqforge.machines.losses.bridge_tables import (
+    BridgeTables,
     JunctionHistory,
     JunctionNetworks,
+    at_temperature,
     junction_history,
     junction_networks,
 )
-from dqforge.machines.losses.mission import Mission
+from dqforge.machines.losses.machine_budget import Mission
 from dqforge.machines.losses.phase_terminals import phase_terminals
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.losses.drive_budget import PARTS, BudgetOptions, known_bridge
-from dqforge.optimizer.losses.drive_comparison import Alternatives, dead_time_share, least
-from dqforge.optimizer.losses.mission_budget import MissionComparison, MissionRun, held_winding
-from dqforge.optimizer.losses.phase_budget import CENTRED, averages_of_legs, phase_budget
-from dqforge.optimizer.losses.phase_comparison import PhaseDrive, phase_rows, rule_currents
+from dqforge.optimizer.losses.drive_comparison import (
+    Alternatives,
+    MissionComparison,
+    MissionRun,
+    dead_time_share,
+    held_winding,
+    least,
+)
+from dqforge.optimizer.losses.phase_comparison import (
+    CENTRED,
+    PhaseDrive,
+    averages_of_legs,
+    phase_budget,
+    phase_rows,
+    rule_currents,
+)
 
 _ROUNDS = 60
 

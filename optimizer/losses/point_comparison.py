@@ -19,12 +19,11 @@ from dqforge.machines.design.settings import AnyStrategy, LoadPoint, LossSetting
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.names import ModulationName
-from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
+from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, DriveBudget
 from dqforge.optimizer.losses.drive_comparison import Alternatives, compare_drives, least
-from dqforge.optimizer.losses.leg_budgets import PhaseBudget
-from dqforge.optimizer.losses.phase_comparison import PhaseDrive, compare_phases
+from dqforge.optimizer.losses.phase_comparison import PhaseBudget, PhaseDrive, compare_phases
 
 # What the total counts; the bridge is left out where nothing is known of its switch.
 LossScope = Literal["drive", "without-bridge"]

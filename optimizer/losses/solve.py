@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
-from dqforge.machines.losses.mission import Mission
+from dqforge.machines.losses.machine_budget import Mission
 
 if TYPE_CHECKING:
-    from dqforge.optimizer.losses.drive_comparison import Alternatives
-    from dqforge.optimizer.losses.mission_budget import MissionComparison
+    from dqforge.optimizer.losses.drive_comparison import Alternatives, MissionComparison
     from dqforge.optimizer.losses.point_comparison import LossComparison
 
 
@@ -81,8 +80,8 @@ def mission_comparison(
     Raises:
         InputError, NoSolutionError: As `compare_mission`.
     """
+    from dqforge.optimizer.losses.drive_comparison import compare_mission
     from dqforge.optimizer.losses.loss_map import budget_options
-    from dqforge.optimizer.losses.mission_budget import compare_mission
 
     machine, inverter, options = design.machine, design.inverter, budget_options(design)
     if design.phase_machine is not None:

@@ -4,17 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.plants.drive_motion import ComplexArray, plants
 from dqforge.machines.records import dataclass
+from dqforge.optimizer.observers.parts import (
+    EXACT,
+    ObserverState,
+    Pair,
+    steady_observer,
+    vector_count,
+)
 
 if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray
     from dqforge.machines.dq_machines.synchronous import LinearMachine
+    from dqforge.optimizer.observers.parts import ObserverMethod
+    from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
+
 
 # Relative errors that a drive may have.
 RELATIVE = ("r_s", "l_d", "l_q", "psi_pm", "inertia", "v_dc")
@@ -107,3 +118,167 @@ def drive_cases(
 def exact_cases(machine: LinearMachine, cases: DriveCases) -> DriveCases:
     """The same speeds and loads with exact data and without dead time."""
     return drive_cases(machine, cases.omega, cases.load)
+
+
+# Observers as columns of the state of a drive, seen from its true rotor.
+#
+# There a steady drive stands still, and so does its observer: angle and vectors are relative to the
+# rotor, whose turning within a period is taken off at its end.
+
+_SETTLING = 2000
+_NEWTON_STEPS = 6
+
+# Share of a speed by which the observer starts beside the place of its rest: more than the rounding
+# of Newton's method, less than many steps.
+_BESIDE = 1e-12
+
+
+def _pair(value: ComplexArray) -> Pair:
+    return value.real.copy(), value.imag.copy()
+
+
+class Estimator(Protocol):
+    """What the drive needs of an observer.
+
+    Columns (M, n) are its state as it enters a step, in the true rotor's frame.
+
+    ``start`` gives the columns of the steady state with exact data at currents and voltages
+    (d + j q) and electrical speeds in rad/s, all (M,), with the sizes of noticeable changes;
+    ``step`` (columns, voltage that acted, current) the columns that leave it, the angle error in
+    rad and the electrical speed in rad/s; ``turned`` turns them on by the angle of a period.
+    """
+
+    def start(
+        self, i: ComplexArray, v: ComplexArray, omega: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Columns and their sizes."""
+        ...
+
+    def step(
+        self, columns: FloatArray, v: ComplexArray, i: ComplexArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Columns, angle error, electrical speed."""
+        ...
+
+    def turned(self, columns: FloatArray, turn: FloatArray) -> FloatArray:
+        """The columns seen from the rotor one period later."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class PositionEstimator:
+    """A position observer: vectors, scalars, angle error and electrical speed are its columns."""
+
+    method: ObserverMethod
+    gains: Any
+    t_s: float
+    machine: LinearMachine
+
+    def start(
+        self,
+        i: ComplexArray,
+        v: ComplexArray,  # noqa: ARG002
+        omega: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """From the fixed point of the judgement, with exact parameters."""
+        machines = plants(self.machine, count=len(omega))
+        found = steady_observer(self.method, self.gains, self.t_s, machines, i, omega)
+        columns, count = found.states.copy(), 2 * vector_count(self.method)
+        columns[:, -1] += omega
+        size = np.ones_like(columns)
+        for k in range(0, count, 2):
+            norm = np.hypot(columns[:, k], columns[:, k + 1])
+            size[:, k] = size[:, k + 1] = np.where(norm > 1e-6, norm, 1.0)
+        if self.method.sizes is not None:
+            size[:, count:-2] = self.method.sizes(columns[:, count:-2], omega)
+        size[:, -1] = np.maximum(np.abs(omega), 1.0)
+        return self.turned(columns, omega * self.t_s), size
+
+    def step(
+        self, columns: FloatArray, v: ComplexArray, i: ComplexArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """One step of the method in double precision."""
+        count = vector_count(self.method)
+        vectors = tuple((columns[:, 2 * n], columns[:, 2 * n + 1]) for n in range(count))
+        scalars = tuple(columns[:, n] for n in range(2 * count, columns.shape[1] - 2))
+        before = ObserverState(vectors, columns[:, -2], columns[:, -1], scalars=scalars)
+        after = self.method.step(self.gains, before, _pair(v), _pair(i), EXACT)
+        delta = np.asarray(EXACT.wrap(after.theta_e))
+        parts = [part for vector in after.vectors for part in vector] + list(after.scalars)
+        return np.stack([*parts, delta, after.omega_e], axis=1), delta, np.asarray(after.omega_e)
+
+    def turned(self, columns: FloatArray, turn: FloatArray) -> FloatArray:
+        """Vectors and angle lie behind by what the rotor has turned."""
+        found, back = columns.copy(), np.exp(-1j * turn)
+        for k in range(0, 2 * vector_count(self.method), 2):
+            vector = (columns[:, k] + 1j * columns[:, k + 1]) * back
+            found[:, k], found[:, k + 1] = vector.real, vector.imag
+        found[:, -2] -= turn
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedEstimator:
+    """The reduced-order observer with the angle of an encoder: zeta, last current,
+    angle and speed are its columns.
+    """
+
+    observer: ReducedOrderObserver
+    machine: LinearMachine
+
+    def start(
+        self, i: ComplexArray, v: ComplexArray, omega: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Where its estimate stays: neglected couplings leave it a little beside the true speed.
+
+        Newton's method leads next to that place, on the side of the true speed; the observer
+        itself goes the rest of the way, until no digit changes. So the place is the one at which it
+        would come to rest from the true speed, to the last digit, which central differences later
+        magnify.
+        """
+        turn = omega * self.observer.t_s
+        told = self._told(i, v, omega)
+        told = told + _BESIDE * np.sign(omega - told) * np.abs(told)
+        zeta = told / self.machine.pole_pairs + self.observer.c * i.imag
+        columns = np.stack([zeta, i.real, i.imag, -turn, told], axis=1)
+        for _ in range(_SETTLING):
+            after, _, _ = self.step(columns, v, i)
+            before, columns = columns, self.turned(after, turn)
+            if np.array_equal(before, columns):
+                break
+        speed, one = np.maximum(np.abs(omega), 1.0), np.ones_like(omega)
+        return columns, np.stack([speed, one, one, one, speed], axis=1)
+
+    def _told(self, i: ComplexArray, v: ComplexArray, omega: FloatArray) -> FloatArray:
+        """Electrical speed w in rad/s that the observer tells of a steady drive, shape (M,).
+
+        It solves ``zeta = (b_u u_q(w) + b_i i_q)/(1 - a), w = p (zeta - c i_q)`` by Newton's
+        method; the true speed where that leads nowhere.
+        """
+        own, p, told = self.observer, self.machine.pole_pairs, omega
+        for _ in range(_NEWTON_STEPS):
+            seen = v * np.exp(1j * own.t_s * (omega - 0.5 * told))
+            u_q = seen.imag - told * self.machine.l_d * i.real
+            zeta = (own.b_u * u_q + own.b_i * i.imag) / (1.0 - own.a)
+            by_told = -0.5 * own.t_s * seen.real - self.machine.l_d * i.real
+            slope = 1.0 - p * own.b_u / (1.0 - own.a) * by_told
+            told = told - (told - p * (zeta - own.c * i.imag)) / slope
+        return np.where(np.isfinite(told), told, omega)
+
+    def step(
+        self, columns: FloatArray, v: ComplexArray, i: ComplexArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """As `dqforge.reports.observers.tracker_header` emits it."""
+        own, (zeta, last_d, last_q, back, omega) = self.observer, columns.T
+        v_q = (v * np.exp(-1j * (back + 0.5 * own.t_s * omega))).imag
+        u_q = v_q - omega * self.machine.l_d * last_d
+        zeta = own.a * zeta + own.b_u * u_q + own.b_i * last_q
+        speed = self.machine.pole_pairs * (zeta - own.c * i.imag)
+        zero = np.zeros_like(zeta)
+        return np.stack([zeta, i.real, i.imag, zero, speed], axis=1), zero, speed
+
+    def turned(self, columns: FloatArray, turn: FloatArray) -> FloatArray:
+        """Only the angle of the last sample lies behind."""
+        found = columns.copy()
+        found[:, -2] -= turn
+        return found

@@ -29,8 +29,7 @@ from dqforge.machines.records import dataclass
 if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray
     from dqforge.machines.dq_machines.synchronous import LinearMachine
-    from dqforge.optimizer.observed_drive.drive_cases import DriveCases
-    from dqforge.optimizer.observed_drive.estimator_columns import Estimator
+    from dqforge.optimizer.observed_drive.drive_cases import DriveCases, Estimator
 
 # Columns of a drive without its observer: i_d, i_q, electrical speed, voltage that acted (d, q),
 # voltage that acts next (d, q), integrals (d, q), filtered mechanical speed.

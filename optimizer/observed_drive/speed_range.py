@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dqforge.machines.design.settings import SPEED_ERROR
+from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.observed_margins import (
     Corner,
@@ -15,13 +21,22 @@ from dqforge.optimizer.loops.observed_margins import (
     Failure,
     SpeedRange,
 )
-from dqforge.optimizer.observed_drive.fixed_points import SteadyDrives, steady_drives
-from dqforge.optimizer.observed_drive.tolerance_corners import CornerBox, cases_of
+from dqforge.optimizer.observed_drive.drive_cases import (
+    RELATIVE,
+    DriveCases,
+    drive_cases,
+    exact_cases,
+)
+from dqforge.optimizer.observed_drive.drive_model import OWN, ObservedDrive
+from dqforge.optimizer.observers.conditions import lost_voltage
+from dqforge.optimizer.observers.parts import usual_disturbances
+from dqforge.optimizer.operating_points.current_choice import CurrentChoice
+from dqforge.optimizer.sampled_systems import ComplexArray, SampledSystem
 
 if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray
-    from dqforge.machines.dq_machines.synchronous import LinearMachine
-    from dqforge.optimizer.observed_drive.drive_model import ObservedDrive
+    from dqforge.machines.design.design import Design
+
 
 LEAST_SHARE = 0.02  # Lowest speed that is tried, over the largest.
 
@@ -186,4 +201,342 @@ def judge_corners(
         braking,
         most_error=box.most_error,
         pole_pairs=machine.pole_pairs,
+    )
+
+
+# Steady states of drives on their observer, and how they answer to torque: Newton and differences.
+#
+# With the speed controller at rest its torque is constant and what it sees is its reference: the
+# states x of a current sample and the torque T follow from
+#
+#     F(x, T) = x,   filtered speed = reference
+#
+# by Newton's method, from the steady state with exact data; where that does not lead there, along
+# the way from exact to wrong data. The derivative of F there is the drive's state space; held over
+# the samples of a speed period and closed by the PI it has the poles of the whole.
+
+_STEP = 1e-6
+
+
+_NEWTON_STEPS = 12
+
+
+_CLOSE = 1e-8  # largest change in a step, in sizes: rounding alone
+
+
+_LARGEST_MOVE = 0.5  # in sizes
+
+
+_STAGES = (0.25, 0.5, 0.75, 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SteadyDrives:
+    """Steady states of M drives with n states, and their derivatives per current sample.
+
+    ``states`` (M, n) as in `drive_model.OWN`, behind them those of the estimator; ``torque`` (M,)
+    in N m; ``angle_error`` in rad and ``speed_error`` in rad/s (electrical) are estimate minus
+    truth, shape (M,); ``found`` (M,) whether there is a steady state within 90 degrees of the
+    rotor and the largest torque. ``a`` (M, n, n), ``b`` (M, n) and ``c`` (M, n) lead from the
+    torque reference in N m to the filtered mechanical speed in rad/s.
+    """
+
+    t_s: float
+    states: FloatArray
+    torque: FloatArray
+    angle_error: FloatArray
+    speed_error: FloatArray
+    found: NDArray[np.bool_]
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+
+    def system(self, case: int) -> SampledSystem:
+        """State space of one drive, sampled with the current."""
+        a, b, c = self.a[case], self.b[case][:, None], self.c[case][None, :]
+        return SampledSystem(a, b, c, np.zeros((1, 1)), self.t_s)
+
+    def closed(self, ratio: int, kp: float, ki: float) -> FloatArray:
+        """Transition matrices over ``ratio`` samples with the speed PI, shape (M, n + 1, n + 1).
+
+        ``kp`` in N m s/rad, ``ki`` in N m/rad.
+        """
+        count, n = self.c.shape
+        a = np.broadcast_to(np.eye(n), self.a.shape)
+        b = np.zeros_like(self.b)
+        for _ in range(ratio):
+            a, b = self.a @ a, (self.a @ b[..., None])[..., 0] + self.b
+        step = ki * ratio * self.t_s
+        whole = np.zeros((count, n + 1, n + 1))
+        whole[:, :n, :n] = a - (kp + step) * b[:, :, None] * self.c[:, None, :]
+        whole[:, :n, n], whole[:, n, n] = b, 1.0
+        whole[:, n, :n] = -step * self.c
+        return whole
+
+    def poles(self, ratio: int, kp: float, ki: float) -> ComplexArray:
+        """Poles in the z plane of the speed period, largest modulus first, shape (M, n + 1).
+
+        Where there is no steady state they are nan.
+        """
+        whole = self.closed(ratio, kp, ki)
+        finite = np.all(np.isfinite(whole), axis=(1, 2)) & self.found
+        whole[~finite] = 0.0
+        values = np.linalg.eigvals(whole).astype(np.complex128)
+        values[~finite] = np.nan
+        order = np.argsort(-np.abs(values), axis=1, kind="stable")
+        return np.take_along_axis(values, order, axis=1)
+
+    def decay(self, ratio: int, kp: float, ki: float) -> tuple[FloatArray, FloatArray]:
+        """Rates in 1/s at which the slowest of the modes that swing, and of all, dies away, shapes
+        (M,): negative where one grows, inf where none swings, -inf where there is no steady state.
+        """
+        poles = self.poles(ratio, kp, ki)
+        with np.errstate(divide="ignore"):
+            rate = -np.log(np.abs(poles)) / (ratio * self.t_s)
+        rate = np.where(np.isnan(rate), -np.inf, rate)
+        swinging = np.abs(np.angle(poles)) >= np.abs(rate) * ratio * self.t_s
+        lost = np.isinf(rate) & (rate < 0.0)
+        swings = np.min(np.where(swinging | lost, rate, np.inf), axis=1)
+        return swings, np.min(rate, axis=1)
+
+    def radius(self, ratio: int, kp: float, ki: float) -> FloatArray:
+        """Largest modulus of a pole, shape (M,); inf where there is no steady state."""
+        size = np.abs(self.poles(ratio, kp, ki)[:, 0])
+        return np.where(np.isfinite(size), size, np.inf)
+
+
+@dataclass(slots=True, eq=False)
+class _Point:
+    """States, torques and sizes on the way to a steady state."""
+
+    x: FloatArray
+    torque: FloatArray
+    size: FloatArray
+    torque_size: float
+
+    def taken(self, index: NDArray[np.intp]) -> _Point:
+        return _Point(self.x[index], self.torque[index], self.size[index], self.torque_size)
+
+
+def _gaps(drive: ObservedDrive, cases: DriveCases, point: _Point) -> tuple[FloatArray, FloatArray]:
+    """What a step changes, in sizes, shape (M, n + 1): states, and speed against its reference;
+    then the derivative of that by states and torque in sizes, shape (M, n + 1, n + 1).
+    """
+    m, n = point.x.shape
+    step = _STEP * np.concatenate([point.size, np.full((m, 1), point.torque_size)], axis=1)
+    base = np.concatenate([point.x, point.torque[:, None]], axis=1)
+    moved = np.concatenate([base[None], base + np.moveaxis(step[..., None] * np.eye(n + 1), 2, 0)])
+    flat = moved.reshape(-1, n + 1)
+    after, speeds = drive.step(cases.tiled(n + 2), flat[:, :n], flat[:, n])
+    pole_pairs = drive.data.machine.pole_pairs
+    change = (after - flat[:, :n]).reshape(n + 2, m, n)
+    change[..., -2] = (change[..., -2] + np.pi) % (2.0 * np.pi) - np.pi
+    missing = speeds.reshape(n + 2, m) * pole_pairs - cases.omega
+    values = np.concatenate(
+        [change / point.size, (missing / np.maximum(np.abs(cases.omega), 1.0))[..., None]], axis=2
+    )
+    return values[0], np.moveaxis((values[1:] - values[0]) / _STEP, 0, -1)
+
+
+def _solved(
+    drive: ObservedDrive, cases: DriveCases, point: _Point
+) -> tuple[_Point, NDArray[np.bool_]]:
+    """Newton's method on all drives at once, each with a limited move; which have arrived."""
+    arrived = np.zeros(len(point.x), dtype=np.bool_)
+    point = point.taken(np.arange(len(point.x)))
+    for _ in range(_NEWTON_STEPS):
+        left = np.flatnonzero(~arrived)
+        part = point.taken(left)
+        gap, slope = _gaps(drive, cases.taken(left), part)
+        finite = np.all(np.isfinite(gap), axis=1) & np.all(np.isfinite(slope), axis=(1, 2))
+        gap[~finite], slope[~finite] = 0.0, np.eye(slope.shape[1])
+        close = finite & (np.max(np.abs(gap), axis=1) < _CLOSE)
+        move = _directions(slope, gap)
+        largest = np.maximum(np.max(np.abs(move), axis=1), _LARGEST_MOVE) / _LARGEST_MOVE
+        move = np.where((close | ~finite)[:, None], 0.0, move / largest[:, None])
+        point.x[left] = part.x + move[:, :-1] * part.size
+        point.torque[left] = part.torque + move[:, -1] * point.torque_size
+        arrived[left[close]] = True
+        if np.all(arrived):
+            break
+    return point, arrived
+
+
+def _directions(slope: FloatArray, gap: FloatArray) -> FloatArray:
+    """Newton's moves in sizes, shape (M, n + 1); by least squares where the matrix is singular."""
+    try:
+        return np.asarray(np.linalg.solve(slope, -gap[..., None])[..., 0])
+    except np.linalg.LinAlgError:
+        return np.asarray((np.linalg.pinv(slope) @ -gap[..., None])[..., 0])
+
+
+def steady_drives(drive: ObservedDrive, cases: DriveCases) -> SteadyDrives:
+    """Steady states of M drives on their observer.
+
+    Args:
+        drive: Control and observer, and what they believe.
+        cases: The true machines, at speeds and loads.
+    """
+    with np.errstate(all="ignore"):  # beyond the range of an observer numbers may grow
+        exact, point = _begun(drive, cases)
+        found_at, arrived = _solved(drive, cases, point)
+        lost = np.flatnonzero(~arrived)
+        if len(lost):
+            way, held = point.taken(lost), np.ones(len(lost), dtype=np.bool_)
+            for share in _STAGES:
+                at = exact.taken(lost).towards(cases.taken(lost), share)
+                way, held = _solved(drive, at, way)
+            found_at.x[lost], found_at.torque[lost] = way.x, way.torque
+            arrived[lost] = held
+        return _derived(drive, cases, found_at, arrived)
+
+
+def _begun(drive: ObservedDrive, cases: DriveCases) -> tuple[DriveCases, _Point]:
+    """Where Newton starts: speeds and loads with exact data, each once."""
+    pairs = np.stack([cases.omega, cases.load], axis=1)
+    _, first, place = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+    begun = _with_exact_data(drive, cases.omega[first].tobytes(), cases.load[first].tobytes())
+    exact = exact_cases(drive.data.machine, cases)
+    return exact, begun.taken(np.asarray(place).reshape(-1))
+
+
+@lru_cache(maxsize=32)
+def _with_exact_data(drive: ObservedDrive, omega: bytes, load: bytes) -> _Point:
+    """Steady states at speeds and loads, the bytes of arrays of shape (M,).
+
+    The corners of a box ask for the same ones with and without what a dead time costs.
+    """
+    machine = drive.data.machine
+    exact = drive_cases(machine, np.frombuffer(omega), np.frombuffer(load))
+    x, size, torque = drive.start(exact)
+    torque_size = machine.torque_per_ampere * machine.i_max
+    return _solved(drive, exact, _Point(x, torque, size, torque_size))[0]
+
+
+def _derived(
+    drive: ObservedDrive, cases: DriveCases, point: _Point, arrived: NDArray[np.bool_]
+) -> SteadyDrives:
+    """Central differences around the steady states."""
+    m, n = point.x.shape
+    step = _STEP * np.concatenate([point.size, np.full((m, 1), point.torque_size)], axis=1)
+    base = np.concatenate([point.x, point.torque[:, None]], axis=1)
+    moves = np.moveaxis(step[..., None] * np.eye(n + 1), 2, 0)
+    flat = np.concatenate([base + moves, base - moves]).reshape(-1, n + 1)
+    after, speeds = drive.step(cases.tiled(2 * (n + 1)), flat[:, :n], flat[:, n])
+    ends, seen = after.reshape(2, n + 1, m, n), speeds.reshape(2, n + 1, m)
+    slope = (ends[0] - ends[1]) / (2.0 * step.T[:, :, None])
+    by_speed = (seen[0] - seen[1]) / (2.0 * step.T)
+    delta, speed = _estimates(drive, point.x)
+    good = arrived & (np.abs(delta) < 0.5 * np.pi) & (np.abs(point.torque) <= drive.data.torque_max)
+    return SteadyDrives(
+        t_s=drive.data.t_s,
+        states=point.x,
+        torque=point.torque,
+        angle_error=delta,
+        speed_error=speed - point.x[:, 2],
+        found=good & np.isfinite(delta),
+        a=np.moveaxis(slope[:n], 0, -1),
+        b=slope[n],
+        c=by_speed[:n].T,
+    )
+
+
+def _estimates(drive: ObservedDrive, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Angle error in rad and electrical speed in rad/s of the estimates at the sample."""
+    i, acted = x[:, 0] + 1j * x[:, 1], x[:, 3] + 1j * x[:, 4]
+    _, delta, speed = drive.estimator.step(x[:, OWN:], acted, i)
+    return delta, speed
+
+
+# Corners of the box within which a drive on its observer must hold: tolerances, loads,
+# dead time.
+
+LOAD_SHARE = 0.3  # Load of the corners beside none, over the largest torque.
+
+
+@dataclass(frozen=True, slots=True)
+class CornerBox:
+    """All corners of a design.
+
+    ``named`` says whether the design names tolerances; else the box is the usual one of the
+    observers' conditions. ``limits`` are the least and largest relative errors by name, exact
+    values left out; ``loads`` in N m; ``lost`` the voltages in V that the dead time may cost,
+    empty where it costs none. ``v_max`` in V is the phase amplitude that the link has,
+    ``most_error`` the largest error of the speed that counts as holding, relative.
+    """
+
+    named: bool
+    limits: dict[str, tuple[float, float]]
+    loads: tuple[float, ...]
+    lost: tuple[float, ...]
+    v_max: float = np.inf
+    most_error: float = np.inf
+
+    def corners(self, *, dead_time: bool, braking: bool = False) -> tuple[Corner, ...]:
+        """Every combination of the limits with every load, and with the dead time or without;
+        ``braking`` with the loads that drive the shaft instead.
+        """
+        errors = [
+            dict(zip(self.limits, values, strict=True)) for values in product(*self.limits.values())
+        ]
+        lost = self.lost if dead_time else (0.0,)
+        loads = tuple(-load for load in self.loads if load) if braking else self.loads
+        return tuple(Corner(*parts) for parts in product(errors, loads, lost))
+
+
+def corner_box(design: Design) -> CornerBox:
+    """Corners of `control.tolerances`; where a design names none, of the usual errors of R, L and
+    psi.
+
+    Dead time counts as for the observer alone: the whole of it, or what `control.tolerances` says
+    that its compensation leaves.
+    """
+    machine, tolerances = design.machine, design.control.tolerances
+    if tolerances is None:
+        usual = usual_disturbances(linearised(machine), design.inverter.v_dc, 1.0)
+        limits = {name: usual.limits(name) for name in ("r_s", "l_d", "l_q", "psi_pm")}
+    else:
+        limits = {
+            name: tolerances.limits(name)  # type: ignore[arg-type]
+            for name in RELATIVE
+        }
+    choice = CurrentChoice(linearised(machine), design.operation.strategy, design.i_max)
+    observer = design.control.observer
+    lost = tuple(dict.fromkeys(value for value in lost_voltage(design) if value != 0.0))
+    return CornerBox(
+        tolerances is not None,
+        {name: pair for name, pair in limits.items() if pair != (0.0, 0.0)},
+        (0.0, LOAD_SHARE * choice.largest_torque()),
+        lost,
+        # a weakened field needs less voltage than the currents that are followed here
+        np.inf if design.weakening is not None else design.v_max,
+        SPEED_ERROR if observer is None else observer.max_speed_error,
+    )
+
+
+# Errors within which a drive on a tracker is judged: the others change what it measures as well,
+# which its loop does not know.
+TRACKED = ("r_s", "psi_pm", "inertia")
+
+
+def tracked_box(design: Design) -> CornerBox:
+    """Corners of a drive on a tracker: those of `corner_box` in R, psi and J, without dead time."""
+    box = corner_box(design)
+    limits = {name: pair for name, pair in box.limits.items() if name in TRACKED}
+    return replace(box, limits=limits, lost=())
+
+
+def cases_of(machine: LinearMachine, corners: tuple[Corner, ...], omega: float) -> DriveCases:
+    """The drives of all corners at an electrical speed in rad/s, shape (corners,)."""
+    names = dict.fromkeys(name for corner in corners for name in corner.errors)
+
+    def column(name: str) -> FloatArray:
+        return np.array([corner.errors.get(name, 0.0) for corner in corners])
+
+    return drive_cases(
+        machine,
+        np.full(len(corners), omega),
+        np.array([corner.load for corner in corners]),
+        {name: column(name) for name in names},
+        np.array([corner.lost for corner in corners]),
     )

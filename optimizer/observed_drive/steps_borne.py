@@ -18,9 +18,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.optimizer.loops.observed_margins import SpeedRange, StepsBorne
-from dqforge.optimizer.observed_drive.fixed_points import SteadyDrives, steady_drives
-from dqforge.optimizer.observed_drive.tolerance_corners import CornerBox, cases_of
+from dqforge.optimizer.loops.observed_margins import LimitCycle, SpeedRange, StepsBorne
+from dqforge.optimizer.observed_drive.speed_range import (
+    CornerBox,
+    SteadyDrives,
+    cases_of,
+    steady_drives,
+)
 
 if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray
@@ -28,6 +32,7 @@ if TYPE_CHECKING:
     from dqforge.optimizer.observed_drive.drive_cases import DriveCases
     from dqforge.optimizer.observed_drive.drive_model import ObservedDrive
     from dqforge.optimizer.observed_drive.speed_range import SpeedPi
+
 
 _SPEED = 2  # column of the electrical speed
 
@@ -163,3 +168,33 @@ def _reached(
         middle = 0.5 * (low + high)
         low, high = (middle, high) if enough(middle) else (low, middle)
     return low
+
+
+# How an unstable speed loop on an observer swings in the end.
+#
+# Its torque becomes a square wave at its limit, the speed a triangle. The fundamental of that
+# torque, 4/pi T_max, moves the shaft by T/(J omega): from peak to peak
+#
+#     8 T_max/(pi J omega_osc),   omega_osc = 0.9 times the frequency of the unstable pole
+#
+# (the limit slows the swing: simulated drives swing at 0.82 to 0.93 times that frequency).
+
+SLOWING = 0.9  # Frequency of the limit cycle over that of the unstable pole.
+
+
+def limit_cycle(
+    pole: complex, period: float, torque_max: float, inertia: float
+) -> LimitCycle | None:
+    """Frequency and size of the swing; None of a stable pole, or one that does not swing.
+
+    Args:
+        pole: The largest of the closed loop, in the z plane.
+        period: Period of the speed controller in s.
+        torque_max: Limit of its torque in N m.
+        inertia: In kg m^2.
+    """
+    turning = abs(float(np.angle(pole)))
+    if not abs(pole) >= 1.0 or turning < 1e-9:
+        return None
+    omega = SLOWING * turning / period
+    return LimitCycle(omega, 8.0 * torque_max / (np.pi * inertia * omega))

@@ -9,8 +9,8 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import Machine, linearised
-from dqforge.optimizer.observers.training import TrainingBox, usual_training_box
-from dqforge.optimizer.observers.tuning_numbers import Disturbances, Load, usual_disturbances
+from dqforge.optimizer.observers.parts import Disturbances, Load, usual_disturbances
+from dqforge.optimizer.observers.reduced_order import TrainingBox, usual_training_box
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 _SHARES = (0.5, 1.0, -0.5, -1.0)

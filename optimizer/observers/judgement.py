@@ -1,7 +1,7 @@
 """How good a position observer is: errors of angle and speed over the speed,
 and the range that follows.
 
-Judged are steady states (`dqforge.optimizer.observers.steady_states`) at the loads of the drive,
+Judged are steady states (`dqforge.optimizer.observers.parts`) at the loads of the drive,
 with the machine as it is there: exact data, each parameter wrong to both sides, the voltage that a
 dead time costs, noise, and an acceleration.
 """
@@ -16,9 +16,13 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.drive_motion import ComplexArray, Plants
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.observers.method import ObserverMethod
-from dqforge.optimizer.observers.steady_states import steady_observer
-from dqforge.optimizer.observers.tuning_numbers import LARGEST_TURN, Disturbances, Load
+from dqforge.optimizer.observers.parts import (
+    LARGEST_TURN,
+    Disturbances,
+    Load,
+    ObserverMethod,
+    steady_observer,
+)
 
 # Largest r.m.s. error of the angle in rad at which an observer counts as holding: 1.5 % of the
 # torque.

@@ -13,21 +13,21 @@ import numpy as np
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.judgement import ObserverJudgement, judge, judge_at
-from dqforge.optimizer.observers.pll import FASTEST
-from dqforge.optimizer.observers.training import Training, TrainingBox, usual_training_box
-from dqforge.optimizer.observers.tuning_numbers import (
+from dqforge.optimizer.observers.parts import (
     LARGEST_TURN,
     Disturbances,
     ObserverTuning,
     require_magnet,
     usual_disturbances,
 )
+from dqforge.optimizer.observers.pll import FASTEST
+from dqforge.optimizer.observers.reduced_order import Training, TrainingBox, usual_training_box
 
 if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray
     from dqforge.machines.design.settings import ObserverSettings
     from dqforge.machines.dq_machines.synchronous import LinearMachine
-    from dqforge.optimizer.observers.method import ObserverMethod
+    from dqforge.optimizer.observers.parts import ObserverMethod
 
 SHOWN = (0.05, 0.1, 0.25, 0.5, 1.0)  # Shares of the largest speed that tables show.
 _SPEEDS = 8

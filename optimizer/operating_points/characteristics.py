@@ -5,17 +5,40 @@ largest speed.
 from __future__ import annotations
 
 from dataclasses import fields
+from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.design import Design
+from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
+from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.losses.machine_budget import NO_EXTRA_LOSS, MachineLoss
+from dqforge.machines.modulation.dead_time import LowHarmonics, low_harmonics
+from dqforge.machines.names import ModulationName, OvermodulationName, Topology
 from dqforge.machines.records import dataclass
+from dqforge.machines.topologies.linear_range import (
+    amplitude_limit,
+    contradiction,
+    overmodulation_of,
+)
+from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.operating_points.ends_of_data.boundary import least_flux_current, make_limits
-from dqforge.optimizer.operating_points.mtpa_locus import MtpaLocus, mtpa_locus
-from dqforge.optimizer.operating_points.point_problem import Active
-from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
-from dqforge.optimizer.operating_points.region_edges import intervals_of, region_that_holds
+from dqforge.optimizer.operating_points.local_terms import (
+    LossCoefficients,
+    intervals_of,
+    region_that_holds,
+)
+from dqforge.optimizer.operating_points.mtpa_locus import Active, MtpaLocus, mtpa_locus
+from dqforge.optimizer.operating_points.points import (
+    DriveLosses,
+    OptimalPoints,
+    drive_losses,
+    loss_coefficients,
+    optimal_points,
+)
 
 _FASTEST = 1e6  # Electrical speed in rad/s beyond which a machine is said to have no largest speed.
 
@@ -366,3 +389,363 @@ def _largest_power(
         found = float(power[best]), float(speeds[best]), bool(points.active[best] == Active.DATA)
         speeds = np.linspace(speeds[max(best - 1, 0)], speeds[min(best + 1, speeds.size - 1)], 41)
     return found
+
+
+# Operating points over torque and speed, their efficiency and the voltage limit behind them.
+
+
+@dataclass(frozen=True, slots=True)
+class VoltageLimit:
+    """Where the voltage limit comes from: modulator, dc link in V, share kept free,
+    the phase amplitude in V, the topology, and the method of overmodulation that is used.
+    """
+
+    modulation: ModulationName
+    v_dc: float
+    margin: float
+    v_max: float
+    topology: Topology = "three-wire"
+    overmodulation: OvermodulationName = "none"
+
+    @property
+    def made_by(self) -> str:
+        """Name of the modulator, or of the topology that has one of its own."""
+        name = self.modulation if TOPOLOGIES[self.topology].modulated else self.topology
+        return name if self.overmodulation == "none" else f"{name} with {self.overmodulation}"
+
+
+@dataclass(frozen=True, slots=True)
+class DrivePoints:
+    """Operating points with their losses, all arrays of shape (N,).
+
+    ``power`` is the mechanical power in W, negative where the machine brakes; ``efficiency`` as
+    `efficiency` defines it, NaN without power. ``harmonics`` is what overmodulation adds, None
+    where there is none.
+    """
+
+    points: OptimalPoints
+    losses: DriveLosses
+    power: FloatArray
+    efficiency: FloatArray
+    harmonics: LowHarmonics | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class OperatingMap:
+    """Operating points over a grid of N torques (N m) and M mechanical speeds (rad/s),
+    arrays of shape (N, M).
+
+    ``points`` and ``losses`` hold them row by row as arrays of shape (N M,). ``efficiency`` as
+    `efficiency` defines it, NaN where the torque is not reached.
+    """
+
+    torque: FloatArray
+    omega_m: FloatArray
+    points: OptimalPoints
+    losses: DriveLosses
+    efficiency: FloatArray
+
+    @property
+    def loss(self) -> FloatArray:
+        """Total loss in W, shape (N, M): machine, and with a device the inverter, too."""
+        return self.losses.total.reshape(self.efficiency.shape)
+
+    @property
+    def with_inverter(self) -> bool:
+        """Whether conduction and switching loss are counted."""
+        return self.losses.with_inverter
+
+    @property
+    def best_efficiency(self) -> float:
+        """Largest efficiency of all points; NaN where none has one."""
+        return (
+            float(np.nanmax(self.efficiency))
+            if np.any(np.isfinite(self.efficiency))
+            else float("nan")
+        )
+
+
+def voltage_limit(
+    inverter: Inverter, modulation: ModulationName, margin: float = 0.0
+) -> VoltageLimit:
+    """Largest phase amplitude of the linear range of topology and modulator, or of overmodulation,
+    less a margin (0 to 1) that is kept for control.
+
+    Args:
+        inverter: Topology, DC-link voltage, dead time and overmodulation.
+        modulation: The modulator.
+        margin: Share of 0 to 1 that is kept for control.
+    """
+    most = amplitude_limit(inverter, modulation, margin)
+    method = overmodulation_of(inverter, modulation)
+    return VoltageLimit(modulation, inverter.v_dc, margin, most, inverter.topology, method)
+
+
+def efficiency(power: FloatArray, loss: FloatArray) -> FloatArray:
+    """Power out over power in, any one shape, for mechanical power (negative:
+    generating) and loss in W.
+
+    Motoring P / (P + L), generating (|P| - L) / |P|; NaN without power, and where a generating
+    machine loses more than the shaft brings, so that nothing comes out at either end.
+    """
+    size = np.abs(power)
+    useful = (power > 0.0) | ((power < 0.0) & (loss <= size))
+    put_in = np.where(power > 0.0, power + loss, size)
+    given_out = np.where(power > 0.0, power, size - loss)
+    return np.where(useful, given_out / np.where(useful, put_in, 1.0), np.nan)
+
+
+def drive_points(
+    machine: Machine,
+    inverter: Inverter,
+    limit: VoltageLimit,
+    torque: ArrayLike,
+    omega_m: ArrayLike,
+    i_max: float,
+    *,
+    loss: LossCoefficients | None = None,
+    extra: MachineLoss = NO_EXTRA_LOSS,
+) -> DrivePoints:
+    """Least-loss points with the losses of the drive at them.
+
+    Args:
+        machine, inverter, limit: The drive, and the voltage limit of its modulator.
+        torque, omega_m: Torques in N m and mechanical speeds in rad/s of any sign; shapes that
+            broadcast to (N,).
+        i_max: Current limit in A (peak).
+        loss: What is minimised, from `loss_coefficients` at the speeds; copper loss when None.
+        extra: AC copper and iron loss, counted in the losses; ``loss`` says whether they are
+            minimised, too.
+    """
+    points = optimal_points(machine, torque, omega_m, v_max=limit.v_max, i_max=i_max, loss=loss)
+    losses = drive_losses(
+        machine,
+        inverter,
+        points.i_d,
+        points.i_q,
+        points.omega_m,
+        modulation=limit.modulation,
+        extra=extra,
+    )
+    power = np.asarray(points.torque * points.omega_m)
+    share = efficiency(power, losses.total)
+    if limit.overmodulation == "none":
+        return DrivePoints(points, losses, power, share)
+    harmonics = low_harmonics(
+        limit.overmodulation, machine, points.i_d, points.i_q, points.omega_m, v_dc=limit.v_dc
+    )
+    return DrivePoints(points, losses, power, share, harmonics)
+
+
+def operating_map(
+    machine: Machine,
+    inverter: Inverter,
+    limit: VoltageLimit,
+    torque: FloatArray,
+    omega_m: FloatArray,
+    i_max: float,
+    *,
+    loss: LossCoefficients | None = None,
+    extra: MachineLoss = NO_EXTRA_LOSS,
+) -> OperatingMap:
+    """Least-loss points over a grid, with the losses of the drive at them.
+
+    Args:
+        machine, inverter, limit: The drive, and the voltage limit of its modulator.
+        torque, omega_m: Torques in N m, shape (N,), and mechanical speeds in rad/s, shape (M,), of
+            any sign.
+        i_max: Current limit in A (peak).
+        loss: What is minimised, from `loss_coefficients` at the speeds, shape (M,); copper loss
+            when None.
+        extra: AC copper and iron loss, counted in the losses; ``loss`` says whether they are
+            minimised, too.
+    """
+    wanted, speed = np.meshgrid(torque, omega_m, indexing="ij")
+    found = drive_points(machine, inverter, limit, wanted, speed, i_max, loss=loss, extra=extra)
+    share = np.where(found.points.reached, found.efficiency, np.nan).reshape(wanted.shape)
+    return OperatingMap(torque, omega_m, found.points, found.losses, share)
+
+
+def fastest_speed(
+    machine: Machine, figures: Characteristics, limit: VoltageLimit, i_max: float
+) -> float:
+    """Speed in rad/s at which a map ends: that of the mechanics, or three times the base speed.
+
+    Args:
+        machine: Any machine; it may state a largest speed.
+        figures: Its characteristics, with the base speed.
+        limit: The voltage limit.
+        i_max: Current limit in A (peak).
+
+    Raises:
+        NoSolutionError: The resistance drop takes the whole voltage even at standstill.
+    """
+    if machine.omega_m_max is not None:
+        return machine.omega_m_max
+    if figures.base_speed == 0.0:
+        raise NoSolutionError(
+            f"the resistance drop at {i_max:.4g} A takes more than the voltage limit of "
+            f"{limit.v_max:.4g} V even at standstill, so that no map begins; give "
+            "machine.max_speed, or a higher voltage"
+        )
+    return 3.0 * figures.base_speed
+
+
+# Least-loss operating points of a drive with what they lose and what they give: at points
+# and over maps, asked in SI numbers.
+
+# What is minimised: the copper loss, or that of machine and inverter together.
+Objective = Literal["copper", "total"]
+
+
+@dataclass(frozen=True, slots=True)
+class LimitedDrive:
+    """A machine, what feeds it, and within what.
+
+    ``limit`` is the voltage limit of the modulator, ``i_max`` the current limit in A (peak),
+    ``extra`` the AC copper and iron loss of the machine. The bridge counts among the losses where
+    ``inverter`` has a device.
+    """
+
+    machine: Machine
+    inverter: Inverter
+    limit: VoltageLimit
+    i_max: float
+    extra: MachineLoss = NO_EXTRA_LOSS
+
+
+@dataclass(frozen=True, slots=True)
+class DriveMap:
+    """The motoring quadrant of a drive: its figures, its envelope over speed, its loci,
+    and the map between them.
+    """
+
+    drive: LimitedDrive
+    objective: Objective
+    figures: Characteristics
+    envelope: Envelope
+    loci: Loci
+    chart: OperatingMap
+
+
+def limited_drive(
+    design: Design, modulation: ModulationName = "svpwm", margin: float = 0.0
+) -> LimitedDrive:
+    """The drive of a design, within the linear range of a modulator less a share of it
+    that is kept for control.
+
+    Args:
+        design: Machine, current limit and inverter.
+        modulation: The modulator.
+        margin: Share of the voltage of 0 to 1 that is kept for control.
+
+    Raises:
+        InputError: The design's strategy is not MTPA, or its topology has another modulator of its
+            own.
+    """
+    if design.strategy != "mtpa":
+        raise InputError(
+            "operation.strategy: operating points take the least loss, but it is id0; write "
+            "strategy: mtpa"
+        )
+    found = contradiction("modulation", design.inverter.topology, modulation)
+    if found:
+        raise InputError(found)
+    limit = voltage_limit(design.inverter, modulation, margin)
+    return LimitedDrive(design.machine, design.inverter, limit, design.i_max, design.machine_loss)
+
+
+def _minimised(
+    drive: LimitedDrive, objective: Objective, omega_m: ArrayLike
+) -> LossCoefficients | None:
+    """What is minimised at speeds in rad/s: None for the copper loss."""
+    if objective == "copper":
+        return None
+    return loss_coefficients(
+        drive.machine,
+        omega_m,
+        drive.inverter,
+        extra=drive.extra,
+        modulation=drive.limit.modulation,
+    )
+
+
+def points_within(
+    drive: LimitedDrive, torque: ArrayLike, omega_m: ArrayLike, objective: Objective = "copper"
+) -> DrivePoints:
+    """Least-loss points of a drive within its limits, and what it loses at them.
+
+    Args:
+        drive: The machine within its limits.
+        torque, omega_m: In N m and rad/s (mechanical), any sign, broadcast together to N points.
+        objective: What is minimised.
+
+    Raises:
+        InputError: A number is not finite, or a limit is not positive.
+    """
+    return drive_points(
+        drive.machine,
+        drive.inverter,
+        drive.limit,
+        torque,
+        omega_m,
+        drive.i_max,
+        loss=_minimised(drive, objective, omega_m),
+        extra=drive.extra,
+    )
+
+
+def most_torque(drive: LimitedDrive, omega_m: float, sign: float = 1.0) -> OptimalPoints:
+    """The point of most torque of a sign (1 or -1) at a mechanical speed in rad/s.
+
+    Args:
+        drive: The drive within its limits.
+        omega_m: Mechanical speed in rad/s.
+        sign: 1 for driving, -1 for braking torque.
+
+    Raises:
+        NoSolutionError: No current within its limit keeps the voltage limit at this speed.
+    """
+    machine, limit, i_max = drive.machine, drive.limit, drive.i_max
+    beyond = sign * 2.0 * float(mtpa_locus(machine, i_max).torque[-1])
+    most = optimal_points(machine, beyond, omega_m, v_max=limit.v_max, i_max=i_max)
+    if most.active[0] != Active.UNREACHABLE:
+        return most
+    last = characteristics(machine, limit.v_max, i_max).speed_max
+    end = "" if last is None else f"; it can be kept up to {last * 30.0 / np.pi:.4g} rpm"
+    raise NoSolutionError(
+        f"at {omega_m * 30.0 / np.pi:.4g} rpm no current within {i_max:.4g} A keeps the voltage "
+        f"limit of {limit.v_max:.4g} V{end}"
+    )
+
+
+def map_within(
+    drive: LimitedDrive, torques: int, speeds: int, objective: Objective = "copper"
+) -> DriveMap:
+    """Operating points from standstill to the largest speed and from no torque to the most,
+    with their limits.
+
+    Args:
+        drive: The machine within its limits.
+        torques, speeds: Numbers of grid points, from 2 on.
+        objective: What is minimised.
+
+    Raises:
+        NoSolutionError: The resistance drop takes the whole voltage even at standstill.
+    """
+    machine, v_max, i_max = drive.machine, drive.limit.v_max, drive.i_max
+    figures = characteristics(machine, v_max, i_max)
+    fastest = fastest_speed(machine, figures, drive.limit, i_max)
+    omega_m = np.linspace(0.0, fastest, speeds)
+    chart = operating_map(
+        machine,
+        drive.inverter,
+        drive.limit,
+        np.linspace(0.0, figures.torque_max, torques),
+        omega_m,
+        i_max,
+        loss=_minimised(drive, objective, omega_m),
+        extra=drive.extra,
+    )
+    edge = envelope(machine, v_max, envelope_speeds(machine, v_max, fastest, i_max), i_max)
+    return DriveMap(drive, objective, figures, edge, loci(machine, v_max, i_max), chart)

@@ -19,11 +19,15 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, cop
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Strategy
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.operating_points.mtpa import id0_currents, mtpa_at_current, mtpa_currents
-from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
-from dqforge.optimizer.operating_points.point_problem import Active
+from dqforge.optimizer.operating_points.local_terms import region_that_holds
+from dqforge.optimizer.operating_points.mtpa_locus import (
+    Active,
+    id0_currents,
+    mtpa_at_current,
+    mtpa_currents,
+    mtpa_locus,
+)
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
-from dqforge.optimizer.operating_points.region_edges import region_that_holds
 
 _NO_LIMIT = 1e9  # Phase voltage in V that no machine takes at standstill.
 

@@ -22,7 +22,7 @@ from dqforge.optimizer.operating_points.local_terms import (
     torque_terms,
     voltage_terms,
 )
-from dqforge.optimizer.operating_points.point_problem import (
+from dqforge.optimizer.operating_points.mtpa_locus import (
     Active,
     BoolArray,
     IndexArray,

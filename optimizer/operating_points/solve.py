@@ -13,7 +13,7 @@ from dqforge.optimizer.operating_points.current_choice import (
     SpeedPoint,
     domain_end,
 )
-from dqforge.optimizer.operating_points.mtpa import PerUnitBase, per_unit_base
+from dqforge.optimizer.operating_points.mtpa_locus import PerUnitBase, per_unit_base
 
 _CURVE_POINTS = 201
 

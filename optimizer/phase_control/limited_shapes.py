@@ -17,20 +17,19 @@ from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import clarke_matrix
-from dqforge.optimizer.phase_control.phase_controller import LimitedShapes, PhaseControl
-from dqforge.optimizer.phase_control.shape_vectors import (
+from dqforge.optimizer.phase_control.phase_controller import (
     PHASES,
+    LimitedShapes,
+    PhaseControl,
     flux_at,
-    phase_rows,
-    reference_currents,
-    torque_of,
-)
-from dqforge.optimizer.phase_control.torque_limit import (
     is_odd,
     largest_torques,
     link_region,
     no_load_speed,
     node_place,
+    phase_rows,
+    reference_currents,
+    torque_of,
 )
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
 from dqforge.optimizer.waveforms.solver import solve_waveforms

@@ -1,42 +1,170 @@
-"""INFORM as a tracker, with the axis of the saliency taken for the d axis (``inform``), or with a
-table of where it lies under load (``inductance-mapping``); docs/methods/estimators.md has the
-equations, `dqforge.optimizer.saliency.inform_steps` the steps of the firmware.
+"""INFORM as the firmware runs it: written once, in the order of operations of the emitted C
+(``observers/inform.j2``).
+
+A sequence is six periods: a voltage along 0, 120 and 240 degrees, each with its opposite, so that
+back-EMF and resistance fall out of the difference. The sum of the differences along gamma_k, turned
+by 2 gamma_k, is z = 3/2 V t_s Y_delta exp(2 j (theta + chi)). Between sequences the control has the
+converter to itself. A sequence with a sample that is no number corrects nothing.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
+from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ObserverSettings
-from dqforge.machines.dq_machines.synchronous import linearised
+from dqforge.machines.dq_machines.synchronous import Machine, linearised
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.plants.drive_motion import next_flux, plants
+from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import Reals, park
+from dqforge.optimizer.estimators.solve import TunedTracker
 from dqforge.optimizer.estimators.tracker import Tracker, TrackerLoop
-from dqforge.optimizer.observers.sampled_machine import electrical_limit
-from dqforge.optimizer.saliency.inform_steps import (
-    DIRECTIONS,
-    LAST,
-    MIDDLE,
-    InformGains,
-    inform_start,
-    inform_step,
+from dqforge.optimizer.observers.models.matsui_model import ObserverRun
+from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair, limited
+from dqforge.optimizer.observers.sampled_machine import (
+    CurrentSensor,
+    Trial,
+    electrical_limit,
+    turned,
 )
 from dqforge.optimizer.saliency.injection import (
     FASTEST_LOOP,
     MOST_OF_LINK,
     NOISE_ANGLE,
-    current_noise,
-    pll_gains,
-)
-from dqforge.optimizer.saliency.saliency_map import (
+    POINTS,
     LoadedSaliency,
     along_locus,
+    at_load,
+    current_noise,
+    known_sample,
+    pll_gains,
     require_saliency,
 )
-from dqforge.optimizer.saliency.wave_steps import POINTS
+from dqforge.optimizer.saliency.sampled_injection import Injection
+
+LAST = 7  # Place in a sequence at which the answer to its last pulse is seen.
+MIDDLE = 3.0  # Samples from the middle of the pulses to that place.
+DIRECTIONS = ((1.0, 0.0), (-0.5, 0.8660254), (-0.5, -0.8660254))  # Cosine and sine of gamma_k.
+_LARGEST = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class InformGains:
+    """What the firmware needs.
+
+    ``t_s`` in s; ``k_p`` and ``k_i`` (1/s) of the phase-locked loop per sequence; ``omega_max`` in
+    rad/s; ``voltage`` in V; ``period`` in samples from one sequence to the next. ``scale`` in rad/A
+    and ``shift`` in rad stand over |i_q| in steps of 1/``per_ampere``.
+    """
+
+    t_s: float
+    k_p: float
+    k_i: float
+    omega_max: float
+    voltage: float
+    period: float
+    per_ampere: float
+    scale: tuple[float, ...]
+    shift: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InformState(ObserverState):
+    """``vectors``: the last current and z; ``scalars``: the answer to the last pulse in A, whether
+    all samples of the sequence were numbers, and z of the sequence before (alpha, beta). ``n`` is
+    the place in the period.
+    """
+
+    n: int = 0
+
+
+def inform_start(gains: InformGains, theta_e: Reals, omega_e: Reals) -> InformState:
+    """State before the first step: angle in rad (wrapped), speed in rad/s."""
+    del gains
+    zero = np.zeros_like(theta_e)
+    pair = (zero, zero)
+    return InformState(
+        (pair, pair), theta_e, omega_e, started=False, scalars=(zero, zero), added=pair, seen=pair
+    )
+
+
+def inform_step(
+    gains: InformGains,
+    state: InformState,
+    v: Pair,
+    i: Pair,
+    heard: tuple[Reals, ...],
+    maths: Arithmetic,
+) -> InformState:
+    """Next state; ``i`` in A (alpha, beta) at the sampling instant, the voltage is not used."""
+    del v, heard
+    n, zero, one = state.n, maths.number(0.0), maths.number(1.0)
+    known, sample = known_sample(i, state.vectors[0], maths)
+    (half, whole), z = state.scalars, state.vectors[1]
+    assert state.seen is not None
+    theta, omega, told = state.theta_e, state.omega_e, sample
+    if state.started:
+        theta = maths.wrap(theta + gains.t_s * omega)
+    if n == 0:
+        whole, z = np.zeros_like(half) + one, (np.zeros_like(half), np.zeros_like(half))
+    whole = np.where(known, whole, zero)
+    if 2 <= n <= LAST:
+        cosine, sine = (maths.number(part) for part in DIRECTIONS[(n - 2) // 2])
+        moved = (sample[0] - state.vectors[0][0], sample[1] - state.vectors[0][1])
+        along = cosine * moved[0] + sine * moved[1]
+        if n % 2 == 0:
+            half, told = along, state.seen
+        else:
+            pair = maths.number(0.5) * (half - along)
+            z = (z[0] + cosine * pair, z[1] - sine * pair)
+    if n == LAST:
+        error = _error(gains, (z, told), theta, omega, maths)
+        error = np.where(whole > zero, error, zero)
+        omega = limited(maths, omega + gains.k_i * error, gains.omega_max)
+        theta = maths.wrap(theta + gains.k_p * error)
+    return InformState(
+        (sample, z),
+        theta,
+        omega,
+        scalars=(half, whole),
+        added=_pulse(gains, n, theta, maths),
+        seen=told,
+        n=(n + 1) % int(gains.period),
+    )
+
+
+def _error(
+    gains: InformGains, found: tuple[Pair, Pair], theta: Reals, omega: Reals, maths: Arithmetic
+) -> Reals:
+    """Angle error in rad of z and the current in A."""
+    z, told = found
+    i_q = park(maths, told, maths.rotation(theta))[1]
+    cosine, sine = maths.rotation(maths.wrap(theta - (maths.number(MIDDLE) * gains.t_s) * omega))
+    twice = (cosine * cosine - sine * sine, maths.number(2.0) * (cosine * sine))
+    scale, shift = at_load(gains, i_q, maths)
+    error = scale * (twice[0] * z[1] - twice[1] * z[0]) - shift
+    return limited(maths, error, maths.number(_LARGEST))
+
+
+def _pulse(gains: InformGains, n: int, theta: Reals, maths: Arithmetic) -> Pair:
+    """The voltage that is to be added from the next sampling instant on."""
+    zero = np.zeros_like(theta)
+    if n > 5:
+        return zero, zero
+    cosine, sine = DIRECTIONS[n // 2]
+    size = gains.voltage if n % 2 == 0 else -gains.voltage
+    return zero + maths.number(cosine) * size, zero + maths.number(sine) * size
+
+
+# INFORM as a tracker, with the axis of the saliency taken for the d axis (``inform``), or with a
+# table of where it lies under load (``inductance-mapping``); docs/methods/estimators.md has the
+# equations, `dqforge.optimizer.saliency.inform` the steps of the firmware.
 
 USUAL_PERIOD = 16  # Samples from one sequence to the next.
 _LOOP = 0.08  # Natural frequency of the loop times the period between sequences.
@@ -228,3 +356,274 @@ def pulse_tracker(name: str, title: str, *, mapped: bool) -> Tracker:
 TRACKER = pulse_tracker(
     "inform", "INFORM: pairs of voltage pulses that show the saliency", mapped=False
 )
+
+
+# The pulses that tell north from south, from the saturation of the flux map.
+#
+# Where the d axis saturates like L_dd(i) = L_d (1 - s i/I), equal volt-seconds to +-I_p leave peaks
+# that differ by D = s I_p^2/I. Noise of sigma per sample decides wrongly with probability Q(D
+# sqrt(n/2)/sigma) over n pairs. D is taken from the map itself, s is what it means at the largest
+# current.
+
+WRONG = 1e-4  # Largest probability of a wrong decision.
+VISIBLE = 5.0  # Least s I over the noise of a sample.
+_MOST_PULSES = 16
+_STEPS = 40
+
+
+@dataclass(frozen=True, slots=True)
+class PolarityPlan:
+    """The pulses and what they promise.
+
+    ``i_peak`` in A; ``saturation`` is s; ``difference`` in A is that of both peaks, ``sigma`` in A
+    the noise of a sample, ``wrong`` the probability of a wrong decision; ``duration`` in s.
+    """
+
+    gains: PolarityGains
+    i_peak: float
+    saturation: float
+    difference: float
+    sigma: float
+    wrong: float
+    duration: float
+
+
+def wrong_decision(difference: float, sigma: float, pulses: int) -> float:
+    """Probability of taking south for north.
+
+    Args:
+        difference: Of both peaks in A.
+        sigma: Noise of a sample in A.
+        pulses: Pairs of pulses whose sum decides.
+    """
+    return 0.5 * math.erfc(difference * math.sqrt(0.5 * pulses) / sigma / math.sqrt(2.0))
+
+
+def peak_difference(machine: Machine, i_peak: float) -> float:
+    """By how much the peak along the magnet exceeds that against it, in A, after equal volt-seconds
+    that make ``i_peak`` in A against it or ``i_peak`` along it, whichever is the larger.
+
+    Negative where the larger is the one against the magnet; 0 without saturation.
+    """
+    grid = np.linspace(-i_peak, i_peak, 2 * _STEPS + 1)
+    none = np.zeros_like(grid)
+    if not np.all(machine.known(grid, none)):
+        grid = grid[machine.known(grid, none)]
+        none = np.zeros_like(grid)
+    flux = machine.flux(grid, none)[0]
+    flux = flux - np.interp(0.0, grid, flux)
+    # the volt-seconds that both directions reach with at most i_peak
+    most = min(flux[-1], -flux[0])
+    along, against = (float(np.interp(x, flux, grid)) for x in (most, -most))
+    return along + against
+
+
+def plan_polarity(design: Design) -> PolarityPlan:
+    """The smallest current and the fewest pulses that decide wrongly once in 10,000 at most.
+
+    Raises:
+        NoSolutionError: The d axis saturates too little to be seen; the message has the numbers.
+    """
+    machine, i_max = design.machine, design.i_max
+    sigma, t_s = current_noise(design), design.control.t_s
+    saturation = abs(peak_difference(machine, i_max)) / i_max
+    if saturation * i_max < VISIBLE * sigma:
+        raise NoSolutionError(
+            "control.observer: the polarity of the magnet does not show: the d axis saturates by "
+            f"s = {saturation:.3g} at {i_max:.4g} A, so that opposite pulses differ by "
+            f"{saturation * i_max:.3g} A, and {VISIBLE * sigma:.3g} A (five times the noise of a "
+            "sample) are needed; write a flux map that has the saturation, or align the rotor first"
+        )
+    for pulses in (1, 2, 4, 8, _MOST_PULSES):
+        for i_peak in np.linspace(0.1, 1.0, 19) * i_max:
+            difference = peak_difference(machine, float(i_peak))
+            if wrong_decision(abs(difference), sigma, pulses) <= WRONG:
+                return _plan(design, float(i_peak), pulses, difference, saturation)
+    raise NoSolutionError(
+        f"control.observer: {_MOST_PULSES} pairs of pulses of {i_max:.4g} A tell north from south "
+        f"wrongly with {wrong_decision(saturation * i_max, sigma, _MOST_PULSES):.2g}, {WRONG:g} is "
+        f"permitted; {t_s:g} s per sample and {sigma:.3g} A of noise leave no more"
+    )
+
+
+def _plan(
+    design: Design, i_peak: float, pulses: int, difference: float, saturation: float
+) -> PolarityPlan:
+    t_s, sigma = design.control.t_s, current_noise(design)
+    most = 0.5 * design.inverter.v_dc / math.sqrt(3.0)
+    seconds = linearised(design.machine).l_d * i_peak
+    periods = max(1, math.ceil(seconds / (most * t_s)))
+    gains = PolarityGains(
+        voltage=seconds / (periods * t_s),
+        periods=float(periods),
+        pause=float(4 + periods),
+        pulses=float(pulses),
+        sign=1.0 if difference > 0.0 else -1.0,
+    )
+    return PolarityPlan(
+        gains=gains,
+        i_peak=i_peak,
+        saturation=saturation,
+        difference=abs(difference),
+        sigma=sigma,
+        wrong=wrong_decision(abs(difference), sigma, pulses),
+        duration=2.0 * pulses * (2.0 * periods + gains.pause) * t_s,
+    )
+
+
+# North from south as the firmware does it: written once, in the order of operations of the emitted
+# C (``observers/polarity.j2``).
+#
+# Equal volt-seconds along the assumed d axis, positive then negative, each taken back by its
+# opposite: iron that the magnet has saturated answers the pulse that saturates it further with the
+# larger current. The sum of both peaks decides; after an odd number of wrong ones it is still the
+# mean that counts.
+
+# Samples from the one at which a voltage is asked for to the one at which the answer to its first
+# period is seen.
+DELAY = 2
+
+
+@dataclass(frozen=True, slots=True)
+class PolarityGains:
+    """What the firmware needs.
+
+    ``voltage`` in V of a pulse of ``periods`` samples, followed by its opposite and a pause of
+    ``pause`` samples; ``pulses`` pairs in all. ``sign`` is 1 where the peak along the magnet is the
+    larger, -1 where it is the smaller.
+    """
+
+    voltage: float
+    periods: float
+    pause: float
+    pulses: float
+    sign: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PolarityState:
+    """``place`` counts the samples of a half pair, ``half`` the half pairs that are over; ``total``
+    is the sum of the peaks in A, shape (N,). ``turned`` is 1 where d points to the south pole.
+    """
+
+    place: int
+    half: int
+    total: Reals
+    voltage: Reals
+    done: bool
+    turned: Reals
+
+
+def polarity_start(count: int, maths: Arithmetic) -> PolarityState:
+    """Before the first step, of ``count`` drives."""
+    zero = np.zeros(count, dtype=maths.number)
+    return PolarityState(0, 0, zero, zero, False, zero)
+
+
+def polarity_step(
+    gains: PolarityGains, state: PolarityState, i_d: Reals, maths: Arithmetic
+) -> PolarityState:
+    """Next state; ``i_d`` in A along the assumed d axis, ``voltage`` of the state in V is to act
+    along it from the next sampling instant on.
+    """
+    zero = np.zeros_like(state.total)
+    if state.done:
+        return replace(state, voltage=zero)
+    periods, total = int(gains.periods), state.total
+    if state.place == periods + DELAY - 1:
+        # a sample that is no number takes no side
+        known = np.abs(i_d) < maths.number(1.0e15)
+        total = total + np.where(known, i_d, zero)
+    size = maths.number(gains.voltage if state.half % 2 == 0 else -gains.voltage)
+    voltage = zero
+    if state.place < periods:
+        voltage = zero + size
+    elif state.place < 2 * periods:
+        voltage = zero - size
+    place, half = state.place + 1, state.half
+    if place == 2 * periods + int(gains.pause):
+        place, half = 0, half + 1
+    done = half == 2 * int(gains.pulses)
+    turned = np.where(gains.sign * total < maths.number(0.0), maths.number(1.0), zero)
+    return PolarityState(place, half, total, voltage, done, turned)
+
+
+# The saliency tracker at work on simulated drives, its own voltage included.
+
+
+def track(
+    tracker: Injection,
+    machine: Machine,
+    omega: FloatArray,
+    i_ref: tuple[float, float],
+    *,
+    theta_error: float = 0.0,
+    sensor: CurrentSensor | None = None,
+    seed: int = 0,
+) -> tuple[ObserverRun, Trial]:
+    """Follow S drives along given speeds (electrical, rad/s, shape (K + 1, S)).
+
+    The fundamental voltage is the steady one of ``i_ref`` in A at the true angle, without any
+    controller, so that all that moves the currents besides is the injection, one period after it
+    was asked for.
+
+    Returns:
+        The estimates, and what was measured; its voltages include the injection.
+    """
+    linear = linearised(machine)
+    generator = np.random.default_rng(seed)
+    t_s, n = tracker.t_s, tracker.samples
+    periods, drives = omega.shape[0] - 1, omega.shape[1]
+    theta = np.concatenate(
+        [np.zeros((1, drives)), np.cumsum(0.5 * t_s * (omega[1:] + omega[:-1]), axis=0)]
+    )
+    reference = [np.full(drives, current) for current in i_ref]
+    plant = plants(linear, count=drives)
+    i_dq = np.empty((periods + 1, drives, 2))
+    i_dq[0] = i_ref
+    i, v = np.empty_like(i_dq), np.empty((periods, drives, 2))
+    psi = plant.flux(i_dq[0, :, 0] + 1j * i_dq[0, :, 1]) * np.exp(1j * theta[0])
+    estimate, speed = np.empty((periods + 1, drives)), np.empty((periods + 1, drives))
+    angle, rate = theta[0] + theta_error, omega[0].copy()
+    products, asked = np.zeros((n, drives)), np.zeros((drives, 2))
+    gain = 1.0 / (n * tracker.gain)
+    for k in range(periods + 1):
+        i[k] = turned(i_dq[k], -theta[k])
+        i[k] = i[k] if sensor is None else sensor.read(i[k], generator)
+        if k > 0:
+            angle = angle + t_s * rate
+            products[k % n] = turned(i[k], angle)[:, 1] * tracker.reference[k % n]
+            found = gain * np.sum(products, axis=0)
+            rate = np.clip(rate + tracker.k_i * found, -tracker.omega_max, tracker.omega_max)
+            angle = angle + tracker.k_p * found
+        estimate[k], speed[k] = angle, rate
+        if k == periods:
+            break
+        steady = np.stack(linear.voltage(reference[0], reference[1], omega[k]), axis=-1)
+        v[k] = turned(steady, -(theta[k] + 0.5 * t_s * omega[k])) + asked
+        wave = np.stack(
+            [np.full(drives, tracker.voltage * tracker.carrier[k % n]), np.zeros(drives)], axis=-1
+        )
+        asked = turned(wave, -(angle + 1.5 * t_s * rate))
+        psi = next_flux(
+            plant, psi, v[k, :, 0] + 1j * v[k, :, 1], theta[k], (omega[k], omega[k + 1]), t_s
+        )
+        now = plant.current(psi, theta[k + 1]) * np.exp(-1j * theta[k + 1])
+        i_dq[k + 1, :, 0], i_dq[k + 1, :, 1] = now.real, now.imag
+    return ObserverRun(estimate, speed), Trial(t_s, v, i, theta, omega, i_dq)
+
+
+# How long a tracker takes from an unknown angle at rest to one known but for half a turn.
+
+# Time constants of the loop: from beside the unstable rest at 90 degrees to within noise.
+_SETTLED = 12.0
+
+
+def settling_samples(tuned: TunedTracker) -> int:
+    """Samples of ``t_s`` from the start at the angle 0, at rest and without current reference,
+    after which the angle is that of the d axis or half a turn off.
+    """
+    gains = tuned.gains
+    steps = float(getattr(gains, "period", 1.0))
+    bandwidth = math.sqrt(float(gains.k_i) / (steps * tuned.t_s))
+    return math.ceil(_SETTLED / (bandwidth * tuned.t_s))

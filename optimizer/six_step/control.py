@@ -26,15 +26,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.six_step.estimator import (
+from dqforge.optimizer.six_step.sectors import (
+    FED,
+    RETURN,
     BlockGains,
     BlockState,
     Real,
+    kept_fed,
+    rising,
     seen_angle,
 )
-from dqforge.optimizer.six_step.estimator import start as start_estimator
-from dqforge.optimizer.six_step.estimator import step as estimate
-from dqforge.optimizer.six_step.sectors import FED, RETURN, kept_fed, rising
+from dqforge.optimizer.six_step.sectors import start as start_estimator
+from dqforge.optimizer.six_step.sectors import step as estimate
 
 STOPPED, CATCHING, ALIGNING, RAMP, RUNNING, FAULT = range(6)
 

@@ -6,31 +6,29 @@ import math
 
 import numpy as np
 
+from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.design.settings import SixStepSettings, filter_share
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.machines.phase_machines.salient_phase_machine import (
+from dqforge.machines.phase_machines.phase_machine import (
     AnyPhaseMachine,
+    PhaseMachine,
     SalientPhaseMachine,
 )
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.loops.gains import tune_current_loop
-from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.loops.loop_gains import LoopGains, tune_current_loop
+from dqforge.optimizer.loops.pi_methods import speed_pi
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT
-from dqforge.optimizer.six_step.block_loops import BlockSpeedLoop, block_speed_loop
-from dqforge.optimizer.six_step.block_shape import (
+from dqforge.optimizer.six_step.control import SixStepGains
+from dqforge.optimizer.six_step.sectors import (
+    SECTOR,
+    BlockGains,
     BlockShape,
     block_shape,
     dq_inductances,
     phases_of,
 )
-from dqforge.optimizer.six_step.control import SixStepGains
-from dqforge.optimizer.six_step.errors import CommutationErrors, Disturbed, commutation_errors
-from dqforge.optimizer.six_step.estimator import BlockGains
-from dqforge.optimizer.six_step.sectors import SECTOR
-from dqforge.optimizer.six_step.start import BlockStart, plan_start
 
 _OFFSET = 0.002  # of the link voltage, where nothing is said
 
@@ -304,3 +302,304 @@ def solve_six_step(design: Design) -> SixStepDesign | None:
     return SixStepDesign(
         observer.method, phases, shape, known, errors, limits, current, speed, start, gains, curve
     )
+
+
+# How a six-step drive starts: two blocks that turn the rotor to a known angle, blocks at a rising
+# frequency, then a look at the back-EMF with all legs at rest.
+#
+# A voltage is applied, not a regulated current: the current that the back-EMF of a swinging rotor
+# drives damps it, with 3/2 p^2 psi^2/(2 J R) in 1/s where the winding is quick.
+
+_CURRENT = 0.5  # of the limit
+
+
+_ACCELERATION = 0.2  # of the torque of the start current
+
+
+_SWINGS = 3.0  # of the rotor about its block within the ramp, at least
+
+
+_STEADY = 0.8  # of that torque that a load may take, acceleration included
+
+
+_ALIGN = (0.3, 3.0)  # in s, and in periods of the swing about the aligned angle
+
+
+_ABOVE = 1.5  # of the hand-over over the least speed
+
+
+_TURNED = math.radians(20.0)  # between both looks at the back-EMF
+
+
+_MOST_TURNED = math.radians(140.0)  # the same at the largest speed, so that the direction shows
+
+
+@dataclass(frozen=True, slots=True)
+class BlockStart:
+    """The start of a six-step drive.
+
+    Args:
+        current: In A.
+        voltage: Of two phases in series for it at rest in V, what the dead time takes included.
+        align: Periods of each of the two blocks; ``align_time`` in s of both.
+        rise, rate: Blocks per period: rise per period and end of the ramp.
+        ramp_time: In s.
+        omega: Electrical speed at the hand-over in rad/s.
+        load: Largest load torque in N m with which it starts.
+        settle, gap: Periods with all legs at rest before the first look, and between both.
+        swing: Of the rotor about the aligned angle in rad/s.
+    """
+
+    current: float
+    voltage: float
+    align: int
+    align_time: float
+    rise: float
+    rate: float
+    ramp_time: float
+    omega: float
+    load: float
+    settle: int
+    gap: int
+    swing: float
+
+
+def plan_start(
+    design: Design,
+    settings: SixStepSettings,
+    shape: BlockShape,
+    speeds: tuple[float, float],
+    inductance: float,
+) -> BlockStart:
+    """The start of a design.
+
+    Args:
+        design: With the inertia.
+        settings: What is given of it.
+        shape: Of the waveform.
+        speeds: Least and largest electrical speed in rad/s of the estimator.
+        inductance: Of a phase in H.
+
+    Raises:
+        InputError: The current exceeds the limit.
+    """
+    machine, t_s, v_dc = design.machine, design.control.t_s, design.inverter.v_dc
+    current = _CURRENT * design.i_max if settings.start_current is None else settings.start_current
+    if current > design.i_max * (1.0 + 1e-9):
+        raise InputError(
+            f"control.six_step.start_current: {current:.4g} A is above the limit of the drive, "
+            f"{design.i_max:.4g} A; write less"
+        )
+    inertia = machine.inertia or math.nan
+    torque = shape.torque * current
+    swing = math.sqrt(machine.pole_pairs * torque / inertia)
+    align = max(_ALIGN[0], _ALIGN[1] * 2.0 * math.pi / swing)
+    align = align if settings.align_time is None else settings.align_time
+    omega = min(_ABOVE * speeds[0], math.sqrt(speeds[0] * speeds[1]))
+    slope = machine.pole_pairs * _ACCELERATION * torque / inertia
+    slope = min(slope, omega * swing / (_SWINGS * 2.0 * math.pi))
+    rate = omega * t_s / (math.pi / 3.0)
+    return BlockStart(
+        current=current,
+        voltage=2.0 * machine.r_s * current + v_dc * design.inverter.dead_time / t_s,
+        align=max(1, round(0.5 * align / t_s)),
+        align_time=align,
+        rise=slope * t_s * t_s / (math.pi / 3.0),
+        rate=rate,
+        ramp_time=omega / slope,
+        omega=omega,
+        load=(_STEADY - _ACCELERATION) * torque,
+        settle=2 + math.ceil(2.0 * 2.0 * inductance * current / (v_dc * t_s)),
+        gap=max(2, min(round(_TURNED / (omega * t_s)), int(_MOST_TURNED / (speeds[1] * t_s)))),
+        swing=swing,
+    )
+
+
+# By how much a six-step drive hands its current on too early or too late, and at which speeds that
+# stays small.
+#
+# All in electrical rad over the electrical speed omega; dv is an offset of the voltage of the
+# floating phase, sigma its noise, g' the slope at the crossing, g_c the level and x the angle at
+# the commutation:
+#
+#     zero crossing    1.375 dv/(omega g')             1.275 sigma/(omega g')
+#     integral         dv x/(omega g_c)                sigma sqrt(x t_s/omega)/g_c
+#     grid of periods  omega t_s/2, and what the filter has not yet of its lag at the crossing
+#   saliency         |L_q - L_d| I/g' (crossing), |L_q - L_d| I x/g_c (integral): the voltage that a
+#                      current in the two phases induces in the third; and, of the integral, the
+#                    change of the slope by kappa = (L_q - L_d) V_dc/(sqrt(3) L omega g') while the
+#                      current rises: x |1 - 1/sqrt(1 + kappa)|
+#
+# Where L_d is the larger inductance, kappa is negative and flattens the crossing: all that is
+# divided by g' is divided by 1 + kappa besides.
+#
+# The delay behind a crossing is half of the mean of the last two intervals, in which this crossing
+# counts a quarter and the one two before a quarter against it: an offset, which moves them by at
+# most 1.5 dv/(omega g') against each other, adds three eighths. For a sine dv x/(omega g_c) is
+# (pi/3) dv/(psi omega).
+
+_FLAT = 1e-3  # least share of a slope that is left
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbed:
+    """What disturbs the voltage of the floating phase.
+
+    Args:
+        offset: In V, half a step of the converter included.
+        noise: Standard deviation in V.
+        t_s: Period in s.
+        filter_time: Time constant of the filter of the voltage in s.
+        free: Electrical angle in rad from the end of the unseen time to the crossing, in which the
+            filter reaches the lag that is compensated.
+        step:
+            |L_q - L_d| I in Wb: of the saliency at the largest current.
+        kappa: (L_q - L_d) V_dc/(sqrt(3) L) in V/rad: voltage per angle that rising current induces,
+            with the back-EMF where L_q is the larger one, against it where L_d is.
+    """
+
+    offset: float
+    noise: float
+    t_s: float
+    filter_time: float
+    free: float
+    step: float
+    kappa: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommutationErrors:
+    """Parts of the error in rad (electrical), shape (N,); ``noise`` is a standard deviation."""
+
+    omega: FloatArray
+    offset: FloatArray
+    noise: FloatArray
+    grid: FloatArray
+    saliency: FloatArray
+
+    @property
+    def largest(self) -> FloatArray:
+        """All parts at once, noise three times, in rad."""
+        return self.offset + 3.0 * self.noise + self.grid + self.saliency
+
+
+def commutation_errors(
+    shape: BlockShape, known: Disturbed, omega: FloatArray, *, by_integral: bool
+) -> CommutationErrors:
+    """Errors of a commutation.
+
+    Args:
+        shape: Of the waveform.
+        known: What disturbs the voltage.
+        omega: Electrical speeds in rad/s, above 0, shape (N,).
+        by_integral: Whether the integral decides, or the delay behind the crossing.
+    """
+    steeper = 1.0 + known.kappa / (omega * shape.slope)
+    if by_integral:
+        lever = np.full_like(omega, shape.delay / shape.level)
+        noise = known.noise * np.sqrt(shape.delay * known.t_s / omega) / shape.level
+        seen = np.sqrt(np.maximum(steeper, _FLAT))
+        saliency = known.step * lever + shape.delay * np.abs(1.0 - 1.0 / seen)
+    else:
+        share = shape.delay / SECTOR
+        lever = np.full_like(omega, (1.0 + 0.75 * share) / shape.slope)
+        both = np.hypot(1.0 + 0.5 * share, 0.5 * share)
+        noise = known.noise * both / (shape.slope * omega)
+        flatter = np.clip(steeper, _FLAT, 1.0)
+        lever, noise = lever / flatter, noise / flatter
+        saliency = known.step / (shape.slope * flatter)
+    missing = np.zeros_like(omega)
+    if known.filter_time > 0.0:
+        turned = omega * known.filter_time
+        missing = turned * np.exp(-known.free / turned)
+    grid = 0.5 * omega * known.t_s
+    return CommutationErrors(omega, known.offset * lever / omega, noise, grid + missing, saliency)
+
+
+# The speed loop of a six-step drive, whose speed is known six times per turn.
+#
+# The speed is the mean over two blocks, old by one block on average and held for half of one more:
+# 1.5 pi/(3 omega), longest at the least speed. That is one more of the small delays of the
+# symmetrical optimum, and a dead time in its margin.
+
+_FASTER = 1.25  # of the spread that rising gains may take away
+
+
+_MOST = 10.0  # by which they rise
+
+
+_BLOCKS = 1.5  # by which the speed is late
+
+
+@dataclass(frozen=True, slots=True)
+class BlockSpeedLoop:
+    """A speed controller that commands torque.
+
+    Args:
+        kp, ki: In N m s/rad and N m/rad.
+        t_s, ratio: Period in s, and periods of the current controller in it.
+        delay: Of the speed at the least speed, in s.
+        crossover, margin: In rad/s, and in rad at the least speed.
+        scale: How far kp rises with the speed, and ki with its square: the delay falls as they
+            rise.
+    """
+
+    kp: float
+    ki: float
+    t_s: float
+    ratio: int
+    delay: float
+    crossover: float
+    margin: float
+    scale: float
+
+
+def block_speed_loop(design: Design, current: LoopGains, omega_low: float) -> BlockSpeedLoop | None:
+    """The speed loop that a design asks for.
+
+    Args:
+        design: With the inertia.
+        current: Its current loop.
+        omega_low: Least electrical speed in rad/s.
+
+    Raises:
+        NoSolutionError: Its margin at the least speed is too small.
+    """
+    settings, machine = design.control.speed_loop, design.machine
+    if settings is None:
+        return None
+    inertia = machine.inertia or math.nan
+    t_s = settings.ratio * design.control.t_s
+    delay = _BLOCKS * math.pi / 3.0 / omega_low
+    lag = 1.0 / current.crossover
+    kp, ki = speed_pi(inertia, machine.friction, lag + 0.5 * t_s + delay, settings)
+    scale = 1.0
+    if settings.method != "given":
+        fixed = lag + 0.5 * t_s
+        scale = min(max((_FASTER * (fixed + delay) - delay) / fixed, 1.0), _MOST)
+
+    def at(factor: float) -> tuple[float, float]:
+        w = np.geomspace(1e-3, 10.0, 4000) * factor * kp / inertia
+        s = 1j * w
+        loop = (factor * kp + factor**2 * ki / s) / (inertia * s + machine.friction)
+        loop = loop / (1.0 + lag * s)
+        crossing = int(np.argmin(np.abs(np.log(np.abs(loop)))))
+        late = delay / factor + 0.5 * t_s
+        angle = math.pi + float(np.angle(loop[crossing])) - float(w[crossing]) * late
+        return float(w[crossing]), angle
+
+    (crossover, margin), (_, fast) = at(1.0), at(scale)
+    margin = min(margin, fast)
+    if margin < settings.min_phase_margin:
+        better = (
+            f"a spread above {settings.spread:.3g}"
+            if settings.method == "symmetrical-optimum"
+            else "method: symmetrical-optimum, or smaller gains"
+        )
+        raise NoSolutionError(
+            f"control.speed_loop: kp = {kp:.4g}, ki = {ki:.4g} leave "
+            f"{math.degrees(margin):.3g} deg at {omega_low:.4g} rad/s (electrical), "
+            f"where the speed is {1e3 * delay:.3g} ms late, "
+            f"{math.degrees(settings.min_phase_margin):.3g} deg are wanted; write {better}"
+        )
+    return BlockSpeedLoop(kp, ki, t_s, settings.ratio, delay, crossover, margin, scale)

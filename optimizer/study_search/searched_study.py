@@ -12,20 +12,22 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.exploration.study import Search
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.exploration.row_block import ColumnSpec, RowBlock
-from dqforge.optimizer.exploration.row_inputs import Inputs, chosen_inputs
+from dqforge.optimizer.exploration.row_block import ColumnSpec, Inputs, RowBlock, chosen_inputs
 from dqforge.optimizer.exploration.study_plan import StudyPlan
-from dqforge.optimizer.study_results.acceptance import AcceptedRange
-from dqforge.optimizer.study_results.asked_columns import bound_column, goal_columns
-from dqforge.optimizer.study_results.summary import GoalColumn
+from dqforge.optimizer.study_results.acceptance import (
+    AcceptedRange,
+    GoalColumn,
+    bound_column,
+    goal_columns,
+)
 from dqforge.optimizer.study_search.open_search import open_search
 from dqforge.optimizer.study_search.search_rows import (
     Outcomes,
     SearchRows,
     generation_batch,
     outcomes_of,
+    search_variables,
 )
-from dqforge.optimizer.study_search.search_space import search_variables
 
 
 @dataclass(frozen=True, slots=True, eq=False)

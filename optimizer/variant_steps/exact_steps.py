@@ -13,22 +13,24 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import located
 from dqforge.machines.design.settings import FitSettings, LossSettings, WaveformSettings
 from dqforge.machines.errors import DqforgeError, NoSolutionError
-from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS
+from dqforge.machines.losses.machine_budget import NO_EXTRA_LOSS
 from dqforge.optimizer.control_design.gain_set import gains_or_reason, solve_current_loops
-from dqforge.optimizer.current_reference.signed import signed_designs
+from dqforge.optimizer.current_reference.fit import signed_designs
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.losses.point_comparison import LossComparison, compare_points
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.operating_points.solve import current_choice
-from dqforge.optimizer.variant_steps.loss_tables import (
+from dqforge.optimizer.variant_steps.outputs import (
+    FIT_ERRORS,
+    LOOP_QUANTITIES,
     LossDrive,
     LossGrid,
     LossTable,
+    Step,
     drive_table,
     loss_drive,
 )
-from dqforge.optimizer.variant_steps.outputs import FIT_ERRORS, LOOP_QUANTITIES, Step
 from dqforge.optimizer.variant_steps.step_cache import StepCache, Work, key_of
 from dqforge.optimizer.variant_steps.variation import used_settings
 

@@ -16,8 +16,12 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
-from dqforge.optimizer.waveforms.quadratic_problem import UNBOUNDED, PointProblem, make_problem
+from dqforge.optimizer.waveforms.constraint_rows import (
+    UNBOUNDED,
+    PointProblem,
+    WaveformLimits,
+    make_problem,
+)
 from dqforge.optimizer.waveforms.solver import WaveformSolutions, complementarity
 
 # Largest residual, and largest relative difference of the loss, at which two solutions count as

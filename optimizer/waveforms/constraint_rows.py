@@ -7,14 +7,24 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Topology
-from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.phase_machines.phase_machine import (
+    MIDDLE,
+    OFFSETS,
+    SLOPE,
+    AnyPhaseMachine,
+    PhaseMachine,
+    SalientPhaseMachine,
+    shift_of,
+)
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.regions import VOLTAGE_ROWS, voltage_bounds
+from dqforge.machines.topologies.regions import VOLTAGE_ROWS, link_demand, voltage_bounds
 from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.transforms import DOUBLES, park_inverse
 
 OpenPhase = Literal["a", "b", "c"]
 
@@ -217,3 +227,489 @@ def all_rows(
     if limits.slew is not None:
         rows.append(_symmetric(4, csr_matrix((size, size)), slope / limits.slew))
     return rows
+
+
+# Quadratic programmes for phase currents: least copper loss for a torque, within bus,
+# current and topology.
+#
+# What must hold at every angle (the torque where no ripple is allowed, no zero-sequence current, an
+# open phase) is solved out: i = T c + B z with c the current of least size that satisfies it for 1
+# N m, and B an orthonormal basis of what is left free, angle by angle. The objective becomes |z|^2
+# + 2 T c'B z, and only inequalities remain: a problem of 60 or 120 unknowns for a symmetric machine
+# instead of 1080.
+
+UNBOUNDED = 1e29  # Bounds of this size and beyond are none.
+
+# Unknowns up to which the matrices are kept dense, and an active-set method beats all others.
+DENSE_UNKNOWNS = 130
+
+
+@dataclass(frozen=True, slots=True)
+class PointProblem:
+    """One quadratic programme: least |z|^2/2 + gradient z for lower <= A z <= upper,
+    rows of order one.
+
+    ``matrix`` is A, sparse or an array, shape (m, n).
+    """
+
+    matrix: Any
+    gradient: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WaveformProblem:
+    """Everything that all operating points of a machine under the same rules share.
+
+    ``part`` angles of all are solved for, ``parts`` of them make the whole. ``unit`` is c in A/(N
+    m), shape (3 part,), ``basis`` is B, sparse, shape (3 part, n), both with the phases of an angle
+    side by side; i = T c + scale B z with ``scale`` in A. The m rows of inequalities hold (still +
+    omega_e moving) z + T (still_unit + omega_e moving_unit - torque_share) + omega_e emf between
+    ``lower`` and ``upper``; ``kinds`` are their indices into `LIMITS`, or -1 for means, whose
+    bounds are equal.
+    """
+
+    machine: PhaseMachine
+    limits: WaveformLimits
+    part: int
+    parts: int
+    scale: float
+    unit: FloatArray
+    basis: Any
+    still: Any
+    moving: Any
+    still_unit: FloatArray
+    moving_unit: FloatArray
+    torque_share: FloatArray
+    emf: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    kinds: NDArray[np.int8]
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns n."""
+        return int(self.basis.shape[1])
+
+    def bounds(self, omega_e: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds of the rows at electrical speeds in rad/s, shapes (..., m).
+
+        In reverse rotation the back-EMFs, and with them the rails that the diodes of a
+        neutral tie it to, change signs.
+        """
+        back = np.asarray(omega_e, dtype=np.float64)[..., np.newaxis] < 0.0
+        return np.where(back, -self.upper, self.lower), np.where(back, -self.lower, self.upper)
+
+    def offset(self, torque: float, omega_e: float) -> FloatArray:
+        """Rows at z = 0, for a torque in N m and an electrical speed in rad/s, shape (m,)."""
+        return torque * self.by_torque(omega_e) + omega_e * self.emf
+
+    def by_torque(self, omega_e: float) -> FloatArray:
+        """Change of the rows with the torque at z = 0, in 1/(N m), shape (m,)."""
+        return self.still_unit + omega_e * self.moving_unit - self.torque_share
+
+    def point(self, torque: float, omega_e: float) -> PointProblem:
+        """The quadratic programme of one operating point."""
+        offset = self.offset(torque, omega_e)
+        gradient = torque / self.scale * (self.basis.T @ self.unit)
+        lower, upper = self.bounds(omega_e)
+        return PointProblem(
+            self.still + omega_e * self.moving, gradient, lower - offset, upper - offset
+        )
+
+    def currents(self, torque: FloatArray, z: FloatArray) -> FloatArray:
+        """Phase currents over all angles in A, shape (K, 3, N), for torques
+        (K,) and unknowns (K, n).
+        """
+        flat = torque[:, np.newaxis] * self.unit + self.scale * (self.basis @ z.T).T
+        first = np.moveaxis(flat.reshape(-1, self.part, 3), 2, 1)
+        shift = shift_of(self.parts, self.machine.turns)
+        pieces = [first]
+        for _ in range(self.parts - 1):
+            pieces.append(shift @ pieces[-1])
+        return np.concatenate(pieces, axis=2)
+
+
+def _part_and_shift(machine: PhaseMachine, limits: WaveformLimits) -> tuple[int, FloatArray]:
+    symmetry = "none" if limits.open_phase is not None else machine.symmetry
+    parts = {"sixth": 6, "third": 3, "none": 1}[symmetry]
+    return parts, shift_of(parts, machine.turns)
+
+
+def _between(part: int, machine: PhaseMachine, shift: FloatArray) -> tuple[Any, Any]:
+    """Sparse matrices of value and slope half a step behind each angle, shape (3 part, 3 part),
+    phases side by side.
+    """
+    step = 2.0 * np.pi * machine.turns / machine.angles
+    return _stencil(part, shift, MIDDLE), _stencil(part, shift, SLOPE) / step
+
+
+def _stencil(part: int, shift: FloatArray, weights: tuple[float, ...]) -> Any:
+    """Sparse matrix of one stencil on the part.
+
+    What lies beyond it are its own ends in other phases.
+    """
+    from scipy.sparse import coo_matrix
+
+    rows, columns, values = [], [], []
+    back = np.linalg.inv(shift)
+    here = np.arange(part)
+    for offset, weight in zip(OFFSETS, weights, strict=True):
+        there = here + offset
+        turn = np.where(
+            (there >= part)[:, None, None],
+            shift,
+            np.where((there < 0)[:, None, None], back, np.eye(3)),
+        )
+        for phase in range(3):
+            for source in range(3):
+                rows.append(3 * here + phase)
+                columns.append(3 * (there % part) + source)
+                values.append(weight * turn[:, phase, source])
+    size = 3 * part
+    matrix = coo_matrix(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), (size, size)
+    ).tocsr()
+    matrix.eliminate_zeros()
+    return matrix
+
+
+def make_problem(machine: PhaseMachine, limits: WaveformLimits) -> WaveformProblem:
+    """What all operating points share.
+
+    Raises:
+        NoSolutionError: Constant torque cannot be made at some angle.
+    """
+    from scipy.sparse import vstack
+
+    parts, shift = _part_and_shift(machine, limits)
+    part = machine.angles // parts
+    flux = np.ascontiguousarray(machine.flux[:, :part].T)
+    unit, basis = angle_by_angle(machine, limits, flux)
+    middle = _between(part, machine, shift)
+    rows = all_rows(machine, limits, flux, middle)
+    still, moving = (
+        vstack([getattr(row, name) for row in rows]).tocsr() for name in ("still", "moving")
+    )
+    lower, upper = (
+        np.concatenate([getattr(row, name) for row in rows]) for name in ("lower", "upper")
+    )
+    counts = [row.lower.size for row in rows]
+    emf = np.zeros(lower.size)
+    emf[: counts[0]] = (
+        (middle[0] @ flux.ravel()).reshape(-1, 3) @ VOLTAGE_ROWS.T
+    ).ravel() / limits.v_dc
+    kinds = np.repeat(np.array([row.kind for row in rows], dtype=np.int8), counts)
+    # Rows without any bound, such as phase voltages of a three-wire bridge, are left out.
+    kept = np.flatnonzero((lower > -UNBOUNDED) | (upper < UNBOUNDED))
+    still, moving = still[kept], moving[kept]
+    scale = limits.i_max
+    dense = basis.shape[1] <= DENSE_UNKNOWNS
+    still_basis, moving_basis = ((scale * (matrix @ basis)).tocsc() for matrix in (still, moving))
+    return WaveformProblem(
+        machine=machine,
+        limits=limits,
+        part=part,
+        parts=parts,
+        scale=scale,
+        unit=unit,
+        basis=basis,
+        still=still_basis.toarray() if dense else still_basis,
+        moving=moving_basis.toarray() if dense else moving_basis,
+        still_unit=still @ unit,
+        moving_unit=moving @ unit,
+        torque_share=np.repeat([row.torque_share for row in rows], counts)[kept],
+        emf=emf[kept],
+        lower=lower[kept],
+        upper=upper[kept],
+        kinds=kinds[kept],
+    )
+
+
+# Least-loss phase currents of constant torque for salient machines, each angle by itself,
+# to the global optimum.
+#
+# Where neither dc link nor slew rate ties the angles together, each asks for the least |i|^2 with
+# b'i + i'Ai = T: one quadratic equality, whose optimum is global where I - lambda A is positive
+# semidefinite (S-lemma). In the eigenvectors of A, i_k = lambda b_k / (2 (1 - lambda a_k)), and the
+# torque grows with lambda on the whole interval that is left.
+
+_STEPS = 200
+
+
+_DOUBLINGS = 200
+
+
+_EXACT = 1e-9
+
+
+_ROUNDING = 1e-13
+
+
+_LARGEST = 1e4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointwiseTorque:
+    """Torque b'y + sum a_k y_k^2 at M angles in N m over r independent currents y in A.
+
+    The phases carry i = V y.
+
+    ``linear`` b in N m/A and ``curvature`` a in N m/A^2, shape (M, r); ``basis`` V, orthonormal,
+    shape (M, 3, r).
+    """
+
+    linear: FloatArray
+    curvature: FloatArray
+    basis: FloatArray
+
+    def phases(self, own: FloatArray) -> FloatArray:
+        """Phase currents in A, shape (..., 3, M), of independent ones, shape (..., M, r)."""
+        return np.asarray(np.moveaxis(np.einsum("mkr,...mr->...mk", self.basis, own), -1, -2))
+
+
+def free_currents(topology: Topology, open_phase: OpenPhase | None) -> FloatArray:
+    """Orthonormal basis of the phase currents that topology and open phase permit, shape (3, r)."""
+    rows = []
+    if not TOPOLOGIES[topology].neutral:
+        rows.append(np.ones(3))
+    if open_phase is not None:
+        rows.append(np.eye(3)["abc".index(open_phase)])
+    if not rows:
+        return np.eye(3)
+    _, size, right = np.linalg.svd(np.array(rows))
+    return np.ascontiguousarray(right[np.count_nonzero(size > _ROUNDING) :].T)
+
+
+def torque_forms(
+    flux: FloatArray, slope: FloatArray, pole_pairs: int, free: FloatArray
+) -> PointwiseTorque:
+    """Torque over the independent currents, from flux (3, M) in Wb and dL/dtheta (M,
+    3, 3) in H/rad.
+    """
+    form = 0.5 * pole_pairs * np.einsum("kr,mkl,ls->mrs", free, slope, free)
+    curvature, turned = np.linalg.eigh(0.5 * (form + np.swapaxes(form, 1, 2)))
+    basis = np.einsum("kr,mrs->mks", free, turned)
+    return PointwiseTorque(pole_pairs * np.einsum("km,mkr->mr", flux, basis), curvature, basis)
+
+
+def _own_currents(
+    made: PointwiseTorque, multiplier: FloatArray
+) -> tuple[list[FloatArray], FloatArray]:
+    """Independent currents, r of them, and their torque, each of shape (K, M)."""
+    own, parts = [], []
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for linear, curvature in zip(made.linear.T, made.curvature.T, strict=True):
+            left = 1.0 - multiplier * curvature
+            current = np.where(linear == 0.0, 0.0, multiplier * linear / (2.0 * left))
+            parts.append(linear * current + curvature * current**2)
+            own.append(current)
+    return own, sum(parts[1:], parts[0])
+
+
+def _slope(made: PointwiseTorque, multiplier: FloatArray) -> FloatArray:
+    """Of the torque by the multiplier, shape (K, M)."""
+    parts = []
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for linear, curvature in zip(made.linear.T, made.curvature.T, strict=True):
+            left = 1.0 - multiplier * curvature
+            parts.append(np.where(linear == 0.0, 0.0, linear**2 / left**3))
+    return 0.5 * sum(parts[1:], parts[0])
+
+
+def _interval(made: PointwiseTorque, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Multipliers between which the one for each torque lies, shapes (K, M)."""
+    most, least = np.max(made.curvature, axis=1), np.min(made.curvature, axis=1)
+    strength = np.maximum(np.sum(made.linear**2, axis=1), np.finfo(float).tiny)
+    with np.errstate(divide="ignore"):
+        above = np.where(most > 0.0, (1.0 - _ROUNDING) / most, np.inf)
+        below = np.where(least < 0.0, (1.0 - _ROUNDING) / least, -np.inf)
+    guess = 2.0 * np.abs(torque) / strength
+    high = np.where(torque > 0.0, np.minimum(above, guess), 0.0)
+    low = np.where(torque < 0.0, np.maximum(below, -guess), 0.0)
+    for _ in range(_DOUBLINGS):
+        short = (_own_currents(made, high)[1] < torque) & (high < above) & (torque > 0.0)
+        over = (_own_currents(made, low)[1] > torque) & (low > below) & (torque < 0.0)
+        if not (np.any(short) or np.any(over)):
+            break
+        high = np.where(short, np.minimum(above, 2.0 * high), high)
+        low = np.where(over, np.maximum(below, 2.0 * low), low)
+    return low, high
+
+
+def _search(
+    made: PointwiseTorque, wanted: FloatArray, at: FloatArray, low: FloatArray, high: FloatArray
+) -> None:
+    """Move the multipliers ``at`` between ``low`` and ``high`` to the torques ``wanted``, in place,
+    shapes (K, M): by Newton's method, and by halves where that leaves the interval.
+
+    What stands still is where it will be, and is left out of the steps that the others need.
+    """
+    place = np.flatnonzero(np.ones(at.shape, dtype=np.bool_))
+    for _ in range(_STEPS):
+        of = place % at.shape[1]
+        part = PointwiseTorque(made.linear[of], made.curvature[of], made.basis)
+        goal, here, least, most = (x.ravel()[place] for x in (wanted, at, low, high))
+        found, slope = _own_currents(part, here)[1], _slope(part, here)
+        below, above = np.where(found <= goal, here, least), np.where(found >= goal, here, most)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            newton = here - (found - goal) / slope
+        inside = (newton > below) & (newton < above)
+        following = np.where(inside, newton, 0.5 * (below + above))
+        if np.all(np.abs(following - here) <= 2e-16 * np.abs(here)):
+            break
+        for whole, value in ((at, following), (low, below), (high, above)):
+            whole.flat[place] = value
+        place = place[(following != here) | (below != least) | (above != most)]
+
+
+def least_currents(made: PointwiseTorque, torque: FloatArray) -> FloatArray:
+    """Phase currents in A of least |i|^2 for torques in N m, shape (K,), at every angle: (K, 3, M).
+
+    NaN at angles where no current that is permitted makes the torque.
+    """
+    wanted = np.broadcast_to(torque[:, np.newaxis], (torque.size, made.linear.shape[0]))
+    low, high = _interval(made, wanted)
+    at = np.clip(
+        2.0 * wanted / np.maximum(np.sum(made.linear**2, axis=1), np.finfo(float).tiny), low, high
+    )
+    _search(made, wanted, at, low, high)
+    own, found = _own_currents(made, at)
+    scale = np.maximum(np.max(np.abs(wanted)), np.finfo(float).tiny)
+    missed = ~(np.abs(found - wanted) <= _EXACT * scale)
+    return made.phases(np.where(missed[..., np.newaxis], np.nan, np.stack(own, axis=-1)))
+
+
+def pointwise_currents(
+    machine: SalientPhaseMachine,
+    torque: FloatArray,
+    topology: Topology,
+    open_phase: OpenPhase | None = None,
+) -> FloatArray:
+    """Phase currents in A, shape (K, 3, N), of constant torque at least copper loss,
+    dc link and current limit apart.
+
+    ``torque`` in N m has the shape (K,).
+
+    Raises:
+        NoSolutionError: Some torque cannot be made at some angle, or only with currents beyond all
+            measure.
+    """
+    made = torque_forms(
+        machine.flux, machine.slope, machine.pole_pairs, free_currents(topology, open_phase)
+    )
+    currents = least_currents(made, np.asarray(torque, dtype=np.float64))
+    size = np.max(np.abs(currents), axis=(0, 1))
+    bad = ~(size <= _LARGEST * np.nanmin(size))
+    if np.any(torque) and np.any(bad):
+        where = 360.0 * machine.turns * int(np.argmax(bad)) / machine.angles
+        raise NoSolutionError(
+            f"constant torque cannot be made near {where:.0f} degrees: no phase that may carry "
+            "current makes it there; permit a torque ripple"
+        )
+    return currents
+
+
+# Phase currents of machines with any back-EMF in closed form, and what a
+# set of phase currents means.
+#
+# Three rules for the same mean torque: ``dq`` keeps i_q of the fundamental constant and leaves a
+# torque ripple; ``dqx`` makes the torque constant without zero-sequence current, ``dqy`` with it.
+# Both are the pointwise minimum of copper loss: i = T F / (p |F|^2) with F the vector of the three
+# flux values (dqy), or its part without zero sequence (dqx); thesis of paper 002, chapters 3 and 4.
+
+CurrentRule = Literal["dq", "dqx", "dqy"]
+
+
+_VANISHING = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class WaveformFigures:
+    """What phase currents mean at an operating point, arrays of shape (K,).
+
+    ``copper`` in W, ``torque`` (mean) and ``ripple`` (peak to peak) in N m, ``rms`` of the most
+    loaded phase, ``peak`` and ``neutral_rms`` in A, ``bus`` in V: the least dc-link voltage of the
+    topology.
+    """
+
+    copper: FloatArray
+    torque: FloatArray
+    ripple: FloatArray
+    rms: FloatArray
+    peak: FloatArray
+    neutral_rms: FloatArray
+    bus: FloatArray
+
+
+def unit_currents(machine: PhaseMachine, rule: CurrentRule) -> FloatArray:
+    """Phase currents per torque in A/(N m), shape (3, N).
+
+    Raises:
+        NoSolutionError: At some angle no current of the rule makes torque.
+    """
+    flux = machine.flux
+    if rule == "dq":
+        places = machine.turns * np.arange(machine.angles)
+        turn = np.exp(-2j * np.pi * places / machine.angles)
+        twist = np.exp(2j * np.pi / 3.0 * np.arange(3))[:, np.newaxis]
+        # Positive sequence of the fundamental, one phasor for all three phases.
+        phasor = 2.0 * np.mean(flux * turn * twist)
+        shape = np.real(phasor / turn / twist)
+        return np.asarray(shape / np.mean(machine.torque(shape)))
+    part = flux - np.mean(flux, axis=0) if rule == "dqx" else flux
+    square = np.sum(part**2, axis=0)
+    weakest = int(np.argmin(square))
+    if square[weakest] <= _VANISHING**2 * np.max(square):
+        raise NoSolutionError(
+            f"{rule}: at {np.rad2deg(machine.theta[weakest]):.0f} degrees no phase makes torque, "
+            "so that it cannot be constant; permit a torque ripple"
+        )
+    currents: FloatArray = part / (machine.pole_pairs * square)
+    return currents
+
+
+def bus_demand(voltages: FloatArray, topology: Topology) -> FloatArray:
+    """Least dc-link voltage in V, shape (...), for phase voltages in V, shape (..., 3, N);
+    of two isolated links, of each.
+    """
+    return link_demand(voltages, topology)
+
+
+def dq_waveform(i_d: float, i_q: float, angles: int, turns: int = 1) -> FloatArray:
+    """Phase currents in A, shape (3, N), of constant dq currents in A, at angles over ``turns``
+    electrical periods.
+    """
+    lag = 2.0 * np.pi * (turns * np.arange(angles) / angles - np.arange(3)[:, np.newaxis] / 3.0)
+    return park_inverse(DOUBLES, (np.array(i_d), np.array(i_q)), (np.cos(lag), np.sin(lag))).x
+
+
+def figures(
+    machine: AnyPhaseMachine, currents: FloatArray, omega_m: FloatArray, topology: Topology
+) -> WaveformFigures:
+    """Figures of phase currents in A, shape (K, 3, N), at mechanical speeds in rad/s,
+    shape (K,).
+    """
+    torque = machine.torque(currents)
+    neutral = np.sum(currents, axis=-2)
+    voltages = machine.voltage(currents, machine.pole_pairs * omega_m)
+    return WaveformFigures(
+        copper=machine.copper_loss(currents),
+        torque=np.mean(torque, axis=-1),
+        ripple=np.max(torque, axis=-1) - np.min(torque, axis=-1),
+        rms=np.max(np.sqrt(np.mean(currents**2, axis=-1)), axis=-1),
+        peak=np.max(np.abs(currents), axis=(-2, -1)),
+        neutral_rms=np.sqrt(np.mean(neutral**2, axis=-1)),
+        bus=bus_demand(voltages, topology),
+    )
+
+
+def spectrum(currents: FloatArray, turns: int = 1) -> tuple[FloatArray, FloatArray]:
+    """Amplitudes in A, peak, shape (..., 3, H), and orders 0, 1/turns, ... (H - 1)/turns,
+    of phase currents over ``turns`` electrical periods, shape (..., 3, N).
+    """
+    count = currents.shape[-1]
+    lines = np.abs(np.fft.rfft(currents, axis=-1)) * (2.0 / count)
+    lines[..., 0] *= 0.5
+    return lines, np.arange(lines.shape[-1], dtype=np.float64) / turns

@@ -16,22 +16,23 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import WaveformSettings
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.frame_transforms import resampled
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.single_precision import fused_multiply_add, multiply_add
-from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
-from dqforge.optimizer.waveforms.firmware_fit import (
-    PhaseCandidate,
-    PhaseErrors,
-    PhaseFit,
-    are_equal,
-)
-from dqforge.optimizer.waveforms.firmware_form import PhasePolynomials, PhaseReference
-from dqforge.optimizer.waveforms.pointwise_currents import (
+from dqforge.optimizer.waveforms.constraint_rows import (
+    WaveformLimits,
     free_currents,
     least_currents,
     pointwise_currents,
     torque_forms,
+)
+from dqforge.optimizer.waveforms.firmware_fit import (
+    PhaseCandidate,
+    PhaseErrors,
+    PhaseFit,
+    PhasePolynomials,
+    PhaseReference,
+    are_equal,
 )
 
 _MOST_ORDER = 49

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.optimizer.waveforms.comparison import (
     limits_of,
     require_phases,

@@ -19,11 +19,12 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.linear_programme import least_cost
-from dqforge.optimizer.waveforms.constraint_rows import LIMITS, WaveformLimits
-from dqforge.optimizer.waveforms.quadratic_problem import (
+from dqforge.optimizer.waveforms.constraint_rows import (
     DENSE_UNKNOWNS,
+    LIMITS,
     UNBOUNDED,
     PointProblem,
+    WaveformLimits,
     WaveformProblem,
     make_problem,
 )

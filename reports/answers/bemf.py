@@ -6,12 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dqforge.reports.back_emf.capture import (
-    CaptureRequest,
-    capture_tables,
-    plain_capture,
-    read_capture,
-)
+from dqforge.reports.back_emf import CaptureRequest, capture_tables, plain_capture, read_capture
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import shares, stage
 
@@ -28,7 +23,7 @@ def answer_bemf(paths: Sequence[Path], request: CaptureRequest) -> Answer:
     reading = read_capture(paths, request, shares())
 
     def figure() -> Figure:
-        from dqforge.reports.back_emf.figures import plot_capture
+        from dqforge.reports.back_emf import plot_capture
 
         return plot_capture(reading)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from dqforge.machines.design.catalogue import OPTION
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.overrides import OPTION
 from dqforge.machines.design.plausibility.figures import MARK
 from dqforge.machines.names import SPEED_OBSERVER, TRACKER_NAMES
 from dqforge.reports.pages.answer import Answer
@@ -40,7 +40,7 @@ def answer_check(design: Design) -> Answer:
     first, others = _values(design), []
     first = replace(first, notes=(*first.notes, *leaving)) if leaving else first
     if design.control.current_loop.switches:
-        from dqforge.optimizer.current_feedback.regulator_numbers import regulator_plan
+        from dqforge.optimizer.current_feedback.regulator_runs import regulator_plan
         from dqforge.reports.current_feedback.tables import settings_table
 
         others.append(settings_table(regulator_plan(design)))

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from dqforge.machines.design.catalogue import OPTION
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.overrides import OPTION
 from dqforge.machines.errors import InputError
 from dqforge.reports.command_line.designs import load
 from dqforge.reports.comparison.firmware_side import firmware_side
-from dqforge.reports.comparison.sides_compared import compare_sides
+from dqforge.reports.comparison.sides_compared import (
+    compare_sides,
+    comparison_tables,
+    plain_comparison,
+)
 from dqforge.reports.comparison.sources import is_written, read_side
-from dqforge.reports.comparison.tables import comparison_tables, plain_comparison
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dqforge.reports.operating_system.packages import Package
-from dqforge.reports.operating_system.this_machine import (
+from dqforge.reports.operating_system.ways_to_get import (
     COMPILERS,
     LEAST_FREE,
+    WAYS,
     Machine,
     Program,
+    Trial,
     look,
 )
-from dqforge.reports.operating_system.trial import Trial
-from dqforge.reports.operating_system.ways_to_get import WAYS
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
 from dqforge.reports.pages.table import Table

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dqforge.machines.design.design import Design
+from dqforge.reports.estimator_comparison.observer_errors import estimator_tables, plain_comparison
 from dqforge.reports.estimator_comparison.pair_files import pair_files
-from dqforge.reports.estimator_comparison.plain import plain_comparison
 from dqforge.reports.estimator_comparison.question import which_estimators
-from dqforge.reports.estimator_comparison.tables import estimator_tables
 from dqforge.reports.output.folder import ESTIMATORS
 from dqforge.reports.pages.answer import Answer, Files
 

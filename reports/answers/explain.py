@@ -8,21 +8,22 @@ from pathlib import Path
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.firmware.asked import drive_values
 from dqforge.optimizer.firmware.configuration import DriveValues
-from dqforge.optimizer.firmware.explained import explain, explain_own, on_machine
+from dqforge.optimizer.firmware.firmware_method import drive_values
+from dqforge.optimizer.firmware.solve import explain, explain_own, on_machine
 from dqforge.reports.command_line.designs import load
-from dqforge.reports.comparison.own_files import is_own, own_gains
+from dqforge.reports.comparison.sides_compared import is_own, own_gains
 from dqforge.reports.comparison.sources import read_side
-from dqforge.reports.firmware.text_file import TextFile, read_text_file
+from dqforge.reports.firmware.target import TextFile, read_text_file
 from dqforge.reports.firmware_files.plain import (
+    explained_tables,
+    own_tables,
     plain_drive_values,
     plain_explained,
     plain_loops,
     plain_pi,
 )
 from dqforge.reports.firmware_files.recognised import known_files, read_configuration, recognised
-from dqforge.reports.firmware_files.tables import explained_tables, own_tables
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
 

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from dqforge.optimizer.exploration.row_block import RowSource
     from dqforge.optimizer.exploration.study_plan import StudyPlan
     from dqforge.optimizer.study_search.searched_study import SearchedStudy
-    from dqforge.optimizer.yields.fixed_header import FixedHeader
+    from dqforge.optimizer.yields import FixedHeader
     from dqforge.reports.exploration.study_view import StudyView
     from dqforge.reports.plain_data import PlainData
-    from dqforge.reports.study_engine.study_outcome import StudyOutcome
+    from dqforge.reports.study_engine.engine_settings import StudyOutcome
 
 _NEEDED = ("distributed", "pyarrow")
 
@@ -72,7 +72,7 @@ class Where:
 @dataclass(frozen=True, slots=True)
 class Looked:
     """What is looked at in a folder: fields as of
-    `dqforge.reports.study_store.table_answer.TableRequest`, ``export`` the rows whose designs and
+    `dqforge.reports.study_store.table_query.TableRequest`, ``export`` the rows whose designs and
     headers are written.
     """
 
@@ -134,7 +134,7 @@ def answer_explore(request: StudyRequest) -> Answer:
     settings = request.where.settings()
     if Path(request.study).is_dir():
         return _seen(Path(request.study), request.looked) or _answer_folder(Path(request.study))
-    from dqforge.machines.exploration.study_reader import read_study
+    from dqforge.machines.exploration.study_checks import read_study
     from dqforge.optimizer.exploration.study_plan import StudyPlan
 
     stage("reading the study")
@@ -145,7 +145,7 @@ def answer_explore(request: StudyRequest) -> Answer:
     if searched is not None:
         rows = searched.generation(0, searched.begun().ask())
     if request.dry_run:
-        from dqforge.reports.exploration.study_estimate import estimated_study
+        from dqforge.reports.exploration.study_view import estimated_study
 
         return estimated_study(study, rows)
     if searched is None:
@@ -181,7 +181,7 @@ def _header(study: Study) -> FixedHeader | None:
     """The fixed header of a study, None where it names none or one that is made now."""
     if not study.header_files:
         return None
-    from dqforge.reports.yields.folder_header import fixed_header
+    from dqforge.reports.yields import fixed_header
 
     return fixed_header(dict(study.header_files), study.header)
 
@@ -194,7 +194,7 @@ def _seen(folder: Path, looked: Looked) -> Answer | None:
         return answer_export(folder, looked.export)
     if not looked.at_rows:
         return None
-    from dqforge.reports.study_store.table_answer import TableRequest, answer_table
+    from dqforge.reports.study_store.table_query import TableRequest, answer_table
 
     asked = TableRequest(looked.table or "", looked.where, looked.sort, looked.first, looked.csv)
     return answer_table(folder, asked)
@@ -217,13 +217,11 @@ def _computed(
     settings: EngineSettings,
 ) -> Answer:
     """A study computed; ``rows`` are all of them, or the first ones of a search."""
-    from dqforge.reports.exploration.plain import plain_summary
+    from dqforge.reports.exploration.study_view import plain_summary
     from dqforge.reports.exploration.viewing import view_of, write_pages
     from dqforge.reports.study_engine.run_search import run_search
     from dqforge.reports.study_engine.run_study import run_study
-    from dqforge.reports.study_store.part_store import PartStore
-    from dqforge.reports.study_store.plain_study import study_inputs
-    from dqforge.reports.study_store.study_header import study_header
+    from dqforge.reports.study_store.part_store import PartStore, study_header, study_inputs
 
     header = study_header(study, rows)
     only = (
@@ -250,7 +248,7 @@ def _computed(
 def _answer_folder(folder: Path) -> Answer:
     """A folder that holds a study, as it is."""
     from dqforge.reports.exploration.viewing import view_of
-    from dqforge.reports.study_engine.study_outcome import study_outcome
+    from dqforge.reports.study_engine.engine_settings import study_outcome
     from dqforge.reports.study_store.part_store import PartStore
     from dqforge.reports.study_store.winners import stored_study
 
@@ -277,8 +275,8 @@ def plain_outcome(outcome: StudyOutcome) -> PlainData:
 def _shown(
     view: StudyView, folder: Path, outcome: StudyOutcome, written: Sequence[str] = ()
 ) -> Answer:
-    from dqforge.reports.exploration.plain import plain_summary
-    from dqforge.reports.exploration.tables import study_tables
+    from dqforge.reports.exploration.html import study_tables
+    from dqforge.reports.exploration.study_view import plain_summary
 
     rows = tuple((state, f"{count:,}") for state, count in outcome.counts.items() if count)
     title = f"{view.name}: {outcome.done:,} of {outcome.rows:,} rows"
@@ -290,7 +288,7 @@ def _shown(
 
 
 def _figure(view: StudyView) -> Figure:
-    from dqforge.reports.exploration.figures import plot_study
+    from dqforge.reports.exploration.study_view import plot_study
 
     return plot_study(view)
 

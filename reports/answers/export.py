@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
-from dqforge.optimizer.firmware.lacking import check_drivable
+from dqforge.optimizer.firmware.own_values import check_drivable
 from dqforge.optimizer.firmware.solve import FirmwareFit, method_of
-from dqforge.reports.firmware.registry import TARGETS
-from dqforge.reports.firmware.text_file import MOST_BYTES, decoded_file
-from dqforge.reports.firmware_files.exported import (
+from dqforge.reports.firmware.target import MOST_BYTES, TARGETS, decoded_file
+from dqforge.reports.firmware_files.plain import (
     check_existing,
+    fit_tables,
+    plain_fit,
     read_files,
     target_named,
 )
-from dqforge.reports.firmware_files.plain import plain_fit
-from dqforge.reports.firmware_files.tables import fit_tables
 from dqforge.reports.output.folder import EXISTING, FIRMWARE, FIRMWARES
 from dqforge.reports.pages.answer import Answer, Files
 from dqforge.reports.pages.console import stage

@@ -67,7 +67,7 @@ def answer_new(folder: Path, asked: NewRequest) -> Answer:
 
 def _answer_new_study(folder: Path, name: str) -> Answer:
     path, schema = new_file(folder, NEW_STUDY), STUDY_SCHEMA
-    from dqforge.machines.exploration import catalogue as studies
+    from dqforge.machines.exploration import study_checks as studies
 
     text = with_modeline(studies.read_text(name), schema)
     files = Files({path.name: text, schema: schema_bytes(schema)}, "", named=False)
@@ -99,7 +99,7 @@ def _refuse_two_ways(asked: NewRequest) -> None:
 def _answer_new_of(sheet: Mapping[str, str], path: Path) -> Answer:
     """The design of a data sheet, and what `dqforge check` says of it."""
     from dqforge.machines.data_sheet.judged import checked_text
-    from dqforge.machines.design.loader import load_text
+    from dqforge.machines.design.catalogue import load_text
     from dqforge.reports.answers.check import answer_check
 
     files = design_files(checked_text(sheet).encode("utf-8"))
@@ -158,7 +158,7 @@ def answer_new_from(
 def answer_schema(*, study: bool = False, out: Path | None = None) -> Answer:
     """The JSON Schema of the design file, or of the study file; printed, or written to ``out``."""
     from dqforge.machines.design.schema import json_schema
-    from dqforge.machines.exploration.study_schema import study_json_schema
+    from dqforge.machines.exploration.study import study_json_schema
 
     schema = study_json_schema() if study else json_schema()
     text = json.dumps(schema, indent=1)

@@ -10,9 +10,8 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.losses.solve import require_losses
 from dqforge.reports.current_feedback.question import with_regulators
-from dqforge.reports.losses.plain import plain_losses
+from dqforge.reports.losses.map_tables import losses_tables, plain_losses
 from dqforge.reports.losses.question import LossRequest, answer
-from dqforge.reports.losses.tables import losses_tables
 from dqforge.reports.modulation_choice.question import answer_choice
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
@@ -77,7 +76,7 @@ def _points(design: Design) -> Answer:
     found = require_losses(design)
 
     def figure() -> Figure:
-        from dqforge.reports.losses.figures import plot_losses
+        from dqforge.reports.losses.map_figures import plot_losses
 
         return plot_losses(design, found)
 

@@ -7,14 +7,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dqforge.machines.design.design import Design
-from dqforge.optimizer.current_reference.signed import signed_designs
+from dqforge.optimizer.current_reference.fit import signed_designs
 from dqforge.optimizer.operating_points.solve import solve_curves
-from dqforge.optimizer.overmodulation.solve import solve_overmodulation
-from dqforge.reports.operating_points.plain import plain_curves
+from dqforge.optimizer.overmodulation import solve_overmodulation
+from dqforge.reports.operating_points.plain import mtpa_tables, plain_curves
 from dqforge.reports.operating_points.question import Request, answer
-from dqforge.reports.operating_points.tables import mtpa_tables
-from dqforge.reports.overmodulation.plain import plain_overmodulation
-from dqforge.reports.overmodulation.tables import overmodulation_tables
+from dqforge.reports.overmodulation.tables import overmodulation_tables, plain_overmodulation
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
 from dqforge.reports.plain_data import PlainData

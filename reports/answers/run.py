@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError
 from dqforge.reports.pages.answer import Answer, Files
-from dqforge.reports.verification.plain import plain_verification
-from dqforge.reports.verification.text import verification_text
+from dqforge.reports.verification.text import plain_verification, verification_text
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
 
 def answer_run(design: Design, *, verify: bool) -> Answer:
     """Do everything that the design asks for; raises as `run_design`."""
-    from dqforge.reports.operating_system.own_process import prepare_drawing
+    from dqforge.reports.operating_system.system import prepare_drawing
     from dqforge.reports.output.folder import COMMAND, RUN, VERIFIED
     from dqforge.reports.run import run_design
     from dqforge.reports.summary import run_tables

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.control_design.observed_refusal import require_observed
-from dqforge.reports.loops.tables import gains_tables
+from dqforge.reports.loops.proven_text import gains_tables
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
-from dqforge.reports.session.control import Tuning
+from dqforge.reports.session.result import Tuning
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dqforge.optimizer.control_design.gain_set import GainSet
-    from dqforge.optimizer.estimator_comparison.own_observer import ObserverEvidence
+    from dqforge.optimizer.estimator_comparison.capture_range import ObserverEvidence
     from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
     from dqforge.optimizer.observers.proof import ObserverProof
     from dqforge.optimizer.six_step.design import SixStepDesign
@@ -62,7 +62,7 @@ def answer_tune(design: Design) -> Answer:
 
 
 def _blocks(design: Design, blocks: SixStepDesign) -> Answer:
-    from dqforge.reports.six_step.tables import block_tables, plain_blocks
+    from dqforge.reports.six_step.header import block_tables, plain_blocks
 
     def figure() -> Figure:
         from dqforge.reports.six_step.figures import plot_blocks
@@ -88,7 +88,7 @@ def _observer(
     """Proof and evidence of a position observer, and what is shown of the latter."""
     if gains.position is None:
         return None, None, []
-    from dqforge.optimizer.estimator_comparison.own_observer import observer_evidence
+    from dqforge.optimizer.estimator_comparison.capture_range import observer_evidence
     from dqforge.optimizer.observers.proof import prove
     from dqforge.reports.estimator_comparison.observer_errors import capture_table, warm_table
 
@@ -103,7 +103,7 @@ def _observer(
 def _moving(gains: GainSet) -> list[Table]:
     if gains.references is None:
         return []
-    from dqforge.reports.dynamic_references.tables import reference_tables
+    from dqforge.reports.dynamic_references import reference_tables
 
     return reference_tables(gains.references)
 

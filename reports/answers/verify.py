@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from dqforge.machines.errors import InputError
-from dqforge.reports.firmware_files.folder_files import read_back_text, written_firmware
+from dqforge.reports.firmware_files.plain import read_back_text, written_firmware
 from dqforge.reports.operating_system.host_compiler import require_compiler
 from dqforge.reports.output.recomputation import Recomputation, recompute
 from dqforge.reports.output.recomputation_text import recomputation_text
@@ -19,8 +19,7 @@ from dqforge.reports.plain_data import PlainData
 from dqforge.reports.verification.cortex_m import verify_on_target
 from dqforge.reports.verification.cross_tools import target_of
 from dqforge.reports.verification.host import Verification
-from dqforge.reports.verification.plain import plain_verification
-from dqforge.reports.verification.text import target_text, verification_text
+from dqforge.reports.verification.text import plain_verification, target_text, verification_text
 from dqforge.reports.written_headers import WrittenHeaders, read_folder, verify_written
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
+from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
 
 if TYPE_CHECKING:
     from dqforge.optimizer.solution import Solution

@@ -1,15 +1,373 @@
-"""The options of the command line: how they are written, and what the help says of them."""
+"""How a process of dqforge ends: one line on stderr and an exit code, whatever went wrong,
+and never a traceback.
+"""
 
 from __future__ import annotations
 
+import errno
+import inspect
+import os
+import shutil
+import sys
+import warnings
 from collections.abc import Callable
+from contextlib import suppress
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
 
+import typer
 from typer import Argument, Exit, Option, echo
 
 from dqforge import __version__
-from dqforge.reports.command_line.completions import designs, drives, studies
+from dqforge.machines.data_sheet.sheet_values import SHEET_VALUES, SheetValue
+from dqforge.machines.errors import DqforgeError
+from dqforge.machines.files.library_files import DESIGNS, STUDIES
+from dqforge.machines.lately_read import line_of
+from dqforge.reports.operating_system import system
+from dqforge.reports.operating_system.system import spell_out
+
+# What the system says of files and disks, and not of connections or processes.
+INTERRUPTED = 130
+_OF_FILES = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EMFILE)
+
+
+def exit_code(command: Callable[[], object], locate: Callable[[DqforgeError], None]) -> int:
+    """Run a command; what goes wrong becomes a line on stderr and an exit code.
+
+    Args:
+        command: What is run; its result is the exit code where it is a number.
+        locate: Gives a refusal its place in a design.
+    """
+    import typer
+    from typer.exceptions import TyperException
+
+    _open_streams()
+    spell_out()
+    try:
+        with warnings.catch_warnings():
+            # Numerical trouble ends in a message; what libraries remark on
+            # themselves is nobody's business.
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("error", RuntimeWarning)
+            code: object = command()
+        sys.stdout.flush()
+    except DqforgeError as error:
+        code = _refused(error, locate)
+    except TyperException as error:
+        tell(_usage_line(error))
+        code = 2
+    except (typer.Abort, KeyboardInterrupt):
+        tell("interrupted")
+        code = INTERRUPTED
+    except (BrokenPipeError, SystemExit) as error:
+        left = isinstance(error, BrokenPipeError) or isinstance(error.__context__, BrokenPipeError)
+        if not left:
+            raise
+        code = 0  # the reader of a pipe has left; there is nobody to tell
+        _drop_output()
+    except ImportError as error:
+        from dqforge.reports.operating_system.packages import without_package
+
+        missing = without_package(error)
+        if missing is None:
+            raise
+        tell(str(missing))  # which no place in a design is to blame for
+        code = missing.exit_code
+    except OSError as error:
+        code = 0 if _left_on_windows(error) else 1
+        if code:
+            tell(_system_line(error))
+        _drop_output()
+    except (ArithmeticError, RuntimeWarning, ValueError) as error:
+        from dqforge.machines.design.numerical import refusal_of
+
+        refusal = refusal_of(error)
+        if refusal is None:
+            raise
+        code = _refused(refusal, locate)
+    return code if isinstance(code, int) else 0
+
+
+def _left_on_windows(error: OSError) -> bool:
+    """Whether this is how Windows says that the reader of a pipe has left."""
+    return system.WINDOWS and error.errno == errno.EINVAL and error.filename is None
+
+
+def _refused(error: DqforgeError, locate: Callable[[DqforgeError], None]) -> int:
+    locate(error)
+    tell(str(error), error)
+    return error.exit_code
+
+
+def _usage_line(error: Exception) -> str:
+    """One line for a wrong command line: what the parser says, and where help is."""
+    context = getattr(error, "ctx", None)
+    path = "dqforge" if context is None else context.command_path
+    message = error.format_message() if hasattr(error, "format_message") else str(error)
+    return f"{message.rstrip('.')}; see '{path} --help'"
+
+
+def _open_streams() -> None:
+    """Give closed standard streams somewhere to write, so that no file opened later takes their
+    place.
+    """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            setattr(sys, name, os.fdopen(nowhere, "w", encoding="utf-8"))
+
+
+def _drop_output() -> None:
+    """Send what is left in the buffer of stdout nowhere: the interpreter would try, and fail,
+    again at its end.
+    """
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+
+
+def _system_line(error: OSError) -> str:
+    """One line for what the system refused; a stdout that is to blame refuses
+    one character more as well.
+    """
+    reason = error.strerror or str(error)
+    try:
+        sys.stdout.write("\n")
+        sys.stdout.flush()
+    except OSError:
+        return f"standard output cannot be written: {reason}"
+    if error.filename is None and error.errno not in _OF_FILES:
+        return f"the system refuses what the command needs: {reason}; give it again"
+    named = f" {error.filename!r}" if error.filename is not None else ""
+    return (
+        f"the system refuses a file{named}: {reason}; is the disk, or the folder that TMPDIR "
+        "names, full?"
+    )
+
+
+# What is said of an error: one line, and on a terminal the line of the file below it, with a mark
+# under the place.
+
+_NARROWEST = 20
+_CUT = "..."
+
+
+def tell(message: str, error: DqforgeError | None = None) -> None:
+    """One line on stderr, if that can still be written.
+
+    On a terminal in colour, with the line that ``error`` is about; plain in a pipe, on a terminal
+    that is dumb, and where NO_COLOR is set.
+    """
+    with suppress(OSError):
+        if _in_colour():
+            _tell_in_colour(message, error)
+        else:
+            sys.stderr.write(f"dqforge: {message}\n")
+        sys.stderr.flush()
+
+
+def _in_colour() -> bool:
+    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    return not plain and sys.stderr.isatty()
+
+
+def _tell_in_colour(message: str, error: DqforgeError | None) -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    place, _, _ = message.partition(": ") if error is not None and error.source else ("", "", "")
+    told = Text.assemble(("dqforge: ", "bold red"), (place, "bold"), message[len(place) :])
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console.print(told)
+    room = shutil.get_terminal_size().columns
+    for row, style in excerpt(error, room) if error is not None else ():
+        console.print(
+            Text.assemble((row[: row.find("|") + 1], "dim"), (row[row.find("|") + 1 :], style))
+        )
+
+
+def excerpt(error: DqforgeError, room: int) -> list[tuple[str, str]]:
+    """The line of the file that an error is about and the mark below it, each with its style;
+    nothing where the line is not at hand.
+
+    Args:
+        error: With source, line and column.
+        room: Columns of the terminal. A longer line is cut on both sides of the place.
+    """
+    line = None
+    if error.source is not None and error.line is not None:
+        line = line_of(error.source, error.line)
+    if line is None or not line.strip():
+        return []
+    gutter = f"{error.line:>5} | "
+    shown, place = _around(_printable(line), error.column, max(room - len(gutter), _NARROWEST))
+    rows = [(gutter + shown, "")]
+    if place is not None:
+        from rich.cells import cell_len
+
+        blank = " " * (len(gutter) - 2)
+        rows.append((f"{blank}| {' ' * cell_len(shown[:place])}^", "bold red"))
+    return rows
+
+
+def _printable(line: str) -> str:
+    """A line in which nothing moves the cursor, each character in its place."""
+    return "".join(c if c.isprintable() else " " if c == "\t" else "?" for c in line)
+
+
+def _around(line: str, column: int | None, room: int) -> tuple[str, int | None]:
+    """The part of a line that a terminal has room for, and where in it the column is, from 0.
+
+    Characters of double width take two columns: of a line with any, half as many are shown.
+    """
+    from rich.cells import cell_len
+
+    line = line.rstrip()
+    place = None if column is None else min(column - 1, len(line))
+    if cell_len(line) <= room:
+        return line, place
+    most = room if cell_len(line) == len(line) else room // 2
+    first = 0 if place is None else max(0, min(place - most // 2, len(line) - most))
+    part = line[first : first + most]
+    if first > 0:
+        part = _CUT + part[len(_CUT) :]
+    if first + most < len(line):
+        part = part[: -len(_CUT)] + _CUT
+    return part, None if place is None else place - first
+
+
+# The application that the commands join: name, help, and what it says without a command.
+
+GROUPS = {
+    "Design": ("new", "check", "run"),
+    "Analysis": ("mtpa", "fit", "tune", "losses", "dqy", "simulate", "estimators"),
+    "Firmware": ("export", "explain", "verify"),
+    "Data": ("bemf",),
+    "Many": ("explore", "compare"),
+    "Tools": ("machines", "schema", "doctor", "reproduce"),
+}
+
+
+class _Grouped(typer.core.TyperGroup):
+    """Lists the commands by what they are for."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002 - as click calls it
+        for title, names in GROUPS.items():
+            rows = [(name, self.commands[name].get_short_help_str(60)) for name in names]
+            with formatter.section(title):
+                formatter.write_dl(rows)
+
+
+def application() -> typer.Typer:
+    """An application without commands, which shows its help where none is given."""
+    app = typer.Typer(
+        name="dqforge",
+        cls=_Grouped,
+        help=(
+            "Controller coefficients, loss budgets and checked C headers for permanent-magnet "
+            "drives."
+        ),
+        epilog="DESIGN is a design file, or the name of a drive that 'dqforge machines' lists.",
+        context_settings={"help_option_names": ["-h", "--help"]},
+        invoke_without_command=True,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+    )
+    app.callback()(_root)
+    return app
+
+
+def _root(context: typer.Context, _version: Version = False) -> None:
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+        raise typer.Exit
+
+
+# The values of a data sheet as options of a command: one per entry of the table, in one bundle.
+
+Sheet = dict[str, str]  # By the dotted key of the design, the text that was given.
+_BUNDLE = "sheet"
+
+
+def with_sheet(command: Callable[..., None]) -> Callable[..., None]:
+    """Replace the parameter ``sheet`` of a command by the options of a data sheet.
+
+    The command gets those that were given, as a `Sheet`.
+    """
+
+    @wraps(command)
+    def bundled(**options: Any) -> None:
+        texts = {value.key: options.pop(_name(value)) for value in SHEET_VALUES}
+        given = {key: text for key, text in texts.items() if text is not None}
+        command(**options, **{_BUNDLE: given})
+
+    signature = inspect.signature(command, eval_str=True)
+    own = [entry for entry in signature.parameters.values() if entry.name != _BUNDLE]
+    more = [
+        inspect.Parameter(
+            _name(value),
+            inspect.Parameter.KEYWORD_ONLY,
+            default=None,
+            annotation=Annotated[str | None, _option(value)],
+        )
+        for value in SHEET_VALUES
+    ]
+    parameters = [*own, *more]
+    bundled.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    bundled.__annotations__ = {entry.name: entry.annotation for entry in parameters}
+    return bundled
+
+
+def _name(value: SheetValue) -> str:
+    return value.flag.removeprefix("--").replace("-", "_")
+
+
+def _option(value: SheetValue) -> Any:
+    words = f"{value.what}, e.g. '{value.example}'."
+    return Option(value.flag, metavar="TEXT", help=words)
+
+
+# What a shell offers for a word that is being typed: drives of the library and files near by.
+#
+# Asked at every press of a key: nothing heavy is imported.
+
+_DESIGNS = (".yaml", ".yml")
+
+
+def drives(begun: str) -> list[str]:
+    """Drives of the library whose names begin so."""
+    return [name for name in DESIGNS.names() if name.startswith(begun)]
+
+
+def designs(begun: str) -> list[str]:
+    """Drives of the library, and design files and folders, whose names begin so."""
+    return [*drives(begun), *_near(begun)]
+
+
+def studies(begun: str) -> list[str]:
+    """Studies of the library, and study files and folders, whose names begin so."""
+    shipped = [name for name in STUDIES.names() if name.startswith(begun)]
+    return [*shipped, *_near(begun)]
+
+
+def _near(begun: str) -> list[str]:
+    """Files that may hold a design, and folders with a mark behind them; no hidden ones."""
+    folder, part = os.path.split(begun)
+    try:
+        entries = sorted(Path(folder or ".").iterdir())
+    except OSError:
+        return []
+    shown = [each for each in entries if each.name.startswith(part) and each.name[0] != "."]
+    typed = begun.removesuffix(part)
+    named = [(each, f"{typed}{each.name}") for each in shown]
+    folders = [f"{name}/" for each, name in named if each.is_dir()]
+    files = [name for each, name in named if each.suffix.lower() in _DESIGNS and each.is_file()]
+    return [*folders, *files]
+
+
+# The options of the command line: how they are written, and what the help says of them.
 
 
 def _text(flag: str, metavar: str, words: str) -> Any:

@@ -11,10 +11,10 @@ from pathlib import Path
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
-from dqforge.optimizer.firmware.explained import Explained, explain
-from dqforge.optimizer.firmware.judge import JudgedLoop
+from dqforge.optimizer.firmware.firmware_method import JudgedLoop
+from dqforge.optimizer.firmware.solve import Explained, explain
 from dqforge.reports.comparison.sources import Side
-from dqforge.reports.firmware.text_file import MOST_BYTES, decoded_file
+from dqforge.reports.firmware.target import MOST_BYTES, decoded_file
 from dqforge.reports.firmware_files.plain import plain_drive_values, plain_loop, plain_pi
 from dqforge.reports.firmware_files.recognised import read_file, recognised
 from dqforge.reports.output.manifest import sha256

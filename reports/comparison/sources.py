@@ -15,12 +15,11 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities
+from dqforge.reports.current_reference.capability import CONSTANTS
 from dqforge.reports.current_reference.plain import from_plain
-from dqforge.reports.current_reference.quantities import CONSTANTS
+from dqforge.reports.pages.answer import LARGEST_FILE, LARGEST_JSON, read_output
 from dqforge.reports.pages.console import stage
-from dqforge.reports.pages.envelope import FORMAT, to_text
-from dqforge.reports.pages.files import LARGEST_FILE, LARGEST_JSON, read_output
-from dqforge.reports.pages.strict_json import strict_json
+from dqforge.reports.pages.templating import FORMAT, strict_json, to_text
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.result import plain_solution
 
@@ -217,7 +216,7 @@ def _from_result(text: str, path: Path) -> Side:
 
 def _with_bytes(result: PlainData, source: str) -> PlainData:
     """A result with the bytes of the constants of its reference, for `QUANTITIES`."""
-    from dqforge.optimizer.current_reference.cost_model import reference_bytes
+    from dqforge.optimizer.current_reference.fit import reference_bytes
 
     header = result["header"]
     try:

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.modulation.registry import MODULATORS
+from dqforge.machines.records import dataclass
+from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray
 from dqforge.optimizer.fixed_control.design import FixedControlFit
-from dqforge.optimizer.fixed_control.step import IDLE, FixedControl
-from dqforge.reports.c_code.harness import Programme
+from dqforge.optimizer.fixed_control.transforms import IDLE, FixedControl, TurnSteps
+from dqforge.reports.c_code.harness import Programme, single_from, title
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
-from dqforge.reports.c_code.title import title
-from dqforge.reports.control.fixed_basics import fixed_basics
+from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.control.fixed_model import input_names, output_names, row_inputs, row_results
 from dqforge.reports.observers.speed_loop_text import margin_words
+from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
+from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData
 
@@ -241,3 +246,223 @@ def integer_rows(width: int, inputs: CodeArray, results: CodeArray, name: str) -
         {"width": width, "format": f"q{width - 1}"},
         name=name,
     )
+
+
+# Slopes of the references and voltage feedback on numpy arrays of float32, as
+# ``control/references.j2`` has them: same operations, same bits.
+
+Singles = tuple[SingleArray, ...]
+
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
+
+
+@dataclass(slots=True)
+class ReferenceState:
+    """State of N drives, arrays of shape (N,), as ``<prefix>_references_t``."""
+
+    torque: SingleArray
+    current: Singles
+    square: SingleArray
+    added: SingleArray
+
+    @classmethod
+    def start(cls, count: int) -> ReferenceState:
+        """Everything at rest."""
+        rest = [np.zeros(count, dtype=np.float32) for _ in range(5)]
+        return cls(rest[0], (rest[1], rest[2]), rest[3], rest[4])
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceModel:
+    """Members of ``<prefix>_reference_gains_t``, float32, None where they are not asked for.
+
+    ``feedback`` is (A per V^2, largest d current in A, current limit in A).
+    """
+
+    torque_step: np.float32 | None
+    current_step: np.float32 | None
+    feedback: tuple[np.float32, np.float32, np.float32] | None
+
+    def ramped_torque(self, state: ReferenceState, torque: SingleArray) -> SingleArray:
+        """The torque reference in N m, shape (N,)."""
+        if self.torque_step is None:
+            return torque
+        asked = np.where(np.isnan(torque), _ZERO, torque)
+        high, low = state.torque + self.torque_step, state.torque - self.torque_step
+        state.torque = np.where(asked > high, high, np.where(asked < low, low, asked))
+        return state.torque
+
+    def weakened(self, state: ReferenceState, v_max: SingleArray, reference: Singles) -> Singles:
+        """Current references (d, q) in A with what the feedback adds, shapes (N,)."""
+        if self.feedback is None:
+            return reference
+        gain, most, limit = self.feedback
+        lack = (v_max * v_max) - state.square
+        added = state.added + (gain * lack)
+        added = np.where(added < _ZERO, added, _ZERO)
+        added = np.where(added > -most, added, -most)
+        state.added = added
+        d = reference[0] + added
+        d = np.where(d > -limit, d, -limit)
+        room = (limit * limit) - (d * d)
+        room = np.where(room > _ZERO, room, _ZERO)
+        q = reference[1]
+        edge = np.sqrt(room)
+        beyond = (added < _ZERO) & ((q * q) > room)
+        return d, np.where(beyond, np.where(q < _ZERO, -edge, edge), q)
+
+    def ramped_current(self, state: ReferenceState, reference: Singles) -> Singles:
+        """Current references (d, q) in A no faster than their slope, shapes (N,)."""
+        if self.current_step is None:
+            return reference
+        step, (here_d, here_q) = self.current_step, state.current
+        d, q = reference[0] - here_d, reference[1] - here_q
+        square = (d * d) + (q * q)
+        beyond = square > (step * step)
+        share = step / np.sqrt(np.where(beyond, square, _ONE))
+        state.current = (
+            np.where(beyond, here_d + (share * d), reference[0]),
+            np.where(beyond, here_q + (share * q), reference[1]),
+        )
+        return state.current
+
+
+def reference_model(plain: Mapping[str, Any] | None) -> ReferenceModel | None:
+    """Read the members back from plain data; None where a control has none.
+
+    Raises KeyError, TypeError or ValueError where they are no such data.
+    """
+    if plain is None:
+        return None
+    torque, current = plain["torque_step"], plain["current_step"]
+    feedback = None
+    if plain["feedback"] is not None:
+        feedback = (
+            single_from(plain["feedback"]),
+            single_from(plain["feedback_max"]),
+            single_from(plain["i_max"]),
+        )
+    return ReferenceModel(
+        None if torque is None else single_from(torque),
+        None if current is None else single_from(current),
+        feedback,
+    )
+
+
+# Control functions in fixed point on the terminal and in the report: integers, margins,
+# dead bands, ranges.
+
+_COLUMNS = (
+    "loop",
+    "kp",
+    "error of kp",
+    "ki t_s",
+    "error of ki t_s",
+    "error of q0 + q1",
+    "largest pole",
+    "phase margin deg",
+    "with real gains",
+    "dead band",
+    "in one word",
+)
+
+
+def _rows(fit: FixedControlFit) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
+    for name, loop in fit.loops.items():
+        band = fit.dead_bands.get(name)
+        rows.append(
+            (
+                name,
+                loop.kp.text(),
+                f"{loop.kp.error:+.1e}",
+                loop.ki_ts.text(),
+                f"{loop.ki_ts.error:+.1e}",
+                f"{loop.velocity_ki_error:+.1e}",
+                f"{abs(loop.found.poles[0]):.6f}" if loop.exact.observed is None else "-",
+                f"{math.degrees(loop.found.phase_margin):.2f}"
+                if loop.exact.observed is None
+                else "-",
+                margin_words(loop.exact)
+                if loop.exact.observed
+                else f"{math.degrees(loop.exact.phase_margin):.2f}",
+                "none" if band is None else f"{band.largest}",
+                "none" if band is None else f"{fit.word_dead_bands[name].largest}",
+            )
+        )
+    return rows
+
+
+def _title(fit: FixedControlFit) -> str:
+    return f"Control in fixed point, {fit.control.format}: gains as integers"
+
+
+def _bands(fit: FixedControlFit) -> str:
+    """Dead bands in physical units, in one line."""
+    parts = [
+        f"{name} {fit.physical_band(name):.3g} {'rad/s' if name == 'speed' else 'A'}"
+        for name in fit.dead_bands
+    ]
+    if "speed" in fit.loops:
+        parts.append(f"speed filter {fit.filter_band:.3g} rad/s")
+        parts.append(f"torque in steps of {fit.control.one_code[3]:.3g} N m")
+    if fit.observer_band is not None:
+        parts.append(f"speed observer {fit.observer_band:.3g} rad/s")
+    return f"dead bands: {', '.join(parts) or 'none'};"
+
+
+def _notes(fit: FixedControlFit) -> tuple[str, ...]:
+    fullest, (current, _, speed, _) = fit.fullest, fit.control.one_code
+    return (
+        (
+            f"{len(fit.reaches)} products and sums proven not to overflow; '{fullest.name}' "
+            f"reaches {fullest.share:.3%}"
+        ),
+        (
+            "dead band: smallest error in codes that moves the integral; in one word: an integral "
+            "without fractional bits;"
+        ),
+        _bands(fit),
+        (
+            f"one code is {current:.3g} A, or {speed:.3g} rad/s; q0 + q1 is the integral gain of "
+            "the velocity form"
+        ),
+    )
+
+
+def control_fixed_tables(fits: Sequence[FixedControlFit]) -> list[Table]:
+    """One table per fixed-point format, for the terminal."""
+    return [Table(_title(fit), _COLUMNS, tuple(_rows(fit)), _notes(fit)) for fit in fits]
+
+
+def control_fixed_html(fits: Sequence[FixedControlFit]) -> list[HtmlTable]:
+    """One table per fixed-point format, for the report."""
+    headings = tuple(symbols(text) for text in _COLUMNS)
+    return [
+        HtmlTable(_title(fit), headings, tuple(Row(row, "") for row in _rows(fit))) for fit in fits
+    ]
+
+
+# What the templates of codes, sine and transforms in fixed point print, for every header of that
+# kind.
+
+
+def fixed_basics(turn: TurnSteps, sine_error: float) -> PlainData:
+    """Context of ``control/fixed_types.j2`` and ``control/fixed_basics.j2``, beside the names of a
+    design; ``sine_error`` is that of sine and cosine in codes.
+    """
+    bits = turn.width - 1
+    found = "exhaustive" if turn.width == 16 else "sampled"
+    return {
+        "format": f"q{bits}",
+        "width": turn.width,
+        "top": 2**bits - 1,
+        "turn": asdict(turn),
+        "table_bits": turn.width - 2 - max(len(turn.table) - 1, 1).bit_length() + 1,
+        "sine_addends": turn.addends,
+        "cosine_addends": turn.cosine_addends,
+        "sine_error": f"; error at most {rounded_up(sine_error)} codes ({found})",
+        "third": round(2**bits / 3),
+        "inverse_root": round(2**bits / math.sqrt(3.0)),
+        "half_root": round(2**bits * math.sqrt(0.75)),
+    }

@@ -11,7 +11,8 @@ import numpy as np
 
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
-from dqforge.optimizer.fixed_control.step import (
+from dqforge.optimizer.fixed_control.transforms import (
+    Codes,
     ControlStep,
     FixedControl,
     FixedPi,
@@ -21,13 +22,14 @@ from dqforge.optimizer.fixed_control.step import (
     VelocityState,
     current_control,
     decouple,
+    full_scale,
     observe,
     pi_step,
     pi_velocity,
+    rotation,
     speed_loop,
     torque_control,
 )
-from dqforge.optimizer.fixed_control.transforms import Codes, full_scale, rotation
 
 _LOOP_INPUTS = ("integral", "output", "proportional")
 

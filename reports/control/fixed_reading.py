@@ -11,15 +11,15 @@ from typing import Any, get_args
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.optimizer.fixed_control.ranges import control_ranges
-from dqforge.optimizer.fixed_control.step import (
+from dqforge.optimizer.fixed_control.transforms import (
     FixedControl,
     FixedDecoupling,
     FixedObserver,
     FixedPi,
     FixedReferences,
     PiForm,
+    full_scale,
 )
-from dqforge.optimizer.fixed_control.transforms import full_scale
 from dqforge.optimizer.loops.integer_gains import FixedGain
 
 NOT_OURS = InputError(

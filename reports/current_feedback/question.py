@@ -7,24 +7,21 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.current_feedback.regulator_numbers import regulator_plan
-from dqforge.optimizer.current_feedback.regulator_runs import run_regulator
+from dqforge.optimizer.current_feedback.regulator_runs import regulator_plan, run_regulator
 from dqforge.optimizer.current_feedback.solve import (
     load_points,
     solve_current_feedback,
     solve_loads,
     speed_points,
 )
-from dqforge.reports.current_feedback.plain import (
-    plain_feedback,
-    plain_loads,
-    plain_plan,
-    plain_run,
-)
 from dqforge.reports.current_feedback.tables import (
     compared_table,
     load_tables,
     own_table,
+    plain_feedback,
+    plain_loads,
+    plain_plan,
+    plain_run,
     point_table,
 )
 from dqforge.reports.pages.answer import Answer
@@ -45,7 +42,7 @@ def answer_feedback(design: Design) -> Answer:
         raise InputError("the current loops of this design are by gains")
 
     def figure() -> Figure:
-        from dqforge.reports.current_feedback.figures import plot_regulators
+        from dqforge.reports.current_feedback.tables import plot_regulators
 
         return plot_regulators(found.over_speed)
 
@@ -76,7 +73,7 @@ def answer_regulator(design: Design) -> Answer:
     )
 
     def figure() -> Figure:
-        from dqforge.reports.current_feedback.figures import plot_regulators
+        from dqforge.reports.current_feedback.tables import plot_regulators
 
         return plot_regulators([run])
 

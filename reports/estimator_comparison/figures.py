@@ -13,7 +13,7 @@ from dqforge.optimizer.estimator_comparison.capture_range import HALF_TURN, LOCK
 from dqforge.optimizer.estimator_comparison.solve import NOBODY, EstimatorComparison
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT
 from dqforge.reports.pages.figures_style import FAINT, MAP_INK, MUTED, SERIES, new_figure, style
-from dqforge.reports.pages.map_drawing import OTHERS, WINNERS, draw_cells
+from dqforge.reports.pages.templating import OTHERS, WINNERS, draw_cells
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

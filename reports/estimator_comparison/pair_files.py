@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.estimator_comparison.start_candidates import started_design
+from dqforge.optimizer.estimator_comparison.compared import started_design
 from dqforge.optimizer.solution import solve
 from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.tracker_header import tracker_files

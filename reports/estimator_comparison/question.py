@@ -13,7 +13,7 @@ from dqforge.optimizer.estimator_comparison.solve import (
     named,
     with_success,
 )
-from dqforge.reports.estimator_comparison.counted_cost import with_cost
+from dqforge.reports.estimator_comparison.observer_errors import with_cost
 from dqforge.reports.estimator_comparison.tried_starts import tried_starts
 from dqforge.reports.pages.console import stage
 

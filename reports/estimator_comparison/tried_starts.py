@@ -15,7 +15,7 @@ from dqforge.reports.start_up_bench.start_success import start_success
 if TYPE_CHECKING:
     from dqforge.optimizer.estimator_comparison.compared import ComparedStart
     from dqforge.optimizer.estimator_comparison.solve import EstimatorComparison
-    from dqforge.optimizer.start_up.start_judgement import StartRate
+    from dqforge.optimizer.start_up.solve import StartRate
 
 LOADS = (0.0, 0.3)  # Friction over the torque of the current limit with which starts are tried.
 

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dqforge.machines.design.design import Design
 from dqforge.machines.exploration.study import Study
 from dqforge.optimizer.exploration.row_block import INPUT_COLUMN, OUTPUT_COLUMN, ColumnSpec
-from dqforge.optimizer.study_results.asked_columns import bound_column, goal_columns
-from dqforge.optimizer.study_results.summary import StudyQuestion
+from dqforge.optimizer.study_results.acceptance import StudyQuestion, bound_column, goal_columns
 
 MOST_SPREAD = 12  # Histograms of a study that names no outputs that matter more than others.
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.exploration.row_designs import design_of
 from dqforge.machines.exploration.study import Study
-from dqforge.optimizer.study_results.summary import StudyQuestion, summarise
+from dqforge.optimizer.study_results.acceptance import StudyQuestion, summarise
 from dqforge.reports.exploration.html import render_study
 from dqforge.reports.exploration.question import study_question
 from dqforge.reports.exploration.study_view import StudyView, pictured_rows
-from dqforge.reports.page_frame.file_list import ListedFile
-from dqforge.reports.pages.html_table import counted
+from dqforge.reports.page_frame import ListedFile
+from dqforge.reports.pages.html_text import counted
 
 if TYPE_CHECKING:
     from dqforge.reports.study_store.part_store import PartStore
@@ -70,7 +70,7 @@ def write_pages(store: PartStore, view: StudyView, inputs: Mapping[str, bytes]) 
     Raises:
         StoreError: The disk is full, or the folder cannot be written.
     """
-    from dqforge.reports.study_store.store_files import FRONT, REPORT, SENSITIVITY
+    from dqforge.reports.study_store.part_file import FRONT, REPORT, SENSITIVITY
     from dqforge.reports.study_store.summary_files import front_file, sensitivity_file
 
     made: dict[str, bytes] = {}
@@ -92,8 +92,8 @@ def _listed(
     """What lies beside the page. ``study.json`` is finished after it, so that its bytes are not
     known here.
     """
-    from dqforge.reports.study_store.store_files import FRONT, PARTS, SENSITIVITY, part_files
-    from dqforge.reports.study_store.study_header import STUDY_JSON
+    from dqforge.reports.study_store.part_file import FRONT, PARTS, SENSITIVITY, part_files
+    from dqforge.reports.study_store.part_store import STUDY_JSON
 
     parts = [path.stat().st_size for path in part_files(store.folder).values()]
     words = {

@@ -4,26 +4,21 @@ values, and other values put where theirs stand.
 
 from __future__ import annotations
 
+import math
+import operator
 import re
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from itertools import accumulate
 from typing import NoReturn
+from xml.sax.saxutils import escape, quoteattr
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.files.positioned_xml import Element, parsed
 from dqforge.machines.records import dataclass
 from dqforge.machines.wording import shown
-from dqforge.reports.firmware.c_arithmetic import (
-    MOST_TOKENS,
-    Functions,
-    NotArithmeticError,
-    Number,
-    Unknown,
-    evaluated,
-    tokens_of,
-)
-from dqforge.reports.firmware.text_file import IN_RANGE, in_range
+from dqforge.reports.firmware.target import IN_RANGE, in_range
 
 MOST_DEFINITIONS = 20_000
 
@@ -354,3 +349,378 @@ def _expanded(text: str, macros: Macros) -> list[str]:
         if len(found) > MOST_TOKENS or steps > 4 * MOST_TOKENS:
             raise NotArithmeticError("macros that grow too long")
     return found
+
+
+# Plain arithmetic of C, evaluated without running anything: numbers, operators, casts, and
+# functions that the caller names.
+#
+# Bounded in length and depth; whatever is no arithmetic has no value.
+
+Number = float | int
+Functions = Mapping[str, Callable[..., float]]
+
+MOST_TOKENS = 2_000
+
+
+_C_ARITHMETIC_MOST_DEPTH = 40
+
+
+_LARGEST_INTEGER = 2**64
+
+
+TOKEN = re.compile(
+    r"""\s*(?:(?P<number>(?:0[xX][0-9a-fA-F]+|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)[a-zA-Z]*)
+        |(?P<name>[A-Za-z_]\w*)
+        |(?P<sign><<|>>|<=|>=|==|!=|&&|\|\||[-+*/%()<>!~&|^?:,]))""",
+    re.VERBOSE | re.ASCII,
+)
+
+
+_LITERAL = re.compile(
+    r"(0[xX][0-9a-fA-F]+|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)([uUlLfF]{0,3})", re.ASCII
+)
+
+
+_INTEGER_TYPES = {"int", "long", "short", "char", "unsigned", "signed", "bool", "_Bool"}
+
+
+_FLOAT_TYPES = {"float", "double", "float_t", "float32_t", "float64_t"}
+
+
+_SIZED = re.compile(r"u?int(?:8|16|32|64)_t", re.ASCII)
+
+
+class NotArithmeticError(ValueError):
+    """Something in an expression is no arithmetic; the message says what."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """What a name that nothing is known of stands for: itself."""
+
+    name: str
+
+
+Value = Number | Unknown
+
+
+def tokens_of(text: str) -> list[str]:
+    """Numbers, names and signs of an expression; raises `NotArithmeticError` at anything else."""
+    found: list[str] = []
+    place, stripped = 0, text.rstrip()
+    while place < len(stripped):
+        match = TOKEN.match(stripped, place)
+        if match is None or len(found) >= MOST_TOKENS:
+            raise NotArithmeticError(stripped[place : place + 20])
+        found.append(match[0].strip())
+        place = match.end()
+    return found
+
+
+def evaluated(tokens: Sequence[str], functions: Functions) -> Value:
+    """Value of an expression; raises `NotArithmeticError` where it has none."""
+    reader = _Reader(list(tokens), functions)
+    value = reader.choice(0)
+    if reader.place < len(reader.tokens):
+        raise NotArithmeticError(reader.tokens[reader.place])
+    return value
+
+
+def literal(token: str) -> Number:
+    """Value of a number with its suffix; raises `NotArithmeticError` of anything else."""
+    found = _LITERAL.fullmatch(token)
+    if found is None or len(token) > 60:
+        raise NotArithmeticError(token[:60])
+    digits, suffix = found.groups()
+    if digits[:2] in ("0x", "0X"):
+        return int(digits, 16)
+    if digits.isdigit() and "f" not in suffix.lower():
+        octal = digits.startswith("0") and set(digits) <= set("01234567")
+        return int(digits, 8) if octal else int(digits)
+    return _finite(float(digits))
+
+
+def _finite(value: Number) -> Number:
+    if isinstance(value, int):
+        if abs(value) > _LARGEST_INTEGER:
+            raise NotArithmeticError("a number beyond 64 bits")
+        return value
+    if not math.isfinite(value):
+        raise NotArithmeticError("a number that is not finite")
+    return value
+
+
+def _divided(a: Number, b: Number) -> Number:
+    if b == 0:
+        raise NotArithmeticError("a division by zero")
+    if isinstance(a, int) and isinstance(b, int):
+        size = abs(a) // abs(b)
+        return size if (a < 0) == (b < 0) else -size
+    return a / b
+
+
+def _rest(a: Number, b: Number) -> Number:
+    return _whole(a) - _whole(b) * _whole(_divided(_whole(a), _whole(b)))
+
+
+def _whole(value: Number) -> int:
+    if not isinstance(value, int):
+        raise NotArithmeticError("bits of a number with a point")
+    return value
+
+
+def _shifted(a: Number, b: Number) -> Number:
+    by = _whole(b)
+    if not 0 <= by < 64:
+        raise NotArithmeticError("a shift by 64 or more")
+    return _whole(a) << by
+
+
+def _shifted_down(a: Number, b: Number) -> Number:
+    by = _whole(b)
+    if not 0 <= by < 64:
+        raise NotArithmeticError("a shift by 64 or more")
+    return _whole(a) >> by
+
+
+_LEVELS: tuple[dict[str, Callable[[Number, Number], Number]], ...] = (
+    {"||": lambda a, b: int(bool(a) or bool(b))},
+    {"&&": lambda a, b: int(bool(a) and bool(b))},
+    {"|": lambda a, b: _whole(a) | _whole(b)},
+    {"^": lambda a, b: _whole(a) ^ _whole(b)},
+    {"&": lambda a, b: _whole(a) & _whole(b)},
+    {"==": lambda a, b: int(a == b), "!=": lambda a, b: int(a != b)},
+    {
+        "<": lambda a, b: int(a < b),
+        ">": lambda a, b: int(a > b),
+        "<=": lambda a, b: int(a <= b),
+        ">=": lambda a, b: int(a >= b),
+    },
+    {"<<": _shifted, ">>": _shifted_down},
+    {"+": operator.add, "-": operator.sub},
+    {"*": operator.mul, "/": _divided, "%": _rest},
+)
+
+
+class _Reader:
+    """One pass over the tokens of an expression."""
+
+    def __init__(self, tokens: list[str], functions: Functions) -> None:
+        self.tokens, self.functions, self.place = tokens, functions, 0
+
+    def next(self) -> str:
+        """The token to come, "" at the end."""
+        return self.tokens[self.place] if self.place < len(self.tokens) else ""
+
+    def take(self, wanted: str = "") -> str:
+        """The token to come, which is left behind."""
+        token = self.next()
+        if not token or (wanted and token != wanted):
+            raise NotArithmeticError(token or "the end")
+        self.place += 1
+        return token
+
+    def choice(self, depth: int) -> Value:
+        """``a ? b : c`` or anything simpler."""
+        if depth > _C_ARITHMETIC_MOST_DEPTH:
+            raise NotArithmeticError("brackets nested too deeply")
+        condition = self.level(0, depth)
+        if self.next() != "?":
+            return condition
+        self.take()
+        first = self.choice(depth + 1)
+        self.take(":")
+        second = self.choice(depth + 1)
+        return first if _number(condition) else second
+
+    def level(self, level: int, depth: int) -> Value:
+        """Operands of operators of one level and above."""
+        if level == len(_LEVELS):
+            return self.signed(depth)
+        left = self.level(level + 1, depth)
+        while self.next() in _LEVELS[level]:
+            sign = self.take()
+            right = self.level(level + 1, depth)
+            left = _combined(sign, left, right, _LEVELS[level][sign])
+        return left
+
+    def signed(self, depth: int) -> Value:
+        """An operand behind its signs."""
+        if depth > _C_ARITHMETIC_MOST_DEPTH:
+            raise NotArithmeticError("signs nested too deeply")
+        sign = self.next()
+        if sign in ("-", "+", "!", "~") and sign:
+            self.take()
+            value = _number(self.signed(depth + 1))
+            if sign == "!":
+                return int(not value)
+            return ~_whole(value) if sign == "~" else -value if sign == "-" else value
+        return self.operand(depth)
+
+    def operand(self, depth: int) -> Value:
+        """A number, a name, a call, a cast, or something in brackets."""
+        token = self.take()
+        if token == "(":
+            cast = self.cast()
+            if cast is not None:
+                return _converted(cast, _number(self.signed(depth + 1)))
+            value = self.choice(depth + 1)
+            self.take(")")
+            return value
+        if token[0].isdigit() or token[0] == ".":
+            return literal(token)
+        if not (token[0].isalpha() or token[0] == "_"):
+            raise NotArithmeticError(token)
+        return self.call(token, depth) if self.next() == "(" else Unknown(token)
+
+    def cast(self) -> str | None:
+        """The type of a cast whose opening bracket has been taken, None where it is none."""
+        place, words = self.place, []
+        while place < len(self.tokens) and _is_type(self.tokens[place]):
+            words.append(self.tokens[place])
+            place += 1
+        if not words or place >= len(self.tokens) or self.tokens[place] != ")":
+            return None
+        self.place = place + 1
+        return words[-1]
+
+    def call(self, name: str, depth: int) -> Value:
+        """A call of a function that the caller knows."""
+        function = self.functions.get(name)
+        if function is None:
+            raise NotArithmeticError(f"{name}(...)")
+        self.take("(")
+        arguments = [_number(self.choice(depth + 1))]
+        while self.next() == ",":
+            self.take()
+            arguments.append(_number(self.choice(depth + 1)))
+        self.take(")")
+        try:
+            return _finite(function(*arguments))
+        except (ArithmeticError, TypeError, ValueError) as error:
+            raise NotArithmeticError(f"{name}(...)") from error
+
+
+def _is_type(token: str) -> bool:
+    return token in _INTEGER_TYPES or token in _FLOAT_TYPES or bool(_SIZED.fullmatch(token))
+
+
+def _converted(kind: str, value: Number) -> Number:
+    return float(value) if kind in _FLOAT_TYPES else int(value)
+
+
+def _number(value: Value) -> Number:
+    if isinstance(value, Unknown):
+        raise NotArithmeticError(value.name)
+    return value
+
+
+def _combined(
+    sign: str, left: Value, right: Value, rule: Callable[[Number, Number], Number]
+) -> Number:
+    """Two operands; unknown names are equal to themselves alone."""
+    if isinstance(left, Unknown) and isinstance(right, Unknown) and sign in ("==", "!="):
+        return int((left.name == right.name) == (sign == "=="))
+    try:
+        return _finite(rule(_number(left), _number(right)))
+    except ArithmeticError as error:
+        raise NotArithmeticError("a number that is too large") from error
+
+
+# XML files of firmware: elements with their lines, and values replaced where they stand.
+#
+# No document type, no entities, no other files (`dqforge.machines.files.positioned_xml`).
+
+_AGAIN = "save the file again"
+
+
+_ATTRIBUTE = re.compile(rb"""([^\s=<>"']+)\s*=\s*("[^"]*+"?|'[^']*+'?)""")
+
+
+def parsed_xml(text: str, source: str) -> Element:
+    """Root of an XML text.
+
+    Raises:
+        InputError: It is not XML, has a document type, or is too deep or too large; with the line.
+    """
+    return parsed(text, source, _AGAIN)
+
+
+def elements(root: Element) -> Iterator[Element]:
+    """An element and all below it, as they stand in the text."""
+    waiting = [root]
+    while waiting:
+        element = waiting.pop()
+        yield element
+        waiting += reversed(element.children)
+
+
+def with_texts(text: str, source: str, values: Mapping[str, str]) -> str:
+    """The text with other texts in the children of its root of these names; those that are
+    missing stand at its end. A child that is there twice is changed twice.
+
+    Raises:
+        InputError: As `parsed_xml`; or one of them has children itself.
+    """
+    root, content = parsed_xml(text, source), text.encode("utf-8")
+    edits = []
+    for name, value in values.items():
+        for element in root.children_named(name):
+            if element.children:
+                message = f"{name} holds elements, not a value; {_AGAIN}"
+                raise InputError(message, source=source, line=element.line)
+            edits.append(_replaced_text(content, element, value))
+    missing = [name for name in values if not root.children_named(name)]
+    if missing:
+        lines = "".join(f"    <{name}>{escape(values[name])}</{name}>\n" for name in missing)
+        edits.append(_inserted(content, root, lines))
+    return _edited(content, edits)
+
+
+def with_attribute(text: str, source: str, name: str, values: Mapping[int, str]) -> str:
+    """The text with other values of an attribute of elements, by the ``start`` of the element.
+
+    An element without the attribute is left as it is. Raises InputError as `parsed_xml`.
+    """
+    content = text.encode("utf-8")
+    edits = []
+    for element in elements(parsed_xml(text, source)):
+        if element.start in values:
+            tag_end = _tag_end(content, element.start)
+            for found in _ATTRIBUTE.finditer(content, element.start, tag_end):
+                if found[1] == name.encode("utf-8"):
+                    new = quoteattr(values[element.start]).encode("utf-8")
+                    edits.append((found.start(2), found.end(2), new))
+    return _edited(content, edits)
+
+
+Edit = tuple[int, int, bytes]
+
+
+def _tag_end(content: bytes, start: int) -> int:
+    """Place behind the ``>`` of a tag, past those in quotes."""
+    found = re.compile(rb"""<(?:[^<>"']|"[^"]*+"|'[^']*+')*+>""").match(content, start)
+    return len(content) if found is None else found.end()
+
+
+def _replaced_text(content: bytes, element: Element, value: str) -> Edit:
+    behind, written = _tag_end(content, element.start), escape(value).encode("utf-8")
+    if content[behind - 2 : behind] == b"/>":
+        name = re.compile(rb"<([^\s/>]+)").match(content, element.start)
+        tag = b"" if name is None else name[1]
+        return behind - 2, behind, b">" + written + b"</" + tag + b">"
+    return behind, element.end, written
+
+
+def _inserted(content: bytes, root: Element, lines: str) -> Edit:
+    behind = _tag_end(content, root.start)
+    if content[behind - 2 : behind] == b"/>":
+        return behind - 2, behind, f">\n{lines}</{root.tag}>".encode()
+    before = b"" if content[: root.end].endswith(b"\n") else b"\n"
+    return root.end, root.end, before + lines.encode("utf-8")
+
+
+def _edited(content: bytes, edits: list[Edit]) -> str:
+    for start, end, new in sorted(edits, reverse=True):
+        content = content[:start] + new + content[end:]
+    return content.decode("utf-8")

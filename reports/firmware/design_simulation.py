@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.firmware.loop_run import firmware_drive, simulate_profile
+from dqforge.reports.firmware.target import firmware_drive, simulate_profile
 from dqforge.reports.operating_system.host_compiler import require_compiler
 from dqforge.reports.simulation.design_run import (
     DriveSimulation,
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
     from dqforge.machines.plants.scenario import Scenario
     from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
-    from dqforge.reports.simulation.compiled_plant import Progress, Simulator
+    from dqforge.reports.simulation.recorded_run import Progress, Simulator
 
 
 @on_design("simulation")
@@ -87,7 +87,7 @@ def simulate_loops(
         scenario: What the drive goes through; what the loops have not is left out, and said in the
             remarks.
         progress: Called with the share that is done.
-        program: That of `dqforge.reports.firmware.loop_run.firmware_simulator`, where it is there
+        program: That of `dqforge.reports.firmware.target.firmware_simulator`, where it is there
             already.
 
     Raises:

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.machines.wording import shown
-from dqforge.reports.firmware.text_file import IN_RANGE, in_range
+from dqforge.reports.firmware.target import IN_RANGE, in_range
 
 Path = tuple[str | int, ...]
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, get_args
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.firmware.profile import (
+from dqforge.optimizer.firmware.configuration import (
     AntiWindup,
     LimitOrder,
     LoopProfile,
@@ -141,7 +141,7 @@ def loop_bytes(profile: LoopProfile, values: DriveValues) -> bytes:
 
 
 def loop_files(profile: LoopProfile, values: DriveValues) -> dict[str, bytes]:
-    """Name and bytes of the header that `dqforge.reports.simulation.compiled_plant` compiles.
+    """Name and bytes of the header that `dqforge.reports.simulation.recorded_run` compiles.
 
     Raises:
         InputError: As `loop_numbers`, or there is no such modulation.

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.firmware.solve import FirmwareFit, solve_firmware
-from dqforge.reports.firmware.settling import Verdict, settles
+from dqforge.reports.firmware.target import Verdict, settles
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
-    from dqforge.reports.simulation.compiled_plant import Simulator
+    from dqforge.reports.simulation.recorded_run import Simulator
 
 _BANDWIDTHS = (50.0, 20.0, 10.0, 5.0, 2.0)  # In Hz; those that are tried, fastest first.
 

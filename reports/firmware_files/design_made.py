@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text, overridden, read_override
 from dqforge.machines.design.numerical import numerical_errors
-from dqforge.machines.design.overrides import overridden, read_override
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.files.positioned_yaml import parse_yaml
 from dqforge.machines.places import leading_path
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import Configuration, Origin, PiGains
-from dqforge.optimizer.firmware.explained import profile_of
+from dqforge.optimizer.firmware.solve import profile_of
 from dqforge.reports.firmware_files.design_text import MadeDesign, design_of
 from dqforge.reports.firmware_files.recognised import in_file, read_configuration
 

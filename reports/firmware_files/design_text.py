@@ -9,7 +9,7 @@ import sys
 from collections.abc import Collection, Sequence
 from decimal import Decimal
 
-from dqforge.machines.files.yaml_edit import written
+from dqforge.machines.files.positioned_yaml import written
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import parse_quantity
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains

@@ -11,9 +11,7 @@ from dqforge.machines.design.numerical import numerical_errors
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
-from dqforge.reports.firmware.registry import TARGETS
-from dqforge.reports.firmware.target import Target
-from dqforge.reports.firmware.text_file import TextFile, read_text_file
+from dqforge.reports.firmware.target import TARGETS, Target, TextFile, read_text_file
 
 Targets = Mapping[Firmware, Target]
 

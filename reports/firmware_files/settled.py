@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import NoSolutionError
 from dqforge.reports.firmware.loop_code import modulation_of
-from dqforge.reports.firmware.loop_run import firmware_simulator
-from dqforge.reports.firmware.settling import Verdict, settles
+from dqforge.reports.firmware.target import Verdict, firmware_simulator, settles
 from dqforge.reports.firmware_files.calmer_loop import calmer_bandwidth
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
     from dqforge.optimizer.firmware.solve import FirmwareFit
-    from dqforge.reports.simulation.compiled_plant import Simulator
+    from dqforge.reports.simulation.recorded_run import Simulator
 
 
 def settling_verdicts(

@@ -9,26 +9,29 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
+    FixedObserverFit,
+    FixedPositionObserver,
+)
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.reports.c_code.harness import Programme
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
-from dqforge.reports.c_code.title import title
-from dqforge.reports.control.fixed_basics import fixed_basics
+from dqforge.reports.c_code.harness import Programme, title
+from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind, integer_kinds
+from dqforge.reports.capability import Capability
+from dqforge.reports.control.fixed_header import fixed_basics
 from dqforge.reports.fixed_observers.fixed_observer_model import (
     input_names,
     output_names,
     row_inputs,
     row_results,
 )
+from dqforge.reports.fixed_observers.fixed_observer_reading import fixed_observer_from
 from dqforge.reports.pages.templating import render
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
-    from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
-        FixedObserverFit,
-        FixedPositionObserver,
-    )
+    from dqforge.optimizer.solution import Solution
     from dqforge.reports.plain_data import PlainData
+
 
 _SEED = 20_261_122
 
@@ -139,3 +142,33 @@ def fixed_observer_programme(observer: FixedPositionObserver) -> Programme:
         {"width": observer.width, "format": observer.format},
         name="fixed-point position observer",
     )
+
+
+# The position observer in fixed point, as a record.
+
+Fits = tuple[FixedObserverFit, ...]
+
+
+_KINDS: tuple[HeaderKind[Fits, FixedPositionObserver], ...] = integer_kinds(
+    "observer",
+    width_of=lambda fit: fit.observer.width,
+    files=lambda solution, fit: fixed_observer_files(solution.design, fit),
+    plain=lambda fit: plain_fixed_observer(fit.observer),
+    read=lambda own, width, _: fixed_observer_from(own, width),
+    programme=fixed_observer_programme,
+)
+
+
+def _summary(_: Solution, fits: Fits) -> list[tuple[str, str]]:
+    return [("observer in integers", "; ".join(fit_in_words(fit) for fit in fits))]
+
+
+FIXED_OBSERVER = Capability(
+    name="observer_fixed",
+    title="position observer in fixed point",
+    of=lambda outcome: outcome.solution.fixed_observers or None,
+    plain=lambda _, fits: {fit.observer.format: plain_observer_evidence(fit) for fit in fits},
+    always=False,
+    summary=_summary,
+    headers=_KINDS,
+)

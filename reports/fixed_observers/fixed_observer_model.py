@@ -10,8 +10,7 @@ import numpy as np
 
 from dqforge.machines.transforms import Pair
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
-from dqforge.optimizer.fixed_observers.fixed_method import TrackedState, shown, widened
-from dqforge.optimizer.fixed_observers.kit import TOP, WIDTH
+from dqforge.optimizer.fixed_observers.kit import TOP, WIDTH, TrackedState, shown, widened
 
 if TYPE_CHECKING:
     from dqforge.optimizer.fixed_observers.fixed_observer_fit import FixedPositionObserver

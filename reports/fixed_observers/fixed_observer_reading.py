@@ -9,10 +9,12 @@ from dataclasses import fields, is_dataclass
 from typing import Any, get_args, get_type_hints
 
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.optimizer.fixed_observers.fixed_observer_fit import FixedPositionObserver
-from dqforge.optimizer.fixed_observers.fixed_registry import FIXED_METHODS
+from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
+    FIXED_METHODS,
+    FixedPositionObserver,
+    observer_reaches,
+)
 from dqforge.optimizer.fixed_observers.kit import WIDTH
-from dqforge.optimizer.fixed_observers.state_proof import observer_reaches
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.reports.control.fixed_reading import gain_from, one_of, positive, whole
 

@@ -10,8 +10,8 @@ from itertools import pairwise
 from typing import Any
 
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.optimizer.fixed_reference.fit import mesh_ranges
 from dqforge.optimizer.fixed_reference.mesh import CurrentMesh, VoltageScale
-from dqforge.optimizer.fixed_reference.quantised import mesh_ranges
 from dqforge.optimizer.loops.integer_gains import FixedGain
 
 _MOST_ENTRIES = 10_000

@@ -11,8 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from dqforge.machines.topologies.topology import TOPOLOGIES
-from dqforge.optimizer.flashing_choice.choices import FlashRow
-from dqforge.optimizer.flashing_choice.solve import FlashComparison
+from dqforge.optimizer.flashing_choice import FlashComparison, FlashRow
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.flashing_choice.row_files import files_with_control

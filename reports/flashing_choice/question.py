@@ -9,9 +9,10 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.design.settings import WaveformSettings
 from dqforge.machines.errors import InputError, NoSolutionError, VerificationError
-from dqforge.optimizer.flashing_choice.advice import Advice, advise
-from dqforge.optimizer.flashing_choice.solve import (
+from dqforge.optimizer.flashing_choice import (
+    Advice,
     FlashComparison,
+    advise,
     compare_flashing,
     variant,
     with_rows,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 from dqforge.optimizer.solution import Solution
 from dqforge.optimizer.waveforms.solve import solve_phases
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.phase_control.header import phase_control_files
-from dqforge.reports.waveforms.header import waveform_files
+from dqforge.reports.waveforms.tables import waveform_files
 
 
 def files_with_control(solution: Solution, control: PhaseControl) -> dict[str, bytes]:

@@ -17,21 +17,20 @@ from dqforge.machines.plants.scenario import (
     Scenario,
     constant,
 )
-from dqforge.optimizer.flashing_choice.choices import (
+from dqforge.optimizer.flashing_choice import (
     BACK_EMF,
     DEVIATIONS,
     INDUCTANCE,
     NOISE,
     OFFSET,
+    FlashComparison,
     FlashRow,
     RippleFigures,
 )
-from dqforge.optimizer.flashing_choice.solve import FlashComparison
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.flashing_choice.row_files import files_with_control
-from dqforge.reports.simulation.compiled_plant import simulate_many, simulator
 from dqforge.reports.simulation.plant_input import Drive
-from dqforge.reports.simulation.recorded_run import Summary
+from dqforge.reports.simulation.recorded_run import Summary, simulate_many, simulator
 
 # Duration in s of a run with and without harmonic integrators, of which the last part counts.
 LEARNING, SETTLING = 0.4, 0.2

@@ -1,12 +1,20 @@
-"""Gains of the control loops and their schedule, as records."""
+"""The C header of current-loop gains over the current and its test vectors,
+as plain data and as text.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
-from dqforge.reports.c_code.header_kind import HeaderKind
+import numpy as np
+
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.loops.schedule.schedule_fit import GAIN_NAMES, GainEvaluator
+from dqforge.reports.c_code.harness import Programme, single_from, singles_from, title
+from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind
 from dqforge.reports.capability import (
     Capability,
     Draw,
@@ -17,36 +25,402 @@ from dqforge.reports.capability import (
     Rows,
     Tile,
 )
-from dqforge.reports.loops.firmware_text import firmware_name, firmware_words
-from dqforge.reports.loops.header import (
-    evaluator_from,
-    gains_files,
-    gains_programme,
-    plain_evaluator,
+from dqforge.reports.loops.firmware_text import (
+    CERTIFICATE,
+    FIRMWARE_COLUMNS,
+    ROBUST_COLUMNS,
+    SCHEDULE_COLUMNS,
+    certificate_bytes,
+    firmware_name,
+    firmware_notes,
+    firmware_rows,
+    firmware_title,
+    firmware_words,
+    proof_summary,
+    robust_notes,
+    robust_rows,
+    schedule_lines,
+    schedule_notes,
+    schedule_rows,
+    stability_notes,
+    worst_words,
 )
-from dqforge.reports.loops.html import (
-    LOOP_TEXT,
-    firmware_tables,
-    judged_tables,
-    loop_table,
-    tolerance_tables,
+from dqforge.reports.loops.proven_text import (
+    JUDGED_TITLE,
+    box_notes,
+    changing_lines,
+    changing_notes,
+    gains_tables,
+    judged_columns,
+    judged_notes,
+    judged_rows,
+    judged_sentence,
+    judged_words,
+    plain_gains,
 )
-from dqforge.reports.loops.judged_text import judged_sentence, judged_words
-from dqforge.reports.loops.plain import plain_gains
-from dqforge.reports.loops.robustness_text import worst_words
-from dqforge.reports.loops.stability_text import CERTIFICATE, certificate_bytes, proof_summary
-from dqforge.reports.loops.tables import gains_tables
-from dqforge.reports.observers.speed_loop_text import corner_words, left_words, loop_words
-from dqforge.reports.pages.chapters import LOOPS as CHAPTER
-from dqforge.reports.pages.html_text import degrees, symbols
+from dqforge.reports.observers.speed_loop_text import (
+    corner_words,
+    left_words,
+    loop_words,
+    observed_notes,
+)
+from dqforge.reports.pages.html_text import (
+    NARROW,
+    HtmlTable,
+    Row,
+    decibel,
+    degrees,
+    heading_cells,
+    number,
+    quantity,
+    symbols,
+)
+from dqforge.reports.pages.templating import LOOPS as CHAPTER
+from dqforge.reports.pages.templating import render
+from dqforge.reports.plain_data import PlainData, shortest
 
 if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
     from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof
     from dqforge.optimizer.control_design.gain_set import GainSet
+    from dqforge.optimizer.curves.single_precision import SingleArray
+    from dqforge.optimizer.loops.integer_gains import PerUnitGains
     from dqforge.optimizer.loops.loop_gains import LoopGains
     from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule
     from dqforge.optimizer.solution import Solution
-    from dqforge.reports.plain_data import PlainData
+
+
+_SEED = 20_261_121
+
+
+_MOST_VALUES = 256
+
+
+_FAULT = InputError("gains_header is not what dqforge writes; run the design again")
+
+
+def _list(values: SingleArray) -> list[float]:
+    return [shortest(value) for value in values]
+
+
+def plain_evaluator(evaluator: GainEvaluator) -> PlainData:
+    """The evaluator as plain data; every number is a float32 value."""
+    return {
+        "end": shortest(evaluator.end),
+        "fallback": {name: shortest(value) for name, value in evaluator.fallback.items()},
+        "constants": {name: shortest(value) for name, value in evaluator.constants.items()},
+        "starts": _list(evaluator.starts),
+        "polynomials": {
+            name: [_list(row) for row in rows] for name, rows in evaluator.polynomials.items()
+        },
+        "inverse_step": shortest(evaluator.inverse_step),
+        "tables": {name: _list(values) for name, values in evaluator.tables.items()},
+    }
+
+
+def evaluator_from(plain: Mapping[str, Any]) -> GainEvaluator:
+    """Read an evaluator back.
+
+    Raises:
+        InputError: The data are not what `plain_evaluator` makes.
+    """
+    try:
+        found = GainEvaluator(
+            end=single_from(plain["end"]),
+            fallback={name: single_from(plain["fallback"][name]) for name in GAIN_NAMES},
+            constants={name: single_from(value) for name, value in plain["constants"].items()},
+            starts=singles_from(plain["starts"], _MOST_VALUES),
+            polynomials={
+                name: np.stack([singles_from(row, _MOST_VALUES) for row in rows])
+                for name, rows in plain["polynomials"].items()
+            },
+            inverse_step=single_from(plain["inverse_step"]),
+            tables={
+                name: singles_from(values, _MOST_VALUES) for name, values in plain["tables"].items()
+            },
+        )
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise _FAULT from error
+    names = sorted([*found.constants, *found.polynomials, *found.tables])
+    sizes = {table.size for table in found.tables.values()}
+    rows = {rows.shape[0] for rows in found.polynomials.values()}
+    reach = float(found.end) * float(found.inverse_step)
+    sound = (
+        names == sorted(GAIN_NAMES)
+        and found.end > 0.0
+        and not (found.tables and found.polynomials)
+        and (not found.tables or (len(sizes) == 1 and min(sizes) > 1 and 0.0 < reach < min(sizes)))
+        and (not found.polynomials or rows == {found.starts.size})
+        and found.starts[0] == 0.0
+        and bool(np.all(np.diff(found.starts) > 0.0))
+    )
+    if not sound:
+        raise _FAULT
+    return found
+
+
+def schedule_inputs(
+    evaluator: GainEvaluator, count: int, seed: int, patterns: int = 0
+) -> SingleArray:
+    """Currents i_q in A, shape (count + patterns + 20,): all over the domain and beyond it,
+    special ones, any bits.
+    """
+    generator = np.random.default_rng(seed)
+    end = float(evaluator.end)
+    across = (generator.uniform(-1.2, 1.2, count) * end).astype(np.float32)
+    beside = [
+        np.nextafter(np.float32(v), np.float32(s))
+        for v in (end, *evaluator.starts[1:])
+        for s in (0.0, np.inf)
+    ]
+    special = [
+        0.0,
+        -0.0,
+        np.nan,
+        -np.nan,
+        np.inf,
+        -np.inf,
+        1e-45,
+        -1e-45,
+        end,
+        -end,
+        *evaluator.starts.tolist(),
+        *beside,
+    ]
+    bits = generator.integers(0, 2**32, patterns, dtype=np.uint32).view(np.float32)
+    return np.concatenate([np.array(special, dtype=np.float32), across, bits])
+
+
+def _context(design: Design, gains: GainSet, schedule: GainSchedule) -> PlainData:
+    evaluator = schedule.fit.evaluator
+    plain = plain_evaluator(evaluator)
+    ends = [*plain["starts"][1:], None]
+    segments = [
+        {
+            "start": start,
+            "end": end,
+            "polynomials": [
+                (name, plain["polynomials"][name][place]) for name in plain["polynomials"]
+            ],
+        }
+        for place, (start, end) in enumerate(zip(plain["starts"], ends, strict=True))
+    ]
+    return {
+        **title(design),
+        "form": plain,
+        "names": GAIN_NAMES,
+        "segments": segments,
+        "points": max((len(values) for values in plain["tables"].values()), default=0),
+        "preamble": [
+            (
+                f"Method {design.control.current_loop.method}, sampled every "
+                f"{design.control.t_s * 1e6:.6g} us."
+            ),
+            (
+                "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated "
+                "errors hold either way."
+            ),
+        ],
+        "comment": [
+            (
+                "i_q_A: q-axis current in A as it is measured, either sign; beyond SCHEDULE_END "
+                "the gains stay as they are there."
+            ),
+            (
+                "kp_d, kp_q: proportional gains, V/A; ki_ts_d, ki_ts_q: integral gains times the "
+                "sampling period, V/A."
+            ),
+            (
+                "Parallel form: I[k] = I[k-1] + ki_ts[k] e[k], d[k] = kp[k] e[k] + I[k]; or as "
+                "differences d[k] = d[k-1] + kp[k] e[k] - kp[k-1] e[k-1] + ki_ts[k] e[k]."
+            ),
+            (
+                "Not d[k-1] + kp[k] (e[k] - e[k-1]) + ki_ts[k] e[k]: what kp changes by would stay "
+                "in d for good, and the loop can grow though it is stable at every current."
+            ),
+            "Not-a-number gives the constant gains, those for the least inductance.",
+            "",
+            *schedule_lines(schedule),
+            *changing_lines(gains),
+            "Margins are those of frozen currents along the current reference.",
+        ],
+    }
+
+
+def gains_files(design: Design, gains: GainSet, schedule: GainSchedule) -> dict[str, bytes]:
+    """Names and bytes of the header of gains over the current and of its test vectors."""
+    context, prefix, evaluator = (
+        _context(design, gains, schedule),
+        design.export.prefix,
+        schedule.fit.evaluator,
+    )
+    inputs = schedule_inputs(evaluator, design.export.vectors, _SEED)
+    vectors = np.concatenate([inputs[:, np.newaxis], evaluator.gains(inputs)], axis=1)
+    texts = {
+        f"{prefix}_gains.h": render("loops/gains.h.j2", context),
+        f"{prefix}_gains_vectors.h": render(
+            "loops/vectors.h.j2", context | {"vectors": [list(row) for row in vectors]}
+        ),
+    }
+    return {name: text.encode("ascii") for name, text in texts.items()}
+
+
+def gains_programme(evaluator: GainEvaluator) -> Programme:
+    """The harness of scheduled gains, with what their model answers."""
+    half = SWEEP_POINTS // 2
+    currents = schedule_inputs(evaluator, half, SWEEP_SEED, patterns=half)
+    return Programme(
+        "loops/harness.c.j2", currents, evaluator.gains(currents), name="gains over the current"
+    )
+
+
+# Loops in the report.
+
+LOOP_TEXT = {"i_d": "i_d", "i_q": "i_q", "i_0": "i_0", "speed": "speed"}
+
+
+_KP_UNITS = {"i_d": "V/A", "i_q": "V/A", "i_0": "V/A", "speed": f"N{NARROW}m{NARROW}s/rad"}
+
+
+_KI_UNITS = {"i_d": "V/(A s)", "i_q": "V/(A s)", "i_0": "V/(A s)", "speed": f"N{NARROW}m/rad"}
+
+
+def _loop_cells(gains: LoopGains, scaled: PerUnitGains) -> tuple[str, ...]:
+    per_unit_text = f"{number(scaled.kp, 5)}, {number(scaled.ki_ts, 5)}"
+    if scaled.integers is not None:
+        per_unit_text += " = " + ", ".join(
+            f"{found.mantissa} in Q{found.shift}" for found in scaled.integers
+        )
+    poles = ", ".join(_pole_text(complex(pole)) for pole in gains.poles)
+    delay = (
+        f"{quantity(gains.delay_margin, 's', 3)} ({number(gains.delay_margin_samples, 3)} samples)"
+    )
+    return (
+        gains.method,
+        quantity(gains.t_s, "s"),
+        f"{number(gains.kp, 6)}{NARROW}{_KP_UNITS[gains.loop]}",
+        f"{number(gains.ki, 6)}{NARROW}{_KI_UNITS[gains.loop]}",
+        quantity(gains.t_i, "s", 5),
+        ", ".join(number(value, 6) for value in gains.velocity),
+        per_unit_text,
+        quantity(gains.crossover / (2.0 * math.pi), "Hz"),
+        degrees(gains.phase_margin)
+        if gains.stable
+        else f"{degrees(gains.phase_margin)} (unstable)",
+        decibel(gains.gain_margin),
+        delay,
+        number(gains.max_sensitivity, 3),
+        _disturbance_text(gains),
+        poles,
+        symbols("; ".join(observed_notes(gains))),
+    )
+
+
+def _pole_text(pole: complex) -> str:
+    if abs(pole.imag) < 1e-9:
+        return number(pole.real, 5)
+    sign = "+" if pole.imag > 0.0 else "\u2212"
+    return f"{number(pole.real, 4)}{NARROW}{sign}{NARROW}j{number(abs(pole.imag), 4)}"
+
+
+def _disturbance_text(gains: LoopGains) -> str:
+    response = gains.disturbance
+    if gains.observed is not None:
+        return "not computed with the observer"
+    unit = "A per V" if gains.loop != "speed" else "rad/s per N m"
+    finite = math.isfinite(response.settling_time)
+    settled = (
+        f"settled in {quantity(response.settling_time, 's', 3)}"
+        if finite
+        else "settles later than was computed"
+    )
+    return f"{number(response.peak, 3)} {unit}, {settled}"
+
+
+def loop_table(gains: GainSet) -> HtmlTable:
+    """Gains, margins and poles, one column per loop."""
+    columns = [_loop_cells(loop, gains.per_unit[loop.loop]) for loop in gains.loops]
+    names = [f"{loop.loop} loop" for loop in gains.loops]
+    labels = heading_cells(
+        "method",
+        "sampled every",
+        "proportional gain k_p",
+        "integral gain k_i",
+        "integral time T_i of the series form",
+        "velocity form: q_0, q_1",
+        "per unit: k_p, k_i T_s",
+        "crossover",
+        "phase margin",
+        "gain margin",
+        "delay margin",
+        "largest sensitivity M_s",
+        "largest deviation after a unit disturbance",
+        "closed-loop poles in z",
+        "speed from",
+    )
+    rows = tuple(
+        Row((label, *cells)) for label, *cells in zip(labels, *columns, strict=True) if any(cells)
+    )
+    caption = "Gains and margins of the sampled loops"
+    if gains.schedule is None:
+        caption = "; ".join((caption, *changing_notes(gains)))
+    return HtmlTable(symbols(caption), ("", *heading_cells(*names)), rows)
+
+
+def _table(
+    caption: str, columns: tuple[str, ...], rows: tuple[tuple[str, ...], ...], text_columns: int
+) -> HtmlTable:
+    cells = tuple(Row(tuple(symbols(cell) for cell in row)) for row in rows)
+    return HtmlTable(
+        symbols(caption), tuple(symbols(column) for column in columns), cells, text_columns
+    )
+
+
+def firmware_tables(gains: GainSet) -> list[HtmlTable]:
+    """The loops as the firmware that the design names runs them; none without one."""
+    if gains.firmware is None:
+        return []
+    table = _table(
+        firmware_title(gains.firmware), FIRMWARE_COLUMNS, firmware_rows(gains.firmware), 2
+    )
+    return [replace(table, notes=tuple(map(symbols, firmware_notes(gains.firmware))))]
+
+
+def judged_tables(gains: GainSet) -> list[HtmlTable]:
+    """How fast the currents of a phase machine forget; none of all others."""
+    if gains.phases is None or gains.phases.judged is None:
+        return []
+    caption = f"{JUDGED_TITLE}; {'; '.join(judged_notes(gains.phases))}"
+    judged = gains.phases.judged
+    return [_table(caption, judged_columns(judged), judged_rows(judged), 1)]
+
+
+def tolerance_tables(gains: GainSet, pole_pairs: int) -> list[HtmlTable]:
+    """Worst margins within the tolerances, and scheduled beside constant gains.
+
+    None where none are asked for.
+    """
+    tables = []
+    if gains.robust is not None:
+        notes = (
+            *robust_notes(gains.robust),
+            *box_notes(gains),
+            *stability_notes(gains, pole_pairs),
+        )
+        caption = f"Worst within control.tolerances; {'; '.join(notes)}"
+        tables.append(
+            _table(caption, ROBUST_COLUMNS, robust_rows(gains.robust), len(ROBUST_COLUMNS))
+        )
+    if gains.schedule is not None:
+        caption = (
+            "Scheduled gains along the current reference. "
+            f"{'; '.join((*schedule_notes(gains.schedule), *changing_notes(gains)))}"
+        )
+        tables.append(_table(caption, SCHEDULE_COLUMNS, schedule_rows(gains.schedule), 1))
+    return tables
+
+
+# Gains of the control loops and their schedule, as records.
 
 
 def _summary(_: Solution, gains: GainSet) -> Rows:

@@ -6,14 +6,52 @@ from __future__ import annotations
 
 import math
 import textwrap
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from dqforge.reports.loops.firmware_text import (
+    FIRMWARE_COLUMNS,
+    FORM_COLUMNS,
+    ROBUST_COLUMNS,
+    SCHEDULE_COLUMNS,
+    firmware_notes,
+    firmware_rows,
+    firmware_title,
+    form_rows,
+    plain_firmware,
+    plain_robustness,
+    plain_schedule,
+    robust_notes,
+    robust_rows,
+    schedule_notes,
+    schedule_rows,
+    stability_notes,
+)
+from dqforge.reports.observers.speed_loop_text import (
+    leaving_notes,
+    margin_words,
+    observed_notes,
+    plain_observed,
+    plain_observer_errors,
+    plain_tracker,
+)
+from dqforge.reports.pages.labels import significant
+from dqforge.reports.pages.table import Table
+
 if TYPE_CHECKING:
-    from dqforge.optimizer.axis_margins.margin_proof import ProvenMargins
-    from dqforge.optimizer.changing_loops.current_range import ChangingAxis
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.axis_margins import ProvenMargins
+    from dqforge.optimizer.changing_loops import ChangingAxis
     from dqforge.optimizer.control_design.gain_set import GainSet
-    from dqforge.optimizer.speed_box.speed_proof import SpeedProof
+    from dqforge.optimizer.loops.integer_gains import PerUnitGains
+    from dqforge.optimizer.loops.loop_gains import LoopGains
+    from dqforge.optimizer.observers.proof import ObserverProof
+    from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad
+    from dqforge.optimizer.phase_control.design import PhaseLoops
+    from dqforge.optimizer.phase_control.judged_box import JudgedLoops, JudgedSpeed
+    from dqforge.optimizer.speed_box import SpeedProof
     from dqforge.reports.plain_data import PlainData
+
 
 _WIDTH = 100
 
@@ -215,3 +253,314 @@ def _plain_axis(axis: ChangingAxis) -> PlainData:
             "i_q_A": list(currents),
         }
     return plain
+
+
+# How fast the currents of a phase machine forget, over speeds and tolerances: rows of text, words,
+# plain data.
+
+JUDGED_TITLE = "Currents over a period of the back-EMF"
+
+
+_LINE = 88
+
+
+_WORST = ("worst radius", "at")
+
+
+def _rpm(speed: JudgedSpeed) -> str:
+    return f"{speed.omega_m * 30.0 / math.pi:.5g}"
+
+
+def _orders(speed: JudgedSpeed) -> str:
+    plane, zero = (", ".join(map(str, orders)) for orders in speed.orders)
+    parts = [*([plane] if plane else []), *([f"zero sequence {zero}"] if zero else [])]
+    return "; ".join(parts) or "none"
+
+
+def _judged_row(speed: JudgedSpeed) -> tuple[str, ...]:
+    still = math.isinf(speed.samples)
+    return (
+        _rpm(speed),
+        "at rest" if still else f"{speed.samples:.4g}",
+        f"{speed.nominal:.4f}",
+        f"{speed.decay_time * 1e3:.3g}",
+        *(() if speed.worst is None else (f"{speed.worst.value:.4f}", speed.worst.at)),
+        "as the others" if still else _orders(speed),
+        "" if speed.learning_time is None else f"{speed.learning_time * 1e3:.3g}",
+    )
+
+
+def judged_columns(judged: JudgedLoops) -> tuple[str, ...]:
+    """Heads of the columns; those of the tolerances where there are any."""
+    return (
+        "rpm",
+        "samples per period",
+        "radius per sample",
+        "forgotten to 1/e in ms",
+        *(_WORST if judged.corners else ()),
+        "harmonic integrators",
+        "learnt to 1/e in ms",
+    )
+
+
+def judged_rows(judged: JudgedLoops) -> tuple[tuple[str, ...], ...]:
+    """One row per speed."""
+    return tuple(_judged_row(speed) for speed in judged.speeds)
+
+
+def judged_notes(phases: PhaseLoops) -> tuple[str, ...]:
+    """What was judged, and how many drives were tried."""
+    judged, control = phases.judged, phases.control
+    assert judged is not None
+    what = "radius: largest modulus of a Floquet multiplier per sample, stable below 1"
+    notes = [f"frame {control.frame}, feedforward {control.feedforward}; {what}"]
+    if judged.corners:
+        inside = f" and {judged.inside} points inside" if judged.inside else ""
+        notes.append(
+            f"{judged.corners} corners{inside} of the tolerances at each speed, l_0 as far as l_d "
+            "or l_q, whichever is further"
+        )
+    if judged.midpoint_time is not None:
+        notes.append(f"the midpoint returns to 1/e in {judged.midpoint_time * 1e3:.3g} ms")
+    return tuple(notes)
+
+
+def _largest(judged: JudgedLoops) -> tuple[float, str]:
+    """The largest radius and where it is, in words."""
+    slow = judged.slowest
+    if slow.worst is None:
+        return slow.nominal, f"{_rpm(slow)} rpm"
+    return slow.worst.value, f"{_rpm(slow)} rpm, {slow.worst.at}"
+
+
+def judged_words(judged: JudgedLoops) -> str:
+    """The slowest of all in a few words."""
+    value, where = _largest(judged)
+    return f"radius per sample {value:.4f} or less ({where})"
+
+
+def judged_sentence(judged: JudgedLoops) -> str:
+    """The same as a sentence."""
+    value, where = _largest(judged)
+    return (
+        "Over a period of the back-EMF the currents keep at most "
+        f"{value:.4f} of a disturbance per sample ({where})."
+    )
+
+
+def judged_lines(judged: JudgedLoops) -> list[str]:
+    """The same as lines at the head of a header."""
+    return textwrap.wrap(judged_sentence(judged), _LINE)
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _plain_speed(speed: JudgedSpeed) -> PlainData:
+    return {
+        "omega_m_rad_per_s": speed.omega_m,
+        "samples_per_period": _finite(speed.samples),
+        "radius": speed.nominal,
+        "decay_time_s": _finite(speed.decay_time),
+        "worst": None if speed.worst is None else asdict(speed.worst),
+        "orders": {"plane": list(speed.orders[0]), "zero": list(speed.orders[1])},
+        "learning_time_s": (None if speed.learning_time is None else _finite(speed.learning_time)),
+    }
+
+
+def plain_judged(phases: PhaseLoops) -> PlainData:
+    """The judgement as plain data, in SI units; an empty mapping without one."""
+    judged = phases.judged
+    if judged is None:
+        return {}
+    return {
+        "currents": {
+            "frame": phases.control.frame,
+            "feedforward": phases.control.feedforward,
+            "radius": _largest(judged)[0],
+            "corners": judged.corners,
+            "inside": judged.inside,
+            "midpoint_time_s": (
+                None if judged.midpoint_time is None else _finite(judged.midpoint_time)
+            ),
+            "speeds": [_plain_speed(speed) for speed in judged.speeds],
+        }
+    }
+
+
+# Loops as tables of the terminal.
+
+
+def _loop_row(gains: LoopGains, unit: str, scaled: PerUnitGains) -> tuple[str, ...]:
+    return (
+        gains.loop,
+        gains.method,
+        f"{gains.kp:.5g} {unit}",
+        f"{gains.ki:.5g}",
+        _per_unit_text(scaled),
+        significant(gains.crossover / (2.0 * math.pi)),
+        margin_words(gains),
+        f"{20.0 * math.log10(gains.gain_margin):.1f}"
+        if math.isfinite(gains.gain_margin)
+        else "none",
+        significant(gains.delay_margin * 1e6, 3),
+        f"{gains.max_sensitivity:.2f}",
+    )
+
+
+_COLUMN_UNITS = {"speed": "N m s/rad"}
+
+
+def _per_unit_text(scaled: PerUnitGains) -> str:
+    if scaled.integers is None:
+        return f"{scaled.kp:.5g}, {scaled.ki_ts:.4g}"
+    return ", ".join(f"{number.mantissa} (Q{number.shift})" for number in scaled.integers)
+
+
+def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = None) -> list[Table]:
+    """Gains of each loop with their margins, and the observer with its errors
+    and what is proven of it.
+    """
+    rows = [
+        _loop_row(loop, _COLUMN_UNITS.get(loop.loop, "V/A"), gains.per_unit[loop.loop])
+        for loop in gains.loops
+    ]
+    columns = (
+        "loop",
+        "method",
+        "kp",
+        "ki (kp unit)/s",
+        "per unit: kp, ki t_s",
+        "crossover Hz",
+        "phase margin deg",
+        "gain margin dB",
+        "delay margin us",
+        "M_s",
+    )
+    title, notes = (
+        f"{design.name}: gains, sampled every {design.control.t_s * 1e6:.4g} us",
+        (*observed_notes(gains.speed), *leaving_notes(gains.speed)),
+    )
+    if gains.schedule is None:
+        notes = (*notes, *changing_notes(gains))
+    tables = [Table(title, columns, tuple(rows), notes)]
+    tables.append(Table("Parallel, series and velocity form", FORM_COLUMNS, form_rows(gains)))
+    if gains.firmware is not None:
+        title, found = firmware_title(gains.firmware), firmware_rows(gains.firmware)
+        tables.append(Table(title, FIRMWARE_COLUMNS, found, firmware_notes(gains.firmware)))
+    if gains.phases is not None and gains.phases.judged is not None:
+        judged, notes = gains.phases.judged, judged_notes(gains.phases)
+        heads, found = judged_columns(judged), judged_rows(judged)
+        tables.append(Table(JUDGED_TITLE, heads, found, notes))
+    if gains.robust is not None:
+        rows_ = robust_rows(gains.robust)
+        notes = (
+            *robust_notes(gains.robust),
+            *box_notes(gains),
+            *stability_notes(gains, design.machine.pole_pairs),
+        )
+        tables.append(Table("Worst within control.tolerances", ROBUST_COLUMNS, rows_, notes))
+    if gains.schedule is not None:
+        rows_ = schedule_rows(gains.schedule)
+        notes = (*schedule_notes(gains.schedule), *changing_notes(gains))
+        tables.append(
+            Table("Scheduled gains along the current reference", SCHEDULE_COLUMNS, rows_, notes)
+        )
+    if gains.observer is not None and gains.observer_slopes is not None:
+        from dqforge.reports.observers.tracker_header import observer_table
+
+        tables.append(observer_table(gains.observer, gains.observer_slopes))
+    if gains.measured_speed is not None:
+        from dqforge.reports.speed_measurement.tables import measured_tables
+
+        tables += measured_tables(gains.measured_speed)
+    if gains.position is not None:
+        from dqforge.reports.observers.position_header import position_parts
+
+        tables += [Table(*part) for part in position_parts(gains.position, proof)]
+    if gains.tracker is not None:
+        from dqforge.reports.observers.speed_loop_text import tracker_part
+
+        tables.append(Table(*tracker_part(gains.tracker)))
+    return tables
+
+
+# Loops as plain data.
+
+
+def _plain_position(gains: GainSet) -> PlainData | None:
+    if gains.position is None:
+        return None
+    from dqforge.reports.observers.position_header import plain_position
+
+    return plain_position(gains.position)
+
+
+def _plain_loop(gains: LoopGains, scaled: PerUnitGains) -> PlainData:
+    integers = {}
+    if scaled.integers is not None:
+        kp, ki_ts = scaled.integers
+        integers = {
+            "kp_q": kp.mantissa,
+            "ki_ts_q": ki_ts.mantissa,
+            "q_formats": (kp.shift, ki_ts.shift),
+        }
+    return {
+        "method": gains.method,
+        "kp": gains.kp,
+        "ki": gains.ki,
+        "t_s": gains.t_s,
+        "ki_ts": gains.ki_ts,
+        "t_i_s": gains.t_i,
+        "q0": gains.velocity[0],
+        "q1": gains.velocity[1],
+        "anti_windup_per_s": gains.anti_windup,
+        "kp_pu": scaled.kp,
+        "ki_ts_pu": scaled.ki_ts,
+        **integers,
+        "crossover_rad_per_s": gains.crossover,
+        "phase_margin_rad": gains.phase_margin,
+        "gain_margin": gains.gain_margin,
+        "delay_margin_s": gains.delay_margin,
+        "delay_margin_samples": gains.delay_margin_samples,
+        "max_sensitivity": gains.max_sensitivity,
+        "stable": gains.stable,
+        "disturbance_peak": gains.disturbance.peak,
+        "disturbance_settling_s": gains.disturbance.settling_time,
+        "poles": [[pole.real, pole.imag] for pole in gains.poles.tolist()],
+        **plain_observed(gains),
+    }
+
+
+def _plain_tolerances(gains: GainSet) -> PlainData:
+    found = plain_robustness(gains.robust)
+    if found:
+        found["tolerances"]["single_loops"] = plain_box_proofs(gains)
+    return found
+
+
+def plain_gains(
+    design: Design, gains: GainSet, observer_errors: tuple[ErrorsAtLoad, ...] = ()
+) -> PlainData:
+    """Gains of each loop with their margins; None where the design has no such loop.
+
+    ``observer_errors`` are the steady errors of the speed observer at loads, where they are known.
+    """
+    zero = None if gains.phases is None else gains.phases.zero
+    return {
+        "i_d": _plain_loop(gains.i_d, gains.per_unit["i_d"]),
+        "i_q": _plain_loop(gains.i_q, gains.per_unit["i_q"]),
+        **({} if zero is None else {"i_0": _plain_loop(zero, gains.per_unit["i_0"])}),
+        "speed": None if gains.speed is None else _plain_loop(gains.speed, gains.per_unit["speed"]),
+        "observer": None if gains.observer is None else asdict(gains.observer),
+        **plain_observer_errors(gains.observer_slopes, observer_errors),
+        "position": _plain_position(gains),
+        **({} if gains.tracker is None else {"tracker": plain_tracker(gains.tracker)}),
+        "bases": asdict(design.control.bases),
+        **_plain_tolerances(gains),
+        **plain_schedule(gains.schedule),
+        **plain_changing(gains),
+        **({} if gains.phases is None else plain_judged(gains.phases)),
+        **plain_firmware(gains),
+    }

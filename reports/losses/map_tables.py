@@ -11,9 +11,18 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.losses.drive_budget import PARTS
-from dqforge.optimizer.losses.drive_comparison import Alternatives
-from dqforge.optimizer.losses.mission_budget import MissionComparison, MissionRun
-from dqforge.reports.pages.labels import WITHOUT_BRIDGE, letter, part_label
+from dqforge.optimizer.losses.drive_comparison import Alternatives, MissionComparison, MissionRun
+from dqforge.optimizer.losses.phase_comparison import PhaseBudget
+from dqforge.optimizer.losses.point_comparison import LossComparison
+from dqforge.reports.pages.labels import (
+    WITHOUT_BRIDGE,
+    friction_text,
+    letter,
+    obstacle,
+    part_label,
+    shown_parts,
+    three_decimals,
+)
 from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
 
@@ -283,3 +292,151 @@ def plain_mission(found: MissionComparison) -> PlainData:
         "best": best_index,
         "course": course,
     }
+
+
+# What loss comparisons say of half bridges and neutral, for machines with any back-EMF.
+
+Index = tuple[int, ...]
+_SAME = 5e-4  # Legs whose losses differ by less, relative, are named together.
+
+
+def legs_text(found: PhaseBudget, index: Index) -> str:
+    """Losses of the legs such as ``a, b, c 6.56 W each, n 2.08 W``; empty where unknown."""
+    losses = [float(value) for value in found.leg_loss[index]]
+    if not all(math.isfinite(value) for value in losses):
+        return ""
+    groups: list[tuple[float, list[str]]] = []
+    for name, value in zip(found.legs, losses, strict=True):
+        if groups and abs(value - groups[-1][0]) <= _SAME * max(groups[-1][0], value):
+            groups[-1][1].append(name)
+        else:
+            groups.append((value, [name]))
+    return ", ".join(
+        f"{', '.join(names)} {three_decimals(value)} W{' each' if len(names) > 1 else ''}"
+        for value, names in groups
+    )
+
+
+def leg_notes(comparison: LossComparison, point: int) -> list[str]:
+    """What is said below the table of an operating point: legs, neutral and dead time by rule."""
+    found = comparison.legs
+    if found is None:
+        return []
+    rules: dict[str, list[str]] = {}
+    for s, strategy in enumerate(comparison.strategies):
+        text = _rule_text(found, (s, 0, point))
+        if text:
+            rules.setdefault(text, []).append(strategy)
+    return [f"legs with {', '.join(names)}: {text}" for text, names in rules.items()]
+
+
+def _rule_text(found: PhaseBudget, index: Index) -> str:
+    """Legs, neutral and dead time of one rule; empty where the legs are unknown."""
+    text = legs_text(found, index)
+    if not text:
+        return ""
+    neutral, ripple = float(found.neutral_current[index]), float(found.neutral_ripple[index])
+    if ripple > 0.0:
+        through = f"{three_decimals(neutral)} A r.m.s. and " if neutral > 0.0 else ""
+        text += f"; neutral {through}{three_decimals(ripple)} A r.m.s. of the switching"
+    volts = float(found.budget.voltage_error[index])
+    if volts > 0.0:
+        text += f"; dead time takes {three_decimals(volts)} V where nothing compensates it"
+    return text
+
+
+def plain_legs(found: PhaseBudget, index: Index) -> dict[str, PlainData]:
+    """Keys of a row of the JSON document."""
+    losses = zip(found.legs, found.leg_loss[index].tolist(), strict=True)
+    warm = zip(found.legs, found.leg_temperature[index].tolist(), strict=True)
+    return {
+        "legs_W": dict(losses),
+        "legs_degC": dict(warm),
+        "neutral_A": found.neutral_current[index],
+        "neutral_ripple_A": found.neutral_ripple[index],
+        "link_needed_V": found.link_demand[index],
+        "dead_time_V": found.budget.voltage_error[index],
+    }
+
+
+# Loss comparisons as tables of the terminal.
+
+
+def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
+    """One table per operating point: strategy and modulator against losses
+    and junction temperature.
+    """
+    kinds = shown_parts(comparison.budget)
+    headings = [f"{part_label(kind)} W" for kind in kinds]
+    columns = ("strategy", "modulator", *headings, "total W", "junction degC", "saving %", "")
+    tables = []
+    budget = comparison.budget
+    for p, (point, best) in enumerate(zip(comparison.points, comparison.best_labels, strict=True)):
+        rows = []
+        for s, strategy in enumerate(comparison.strategies):
+            for m, modulation in enumerate(comparison.modulations):
+                index = (s, m, p)
+                mark = "best" if best == (strategy, modulation) else obstacle(comparison, index)
+                cells = [
+                    *(getattr(budget, kind) for kind in kinds),
+                    budget.total,
+                    budget.junction_temperature,
+                ]
+                texts = [three_decimals(float(cell[index])) for cell in cells]
+                # Strategies with the same currents differ by rounding, which nobody saves.
+                saving = three_decimals(round(float(comparison.saving[index]), 6))
+                rows.append((strategy, modulation, *texts, saving, mark))
+        title = (
+            f"{design.name}: losses at {point.torque:.4g} N m, "
+            f"{point.omega_m * 30.0 / math.pi:.5g} rpm"
+        )
+        notes = [
+            friction_text(comparison, p),
+            WITHOUT_BRIDGE if comparison.scope != "drive" else "",
+            *leg_notes(comparison, p),
+        ]
+        tables.append(Table(title, columns, tuple(rows), tuple(note for note in notes if note)))
+    return tables
+
+
+# Loss comparisons as plain data.
+
+
+def plain_losses(comparison: LossComparison | None) -> PlainData | None:
+    """One row per point, strategy and modulator."""
+    if comparison is None:
+        return None
+    budget = comparison.budget
+    rows = [
+        {
+            "torque_Nm": point.torque,
+            "omega_m_rad_per_s": point.omega_m,
+            "strategy": strategy,
+            "modulation": modulation,
+            "copper_W": budget.copper[index],
+            "conduction_W": budget.conduction[index],
+            "switching_W": budget.switching[index],
+            "ripple_copper_W": budget.ripple_copper[index],
+            "iron_W": budget.iron[index],
+            "ripple_iron_W": budget.ripple_iron[index],
+            "magnet_W": budget.magnet[index],
+            "dead_time_W": budget.dead_time[index],
+            "capacitor_W": budget.capacitor[index],
+            "total_W": budget.total[index],
+            "junction_degC": budget.junction_temperature[index],
+            "voltage_V": budget.voltage[index],
+            "friction_W": budget.friction[index],
+            "feasible": comparison.usable[index],
+            "reached": comparison.reached[index],
+            "torque_made_Nm": comparison.most[index],
+            "obstacle": obstacle(comparison, index),
+            "saving_percent": comparison.saving[index],
+        }
+        | ({} if comparison.legs is None else plain_legs(comparison.legs, index))
+        for p, point in enumerate(comparison.points)
+        for s, strategy in enumerate(comparison.strategies)
+        for m, modulation in enumerate(comparison.modulations)
+        for index in [(s, m, p)]
+    ]
+    best = [None if labels is None else list(labels) for labels in comparison.best_labels]
+    return {"scope": comparison.scope, "rows": rows, "best": best}

@@ -14,7 +14,7 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.design.settings import LossStrategy
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
-from dqforge.machines.losses.mission import MOST_BYTES, Mission, read_mission
+from dqforge.machines.losses.machine_budget import MOST_BYTES, Mission, read_mission
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass

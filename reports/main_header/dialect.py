@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from dqforge.machines.records import dataclass
-from dqforge.reports.c_code.header_constant import Constant, ConstantGroup
+from dqforge.reports.c_code.harness import Constant, ConstantGroup
 from dqforge.reports.plain_data import PlainData
 
 

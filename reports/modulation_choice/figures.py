@@ -5,16 +5,46 @@ and mean losses.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.design import Design
+from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.modulation_choice.rule import Leaf, Rule
+from dqforge.optimizer.modulation_choice.rule import Leaf, Rule, SimplifiedChoice
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, PricedRule
-from dqforge.reports.modulation_choice.text import alternative_text, hertz, question_text
+from dqforge.optimizer.solution import Solution
+from dqforge.reports.c_code.harness import Programme, title
+from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind
+from dqforge.reports.c_code.numbers import rounded_up
+from dqforge.reports.capability import Capability, Draw, ReportPart
+from dqforge.reports.modulation_choice.rule_model import (
+    Alternative,
+    EmittedRule,
+    asked_thresholds,
+    emitted_from,
+    emitted_rule,
+    plain_emitted,
+    plain_rule,
+    rule_inputs,
+    rule_results,
+)
+from dqforge.reports.modulation_choice.text import (
+    alternative_text,
+    binding_shares,
+    choice_rows,
+    choice_tables,
+    hertz,
+    kept_text,
+    limits_text,
+    plain_choice,
+    question_text,
+    rule_lines,
+)
 from dqforge.reports.pages.figures_style import (
     BLUE,
     FAINT,
@@ -29,7 +59,17 @@ from dqforge.reports.pages.figures_style import (
     new_figure,
     style,
 )
-from dqforge.reports.pages.map_drawing import WINNERS, cell_edges, draw_cells, inside
+from dqforge.reports.pages.html_text import HtmlTable, Row, quantity, share
+from dqforge.reports.pages.labels import watts
+from dqforge.reports.pages.templating import (
+    MODULATION,
+    WINNERS,
+    cell_edges,
+    draw_cells,
+    inside,
+    render,
+)
+from dqforge.reports.plain_data import PlainData
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -316,3 +356,217 @@ def plot_choice(choice: ModulationChoice) -> Figure:
         lower = figure.add_axes((0.235, 0.36 / height, 0.75, (below - 0.45) / height))
         _draw_losses(lower, choice)
     return figure
+
+
+# The header of the rule that chooses modulator and switching frequency.
+
+_SEED = 20_261_121
+
+
+def _symbol(prefix: str, alternative: Alternative) -> str:
+    name = alternative.modulation.upper().replace("-", "_")
+    return f"{prefix.upper()}_{name}_{round(alternative.f_sw)}_HZ"
+
+
+def _modulator(prefix: str, name: ModulationName) -> str:
+    return f"{prefix.upper()}_MODULATOR_{name.upper().replace('-', '_')}"
+
+
+def rule_header(
+    design: Design,
+    found: SimplifiedChoice,
+    alternatives: Sequence[Alternative],
+    *,
+    reach: tuple[float, float] = (1.0, 1.0),
+    limits: Sequence[str] = (),
+) -> dict[str, bytes]:
+    """Names and bytes of the header with the rule and of its test vectors.
+
+    Only what the rule takes is in it.
+
+    Args:
+        design, found, alternatives: The rule with its price, and what its leaves number.
+        reach: Largest torque in N m and mechanical speed in rad/s of the map that the rule was made
+            for.
+        limits: Lines on what was kept, for the comment.
+    """
+    prefix = design.export.prefix
+    model = emitted_rule(found.rule, alternatives, reach)
+    listed = [
+        {
+            "symbol": _symbol(prefix, part),
+            "text": f"{part.modulation}, {part.f_sw:.6g} Hz",
+            "f_sw": part.f_sw,
+            "modulator": _modulator(prefix, part.modulation),
+        }
+        for part in model.alternatives
+    ]
+    context = {
+        **title(design),
+        "alternatives": listed,
+        "modulators": [
+            {"symbol": _modulator(prefix, name), "text": name} for name in model.modulators
+        ],
+        "rule": plain_rule(model.rule),
+        "asked": sorted(asked_thresholds(model.rule)),
+        "comment": [
+            (
+                "Least mean loss over the operating points of the design that so few questions can "
+                "have:"
+            ),
+            (
+                f"{found.mean_loss:.4g} W, {rounded_up(100.0 * found.price)} % above the best "
+                "alternative at every point."
+            ),
+            *(
+                []
+                if found.permitted
+                else ["No such rule keeps all limits at every point; this one breaks them least."]
+            ),
+            *limits,
+        ],
+    }
+    inputs = rule_inputs(model, design.export.vectors, _SEED)
+    results = rule_results(model, inputs)
+    vectors = [
+        (torque, speed, int(row[0]), row[2])
+        for (torque, speed), row in zip(inputs, results, strict=True)
+    ]
+    texts = {
+        f"{prefix}_modulation.h": render("modulation_choice/rule.h.j2", context),
+        f"{prefix}_modulation_vectors.h": render(
+            "modulation_choice/vectors.h.j2", context | {"vectors": vectors}
+        ),
+    }
+    return {name: text.encode("ascii") for name, text in texts.items()}
+
+
+def choice_model(choice: ModulationChoice) -> EmittedRule:
+    """The model of the header of a design's choice."""
+    rule = choice.emitted
+    return emitted_rule(rule.rule, _alternatives(choice), _reach(choice))
+
+
+def choice_files(design: Design, choice: ModulationChoice) -> dict[str, bytes]:
+    """Names and bytes of the header with a design's rule and of its test vectors."""
+    limits = [f"{line}." for line in limits_text(choice.settings)]
+    return rule_header(
+        design, choice.simplified(), _alternatives(choice), reach=_reach(choice), limits=limits
+    )
+
+
+def _alternatives(choice: ModulationChoice) -> list[Alternative]:
+    return [Alternative(name, frequency) for name, frequency in choice.emitted.alternatives]
+
+
+def _reach(choice: ModulationChoice) -> tuple[float, float]:
+    return float(choice.torque[-1]), float(choice.omega_m[-1])
+
+
+def rule_programme(rule: EmittedRule) -> Programme:
+    """The harness of a rule for the modulator, with what its model answers."""
+    half = SWEEP_POINTS // 2
+    inputs = rule_inputs(rule, half, SWEEP_SEED, patterns=half)
+    return Programme(
+        "modulation_choice/harness.c.j2",
+        inputs,
+        rule_results(rule, inputs),
+        name="choice of modulator",
+    )
+
+
+# The choice of modulator and switching frequency in the report.
+
+
+def choice_part(choice: ModulationChoice, prefix: str) -> PlainData:
+    """What the report prints of a choice."""
+    return {
+        "text": _text(choice),
+        "prices": _prices(choice),
+        "rule": _rule_data(choice),
+        "prefix": prefix,
+        "left_out": _left_out(choice),
+    }
+
+
+def _text(choice: ModulationChoice) -> str:
+    first, *others = limits_text(choice.settings)
+    limits = "; ".join([first, *(line[0].lower() + line[1:] for line in others)])
+    shares = binding_shares(choice)
+    bound = ", ".join(f"{name} at {share(part)}" for name, part in shares.items())
+    bound = (
+        f"What binds the best choice, by share of the points: {bound}."
+        if bound
+        else "No limit binds."
+    )
+    return f"{limits}. {bound}"
+
+
+def _left_out(choice: ModulationChoice) -> str:
+    idle = choice.idle_share
+    return (
+        f"At {share(idle)} of the map nothing keeps all limits; rule and means leave that out."
+        if idle > 0.0
+        else ""
+    )
+
+
+def _cells(choice: ModulationChoice, label: str, rule: PricedRule) -> tuple[str, ...]:
+    taken = ", ".join(alternative_text(part) for part in rule.alternatives)
+    if not math.isfinite(rule.mean_loss):
+        return (label, taken, "\u2013", "\u2013", kept_text(rule))
+    price = choice.price(rule)
+    sign = "+" if price >= 0.0 else "\u2212"
+    return (label, taken, watts(rule.mean_loss), f"{sign}{share(abs(price), 3)}", kept_text(rule))
+
+
+def _prices(choice: ModulationChoice) -> HtmlTable:
+    rows = [Row(("best at every point", "any", watts(choice.best_mean), "", "kept"), "best")]
+    for rule in reversed(choice.rules):
+        label = f"rule of {question_text(rule.questions)}" if rule.questions else "one everywhere"
+        rows.append(Row(_cells(choice, label, rule), "chosen" if rule is choice.emitted else ""))
+    rows.append(Row(_cells(choice, "design of today", choice.today), "muted"))
+    columns = ("", "takes", "mean loss", "above the best", "limits")
+    return HtmlTable("Mean losses over the map, all points alike", columns, tuple(rows), 2)
+
+
+def _rule_data(choice: ModulationChoice) -> HtmlTable:
+    lines = rule_lines(choice.emitted.rule, choice.emitted.alternatives)
+    return HtmlTable(
+        "The rule in the header", ("where", "takes"), tuple(Row(line) for line in lines), 2
+    )
+
+
+# The choice of modulator and switching frequency, as one record.
+
+
+def _figures(_: Solution, choice: ModulationChoice) -> Mapping[str, Draw]:
+
+    return {"choice": lambda: plot_choice(choice)}
+
+
+def _parts(solution: Solution, choice: ModulationChoice) -> list[ReportPart]:
+    data = choice_part(choice, solution.design.export.prefix)
+    key = f"mean loss {quantity(choice.emitted.mean_loss, 'W')}"
+    return [ReportPart(MODULATION, "modulation_choice/report.html.j2", data, key)]
+
+
+MODULATION_CHOICE = Capability(
+    name="modulation_choice",
+    title="modulator and switching frequency",
+    of=lambda outcome: outcome.solution.choice,
+    plain=lambda _, choice: plain_choice(choice),
+    summary=lambda _, choice: choice_rows(choice),
+    tables=lambda solution, choice: choice_tables(solution.design, choice),
+    figures=_figures,
+    parts=_parts,
+    headers=(
+        HeaderKind(
+            name="modulation",
+            files=lambda solution, choice: choice_files(solution.design, choice),
+            plain=lambda _, choice: plain_emitted(choice_model(choice)),
+            read=lambda own, _: emitted_from(own),
+            programme=rule_programme,
+        ),
+    ),
+)

@@ -8,7 +8,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.modulation_choice.solve import solve_choice
-from dqforge.reports.modulation_choice.tables import choice_tables, plain_choice
+from dqforge.reports.modulation_choice.text import choice_tables, plain_choice
 from dqforge.reports.pages.answer import Answer
 
 

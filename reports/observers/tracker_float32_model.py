@@ -10,7 +10,7 @@ import numpy as np
 
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.parts import cast
-from dqforge.reports.c_code.float32_functions import SINGLE, wrap
+from dqforge.reports.c_code.harness import SINGLE, wrap
 
 if TYPE_CHECKING:
     from dqforge.optimizer.curves.single_precision import SingleArray

@@ -2,34 +2,73 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from textwrap import wrap as folded
 from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.estimators.registry import TRACKERS
-from dqforge.reports.c_code.harness import Programme
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
-from dqforge.reports.c_code.title import title
+from dqforge.optimizer.estimators.solve import TunedTracker
+from dqforge.optimizer.observers.tuning import PositionObserver
+from dqforge.reports.c_code.harness import Constant, ConstantGroup, Programme, title
+from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind
+from dqforge.reports.capability import Capability, Outcome, ReportPart
 from dqforge.reports.observers.float32_model import gains_from, plain_gains_of
+from dqforge.reports.observers.position_header import (
+    EmittedObserver,
+    observer_files,
+    observer_from,
+    observer_programme,
+    plain_observer,
+    position_parts,
+)
+from dqforge.reports.observers.speed_float32_model import (
+    ReducedOrderGains,
+    plain_speed_observer,
+    speed_observer_from,
+    speed_observer_gains,
+    speed_observer_inputs,
+    speed_observer_outputs,
+)
+from dqforge.reports.observers.speed_loop_text import (
+    added_text,
+    heard_text,
+    speed_text,
+    tracker_part,
+    tuned_text,
+)
 from dqforge.reports.observers.tracker_float32_model import (
     EmittedTracker,
     tracker_inputs,
     tracker_outputs,
 )
-from dqforge.reports.observers.tracker_text import (
-    added_text,
-    heard_text,
-    speed_text,
-    tuned_text,
+from dqforge.reports.pages.html_text import (
+    NARROW,
+    HtmlTable,
+    Row,
+    heading_cells,
+    number,
+    quantity,
+    share,
+    symbols,
 )
-from dqforge.reports.pages.templating import render
+from dqforge.reports.pages.labels import NEGLIGIBLE
+from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.templating import LOOPS, render
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
-    from dqforge.optimizer.estimators.solve import TunedTracker
+    from dqforge.optimizer.observers.reduced_order import (
+        ErrorsAtLoad,
+        ObserverError,
+        ReducedOrderObserver,
+        SpeedErrorSlopes,
+    )
+    from dqforge.optimizer.solution import Solution
     from dqforge.reports.plain_data import PlainData
+
 
 _FAULT = InputError("observer_header is not what dqforge writes; run the design again")
 
@@ -93,3 +132,267 @@ def tracker_programme(found: EmittedTracker) -> Programme:
         {"code": tracker.code, "further": len(tracker.hears), "injects": tracker.injects},
         name="position tracker",
     )
+
+
+# Observers in the report.
+
+
+def speed_tables(observer: ReducedOrderObserver, errors: Sequence[ErrorsAtLoad]) -> list[HtmlTable]:
+    """Coefficients of the speed observer and its errors with and without load.
+
+    ``errors`` are the steady errors of the speed: without load, and with half the largest torque.
+    """
+    return [_coefficients_table(observer), _speed_error_table(errors)]
+
+
+def _coefficients_table(observer: ReducedOrderObserver) -> HtmlTable:
+    coefficients = (
+        ("A", f"{number(observer.a, 8)}", "pole in the z plane"),
+        ("B_u", f"{number(observer.b_u, 8)}{NARROW}rad/(s V)", "factor of the voltage u_q"),
+        ("B_i", f"{number(observer.b_i, 8)}{NARROW}rad/(s A)", "factor of the current i_q"),
+        ("C", f"{number(observer.c, 8)}{NARROW}rad/(s A)", "current taken off the estimate"),
+    )
+    return HtmlTable(
+        symbols(
+            "Speed observer: \u03c9\u0302[k] = \u03b6[k] \u2212 C i_q[k], "
+            "\u03b6[k+1] = A \u03b6[k] + B_u u_q[k] + B_i i_q[k]"
+        ),
+        ("", "", "value"),
+        tuple(Row((symbols(name), symbols(text), value)) for name, value, text in coefficients),
+        2,
+    )
+
+
+def _speed_error_table(errors: Sequence[ErrorsAtLoad]) -> HtmlTable:
+    """Steady errors of the speed at half the base speed."""
+    rows = []
+    for label, found in zip(("no load", "half the largest torque"), errors, strict=True):
+        cells = [_speed_error_text(error) for error in (found.exact, found.resistance)]
+        rows.append(Row((label, quantity(found.torque_load, "N m"), *cells)))
+    speed = quantity(errors[0].exact.omega_m, "rpm")
+    caption = f"Steady speed error at {speed}, half the base speed, with an unknown load at i_d = 0"
+    columns = (
+        "",
+        "load torque",
+        "exact values",
+        f"resistance {100.0 * errors[0].r_error:.0f} % too large",
+    )
+    return HtmlTable(symbols(caption), heading_cells(*columns), tuple(rows))
+
+
+def estimator_tables(found: PositionObserver | TunedTracker) -> list[HtmlTable]:
+    """Of an observer or a tracker of the position."""
+    if isinstance(found, PositionObserver):
+        return position_tables(found)
+    title, columns, rows, notes = tracker_part(found)
+    heading = symbols(f"{title}: {'; '.join(notes)}")
+    return [HtmlTable(heading, heading_cells(*columns), tuple(Row(cells) for cells in rows))]
+
+
+def position_tables(position: PositionObserver) -> list[HtmlTable]:
+    """Errors of a position observer over its speeds, with what they include."""
+    return [
+        HtmlTable(
+            symbols(f"{title}: {'; '.join(notes)}"),
+            heading_cells(*columns),
+            tuple(Row(cells) for cells in rows),
+        )
+        for title, columns, rows, notes in position_parts(position)
+    ]
+
+
+def _speed_error_text(error: ObserverError) -> str:
+    if abs(error.relative) < NEGLIGIBLE:
+        return f"0{NARROW}rpm"
+    return f"{quantity(error.total, 'rpm', 3)} ({share(error.relative, 2)})"
+
+
+# The C header of the reduced-order speed observer (docs/methods/speed-observer.md).
+
+REDUCED_ORDER = "reduced_order"  # Part of the names of its C functions.
+
+
+def speed_observer_files(design: Design, observer: ReducedOrderObserver) -> dict[str, bytes]:
+    """Name and bytes of the header."""
+    prefix = design.export.prefix
+    context: PlainData = {
+        **title(design),
+        "file": "speed_observer",
+        "kind": "speed",
+        "preamble": [
+            (
+                f"Method: reduced-order observer, gain {observer.g:.6g} rad/s, sampled every "
+                f"{observer.t_s * 1e6:.6g} us."
+            ),
+            (
+                "It needs the angle, from an encoder or an observer of the position; it knows "
+                "nothing of the load torque."
+            ),
+            "",
+            (
+                f"Call {prefix}_{REDUCED_ORDER}_start() once and {prefix}_{REDUCED_ORDER}_step() "
+                "at every sample with the"
+            ),
+            "voltage that acted over the period that ends there.",
+            "Compile with -ffp-contract=off to equal the model bit for bit.",
+        ],
+        "code": REDUCED_ORDER,
+        "gains": asdict(speed_observer_gains(design.machine, observer)),
+    }
+    return {
+        f"{prefix}_speed_observer.h": render("observers/observer.h.j2", context).encode("ascii")
+    }
+
+
+def speed_observer_programme(gains: ReducedOrderGains) -> Programme:
+    """The harness of a speed observer, with what its model answers."""
+    inputs = speed_observer_inputs(gains, SWEEP_POINTS, SWEEP_SEED)
+    outputs = speed_observer_outputs(gains, inputs)
+    return Programme(
+        "observers/speed_observer_harness.c.j2", inputs, outputs, name="speed observer"
+    )
+
+
+# The C header ``<prefix>_observer.h`` of an observer or a tracker of the position: one of them.
+
+
+def emitted_estimator(
+    found: PositionObserver | TunedTracker,
+) -> EmittedObserver | EmittedTracker:
+    """What reaches the firmware."""
+    if isinstance(found, TunedTracker):
+        return EmittedTracker(found.tracker, found.gains)
+    return EmittedObserver(found.method, found.gains)
+
+
+def estimator_files(design: Design, found: PositionObserver | TunedTracker) -> dict[str, bytes]:
+    """Name and bytes of the header."""
+    if isinstance(found, TunedTracker):
+        return tracker_files(design, found)
+    return observer_files(design, found)
+
+
+def plain_estimator(found: EmittedObserver | EmittedTracker) -> PlainData:
+    """Method and gains as plain data."""
+    if isinstance(found, EmittedTracker):
+        return plain_tracker_gains(found)
+    return plain_observer(found)
+
+
+def estimator_from(plain: Mapping[str, Any]) -> EmittedObserver | EmittedTracker:
+    """Read it back; errors as `observer_from`."""
+    return tracker_from(plain) if plain.get("method") in TRACKERS else observer_from(plain)
+
+
+def estimator_programme(found: EmittedObserver | EmittedTracker) -> Programme:
+    """The harness, with what the model answers."""
+    if isinstance(found, EmittedTracker):
+        return tracker_programme(found)
+    return observer_programme(found)
+
+
+# Observers of position and of speed, as records.
+
+
+def _part(tables: list[HtmlTable]) -> list[ReportPart]:
+    return [ReportPart(LOOPS, "pages/tables.html.j2", {"tables": tables, "kind": "loops"})]
+
+
+def _position(outcome: Outcome) -> PositionObserver | TunedTracker | None:
+    gains = outcome.solution.loops
+    if gains is None:
+        return None
+    return gains.position if gains.tracker is None else gains.tracker
+
+
+def _speed(outcome: Outcome) -> ReducedOrderObserver | None:
+    gains = outcome.solution.loops
+    return None if gains is None else gains.observer
+
+
+POSITION_OBSERVER: Capability[PositionObserver | TunedTracker] = Capability(
+    name="position_observer",
+    title="position observer",
+    of=_position,
+    parts=lambda _, observer: _part(estimator_tables(observer)),
+    headers=(
+        HeaderKind(
+            name="observer",
+            files=lambda solution, observer: estimator_files(solution.design, observer),
+            plain=lambda _, observer: plain_estimator(emitted_estimator(observer)),
+            read=lambda own, _: estimator_from(own),
+            programme=estimator_programme,
+            vectors=False,
+        ),
+    ),
+)
+
+# Tables of the terminal and JSON of both stand with those of the loops.
+SPEED_OBSERVER = Capability(
+    name="speed_observer",
+    title="speed observer",
+    of=_speed,
+    parts=lambda solution, observer: _part(speed_tables(observer, solution.observer_errors)),
+    headers=(
+        HeaderKind(
+            name="speed_observer",
+            files=lambda solution, observer: speed_observer_files(solution.design, observer),
+            plain=lambda solution, observer: plain_speed_observer(
+                solution.design.machine, observer
+            ),
+            read=lambda own, _: speed_observer_from(own),
+            programme=speed_observer_programme,
+            vectors=False,
+        ),
+    ),
+)
+
+
+# Observers as tables of the terminal.
+
+
+def observer_table(observer: ReducedOrderObserver, slopes: SpeedErrorSlopes) -> Table:
+    """The speed observer as a table of the terminal."""
+    rows = (
+        ("A", f"{observer.a:.7g}", ""),
+        ("B_U", f"{observer.b_u:.7g}", "rad/(s V)"),
+        ("B_I", f"{observer.b_i:.7g}", "rad/(s A)"),
+        ("C", f"{observer.c:.7g}", "rad/(s A)"),
+    )
+    rpm, wrong = 30.0 / math.pi, 100.0 * slopes.r_error
+    notes = (
+        "steady speed error: none with exact parameters and no load;",
+        f"an unknown load torque shifts the estimate by {slopes.load * rpm:.3g} rpm per N m,",
+        (
+            f"a resistance that is {wrong:.0f} % too high by {slopes.resistance * rpm:.3g} rpm per "
+            "A of i_q"
+        ),
+    )
+    return Table(
+        "Speed observer: omega_hat = zeta - C i_q; zeta' = A zeta + B_U u_q + B_I i_q",
+        ("", "value", "unit"),
+        rows,
+        notes,
+    )
+
+
+# Constants of the speed observer for the main header.
+
+
+def observer_constants(solution: Solution) -> list[ConstantGroup]:
+    """The reduced-order speed observer; nothing without one."""
+    observer = None if solution.loops is None else solution.loops.observer
+    if observer is None:
+        return []
+    constants = (
+        Constant("observer.a", observer.a, "", "pole in the z plane, dimensionless"),
+        Constant("observer.b_u", observer.b_u, "rad/(s V)"),
+        Constant("observer.b_i", observer.b_i, "rad/(s A)"),
+        Constant("observer.c", observer.c, "rad/(s A)"),
+    )
+    comment = (
+        "omega_hat[k] = zeta[k] - C i_q[k];  zeta[k+1] = A zeta[k] + B_U u_q[k] + B_I i_q[k]",
+        "u_q = v_q - p omega_m L_D i_d, with the voltage that acts from sample k to k+1.",
+        f"Continuous pole {observer.continuous_pole:.6g} 1/s; exact for held voltage.",
+    )
+    return [ConstantGroup("Reduced-order speed observer (mechanical speed)", constants, comment)]

@@ -10,9 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.operating_points.characteristics import Characteristics, Envelope
-from dqforge.optimizer.operating_points.operating_map import OperatingMap, VoltageLimit
-from dqforge.optimizer.operating_points.point_problem import Active
+from dqforge.optimizer.operating_points.characteristics import (
+    Characteristics,
+    Envelope,
+    OperatingMap,
+    VoltageLimit,
+)
+from dqforge.optimizer.operating_points.mtpa_locus import Active
 from dqforge.optimizer.operating_points.points import OptimalPoints
 from dqforge.reports.figure_data.scaled import DrawnGrid, draw_filled
 from dqforge.reports.pages.figures_style import (

@@ -6,14 +6,12 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.operating_points.solve import Curves
-from dqforge.reports.pages.html_table import HtmlTable, Row, heading_cells
-from dqforge.reports.pages.html_text import (
-    number,
-    share,
-)
-from dqforge.reports.pages.labels import (
-    watts,
-)
+from dqforge.optimizer.solution import Solution
+from dqforge.reports.capability import Capability
+from dqforge.reports.operating_points.plain import mtpa_tables, plain_curves
+from dqforge.reports.pages.html_text import HtmlTable, Row, heading_cells, number, share
+from dqforge.reports.pages.labels import watts
+from dqforge.reports.pages.table import Table
 
 _SHARES_OF_TORQUE = (0.1, 0.25, 0.5, 0.75, 1.0)
 
@@ -49,3 +47,20 @@ def operating_table(design: Design, curves: Curves) -> HtmlTable:
         tuple(rows),
         0,
     )
+
+
+# The currents over torque, as one record.
+
+
+def _tables(solution: Solution, curves: Curves) -> list[Table]:
+    half = solution.negative
+    return mtpa_tables(solution.design, curves, None if half is None else half.curves)
+
+
+OPERATING_POINTS = Capability(
+    name="mtpa",
+    title="currents over torque",
+    of=lambda outcome: outcome.solution.curves,
+    plain=lambda _, curves: plain_curves(curves),
+    tables=_tables,
+)

@@ -7,12 +7,16 @@ import math
 import numpy as np
 
 from dqforge.machines.design.design import Design
-from dqforge.optimizer.operating_points.characteristics import Characteristics, Envelope, Loci
-from dqforge.optimizer.operating_points.loss_model import DriveLosses
-from dqforge.optimizer.operating_points.mtpa_locus import MtpaLocus
-from dqforge.optimizer.operating_points.operating_map import DrivePoints, OperatingMap, VoltageLimit
-from dqforge.optimizer.operating_points.point_problem import Active
-from dqforge.optimizer.operating_points.points import OptimalPoints
+from dqforge.optimizer.operating_points.characteristics import (
+    Characteristics,
+    DrivePoints,
+    Envelope,
+    Loci,
+    OperatingMap,
+    VoltageLimit,
+)
+from dqforge.optimizer.operating_points.mtpa_locus import Active, MtpaLocus
+from dqforge.optimizer.operating_points.points import DriveLosses, OptimalPoints
 from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
 

@@ -18,14 +18,15 @@ from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.linear_range import contradiction
 from dqforge.machines.units.quantities import parse_option
-from dqforge.optimizer.operating_points.drive_points import (
+from dqforge.optimizer.operating_points.characteristics import (
     LimitedDrive,
     Objective,
+    VoltageLimit,
     map_within,
     most_torque,
     points_within,
+    voltage_limit,
 )
-from dqforge.optimizer.operating_points.operating_map import VoltageLimit, voltage_limit
 from dqforge.optimizer.operating_points.points import OptimalPoints
 from dqforge.reports.operating_points.map_tables import (
     envelope_tables,

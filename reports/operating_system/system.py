@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import codecs
+import gc
+import io
 import os
+import platform
 import sys
 
 WINDOWS = os.name == "nt"
@@ -16,3 +20,104 @@ def processors() -> int:
     """Processors that this process may use: those that it is bound to where the system says so."""
     bound = getattr(os, "sched_getaffinity", None)
     return max(1, len(bound(0)) if bound is not None else os.cpu_count() or 1)
+
+
+# What a process of dqforge runs on: threads and kernels of linear algebra, the search for garbage,
+# and help on classes that nobody reads.
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+KERNEL = "OPENBLAS_CORETYPE"  # Environment variable that names the kernels of the linear algebra.
+
+# Those that every 64-bit processor of a kind can run. On matrices of this size they are as fast as
+# the widest ones.
+_KERNELS = {"x86_64": "Prescott", "amd64": "Prescott", "aarch64": "ARMV8", "arm64": "ARMV8"}
+
+# Instructions that some x86 processors have, by numpy's names.
+_WIDE = "X86_V3 X86_V4 AVX512_ICL AVX512_SPR"
+_OBJECTS = 100_000
+_HELP = "_update_set_signature_and_docstring"
+
+
+def fix_kernels() -> None:
+    """Let numpy and its linear algebra sum in one order on every processor of a kind, whatever the
+    environment says, so that the last digits are the same.
+
+    It counts where numpy is not loaded yet; where it is, the environment stays as it is.
+    """
+    machine = platform.machine().lower()
+    if "numpy" in sys.modules or machine not in _KERNELS:
+        return
+    os.environ[KERNEL] = _KERNELS[machine]
+    if _KERNELS[machine] == "Prescott":
+        os.environ["NPY_DISABLE_CPU_FEATURES"] = _WIDE
+
+
+def prepare_process() -> None:
+    """One thread of linear algebra, unless the environment says how many: the matrices are small,
+    threads wait for each other, and sums by several threads are other sums. It counts where numpy
+    is not loaded yet. The same kernels on every processor (`fix_kernels`).
+
+    Cycles of objects are looked for seldom: what is imported and drawn is looked through each time,
+    which took a tenth of a run, and next to nothing of it goes.
+    """
+    for name in _THREADS:
+        os.environ.setdefault(name, "1")
+    fix_kernels()
+    gc.set_threshold(_OBJECTS, 50, 50)
+
+
+def prepare_drawing() -> None:
+    """Artists of matplotlib without the help on ``set`` that it writes for each of a hundred
+    classes when it is loaded, which takes half of that time.
+    """
+    from matplotlib.artist import Artist
+
+    if hasattr(Artist, _HELP):
+        setattr(Artist, _HELP, classmethod(_without_help))
+
+
+def _without_help(_class: type) -> None:
+    pass
+
+
+# Text on streams that do not know every character: signs of the field are spelled out.
+#
+# A pipe on Windows, or a terminal of the C locale, takes no psi and no degree; what is printed
+# there is ``psi`` and ``deg``, and a question mark for what has no spelling. Files are always
+# UTF-8.
+
+_HANDLER = "dqforge-spelled"
+
+_SPELLINGS = {
+    **dict(zip("°²³·¹⁻→√⋅−…×≤≥±–—", (
+        "deg", "^2", "^3", "*", "^1", "^-", "->", "sqrt", "*", "-", "...", "x", "<=", ">=", "+-",
+        "-", "-",
+    ), strict=True)),
+    **dict(zip("αβγδεζηθϑικλξπρσςτφϕχψωΔΘΛΠΣΦΨΩΩ", (
+        "alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "theta", "iota",
+        "kappa", "lambda", "xi", "pi", "rho", "sigma", "sigma", "tau", "phi", "phi", "chi", "psi",
+        "omega", "Delta", "Theta", "Lambda", "Pi", "Sigma", "Phi", "Psi", "Ohm", "Ohm",
+    ), strict=True)),
+    "µ": "u",
+    "μ": "u",
+}  # fmt: skip
+
+
+def _spelled(error: UnicodeError) -> tuple[str | bytes, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    sign = error.object[error.start]
+    if "\udc80" <= sign <= "\udcff":  # a byte of a file's name that is no text
+        return bytes((ord(sign) - 0xDC00,)), error.start + 1
+    return _SPELLINGS.get(sign, "?"), error.start + 1
+
+
+def spell_out() -> None:
+    """Have stdout and stderr spell out what they cannot show; a way that somebody chose by
+    ``PYTHONIOENCODING`` stays.
+    """
+    codecs.register_error(_HANDLER, _spelled)
+    for stream in (sys.stdout, sys.stderr):
+        usual = ("strict", "surrogateescape", "backslashreplace")
+        if isinstance(stream, io.TextIOWrapper) and stream.errors in usual:
+            stream.reconfigure(errors=_HANDLER)

@@ -22,9 +22,9 @@ from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.records import dataclass
 from dqforge.reports.operating_system.host_compiler import find_compiler
-from dqforge.reports.operating_system.own_process import KERNEL
-from dqforge.reports.pages.files import LARGEST_JSON, read_output
-from dqforge.reports.pages.strict_json import strict_json
+from dqforge.reports.operating_system.system import KERNEL
+from dqforge.reports.pages.answer import LARGEST_JSON, read_output
+from dqforge.reports.pages.templating import strict_json
 from dqforge.reports.run_folder import MANIFEST
 
 LAYOUT = 2

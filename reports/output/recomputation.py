@@ -12,33 +12,39 @@ from pathlib import Path
 from typing import get_args
 
 from dqforge import __version__
-from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
-from dqforge.machines.design.reading import MAX_FILE_BYTES
+from dqforge.machines.design.catalogue import load_text
+from dqforge.machines.design.design import MAX_FILE_BYTES, Design
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.names import Firmware
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.firmware.design_simulation import simulate_with_firmware
-from dqforge.reports.firmware.text_file import decoded_file
+from dqforge.reports.firmware.target import decoded_file
 from dqforge.reports.output.folder import (
     COMMAND,
     EXISTING,
     FIRMWARE,
     FIRMWARES,
+    PENDING,
     RUN,
     SIMULATION,
     SWITCHED,
     VERIFIED,
+    files_below,
     input_root,
     named_in_folder,
 )
-from dqforge.reports.output.folder_swap import PENDING, files_below
-from dqforge.reports.output.last_digits import BOUND, changed_sample, changed_value
-from dqforge.reports.output.line_comparison import Tally, first_difference, tally
+from dqforge.reports.output.line_comparison import (
+    BOUND,
+    Tally,
+    changed_sample,
+    changed_value,
+    first_difference,
+    tally,
+)
 from dqforge.reports.output.manifest import Manifest, Part, computed_with, read_manifest, sha256
+from dqforge.reports.pages.answer import read_output
 from dqforge.reports.pages.console import stage
-from dqforge.reports.pages.files import read_output
 from dqforge.reports.run import export_design, run_again, solved_files
 from dqforge.reports.run_folder import INPUT, MANIFEST, REPORT, RESULT
 from dqforge.reports.simulation.design_run import simulation_files

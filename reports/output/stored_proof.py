@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.box_proofs.current_loop_checker import (
+from dqforge.optimizer.box_proofs.current_loop_proof import (
     Confirmation,
     confirm,
     confirm_sensitivity,
 )
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.loops.stability_text import CERTIFICATE
-from dqforge.reports.pages.files import LARGEST_JSON, read_output
-from dqforge.reports.pages.strict_json import strict_json
+from dqforge.reports.loops.firmware_text import CERTIFICATE
+from dqforge.reports.pages.answer import LARGEST_JSON, read_output
+from dqforge.reports.pages.templating import strict_json
 
 
 def check_stored_proof(

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dqforge.optimizer.overmodulation.solve import Overmodulation
+from dqforge.optimizer.overmodulation import Overmodulation
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.capability import Capability, Quantity, ReportPart, Rows
-from dqforge.reports.overmodulation.plain import plain_overmodulation
 from dqforge.reports.overmodulation.tables import (
     gain_text,
     overmodulation_part,
     overmodulation_tables,
+    plain_overmodulation,
     reach_text,
 )
-from dqforge.reports.pages.chapters import MODULATION
+from dqforge.reports.pages.templating import MODULATION
 
 
 def _summary(_: Solution, found: Overmodulation) -> Rows:

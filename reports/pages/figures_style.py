@@ -17,7 +17,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.reports.figure_data.figure_sheet import read_figure
 from dqforge.reports.figure_data.scaled import tick_in_unit
-from dqforge.reports.pages.files import check_figure_path, write_atomically
+from dqforge.reports.pages.answer import check_figure_path, write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

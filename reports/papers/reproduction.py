@@ -30,7 +30,8 @@ class Reproduced:
 
 
 def _paper000(*, figures: bool) -> Reproduced:
-    from dqforge.reports.papers.paper000 import plain, tables
+    from dqforge.reports.papers.paper000 import figures as plain
+    from dqforge.reports.papers.paper000 import whole_paper as tables
     from dqforge.reports.papers.paper000.whole_paper import reproduce_whole
 
     found = reproduce_whole()
@@ -51,12 +52,12 @@ def _paper001(*, figures: bool) -> Reproduced:
     found = reproduce_paper()
     drawn: dict[str, Callable[[], Figure]] = {}
     if figures:
-        from dqforge.reports.papers.paper001.figures import plot_bench, plot_without_encoder
-        from dqforge.reports.papers.paper001.program_figures import (
+        from dqforge.reports.papers.paper001.emitted_control import (
             plot_at_1200,
             plot_climbs,
             plot_reversal,
         )
+        from dqforge.reports.papers.paper001.tables import plot_bench, plot_without_encoder
 
         runs = found.program.runs
         drawn["figures-8.3-to-8.13.svg"] = lambda: plot_at_1200(runs)
@@ -68,12 +69,14 @@ def _paper001(*, figures: bool) -> Reproduced:
 
 
 def _paper002(*, figures: bool) -> Reproduced:
-    from dqforge.reports.papers.paper002 import plain, recomputed, tables
+    from dqforge.reports.papers import paper002 as plain
+    from dqforge.reports.papers import paper002 as recomputed
+    from dqforge.reports.papers import paper002 as tables
 
     found = recomputed.reproduce_paper()
     drawn: dict[str, Callable[[], Figure]] = {}
     if figures:
-        from dqforge.reports.papers.paper002.drawn import figures_of
+        from dqforge.reports.papers.paper002 import figures_of
 
         drawn = figures_of(found)
     return Reproduced(tables.reproduction_tables(found), plain.plain_reproduction(found), drawn)

@@ -17,10 +17,9 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control.header import gain_bytes, plain_control
 from dqforge.reports.plain_data import PlainData
-from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
 from dqforge.reports.simulation.design_run import controller_files, drive_of, observers_of
 from dqforge.reports.simulation.plant_input import Drive
-from dqforge.reports.simulation.recorded_run import Simulation
+from dqforge.reports.simulation.recorded_run import Simulation, Simulator, simulate, simulator
 
 RPM = np.pi / 30.0
 

@@ -11,7 +11,7 @@ import numpy as np
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import Pair, Triple
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
-from dqforge.optimizer.fixed_control.step import IDLE, SpeedState, speed_loop
+from dqforge.optimizer.fixed_control.transforms import IDLE, SpeedState, speed_loop
 from dqforge.optimizer.fixed_phase_control.phase_step import (
     PhaseState,
     Sample,

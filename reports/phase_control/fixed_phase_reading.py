@@ -9,13 +9,13 @@ from typing import Any, get_args
 
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
+from dqforge.optimizer.fixed_phase_control.design import phase_ranges
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedAxis,
     FixedHarmonic,
     FixedMidpoint,
     FixedPhaseControl,
 )
-from dqforge.optimizer.fixed_phase_control.phase_ranges import phase_ranges
 from dqforge.reports.control.fixed_reading import (
     NOT_OURS,
     forms_from,

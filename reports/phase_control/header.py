@@ -2,35 +2,41 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
-from dqforge.optimizer.current_reference.integer_form import FixedReference
+from dqforge.machines.names import CurrentFrame, Feedforward, ModulationName
+from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
+from dqforge.machines.records import dataclass
+from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.optimizer.current_reference.forms import FixedReference
+from dqforge.reports.c_code.harness import single_from, title
 from dqforge.reports.c_code.numbers import float_literal
-from dqforge.reports.c_code.title import title
 from dqforge.reports.control.header import speed_filter
-from dqforge.reports.loops.judged_text import judged_lines
+from dqforge.reports.current_reference.plain import from_plain
+from dqforge.reports.loops.proven_text import judged_lines
 from dqforge.reports.pages.templating import render
-from dqforge.reports.phase_control.float32_parts import steps_per_rad, turns_per_rad
-from dqforge.reports.phase_control.plain import (
-    HARMONIC_NUMBERS,
-    MIDPOINT_NUMBERS,
-    NUMBERS,
-    PIS,
-    Surroundings,
-    plain_phase_control,
-    structure_of,
+from dqforge.reports.phase_control.float32_model import (
+    PhaseControlModel,
+    limited_from,
+    plain_limited,
 )
+from dqforge.reports.phase_control.float32_parts import Structure, steps_per_rad, turns_per_rad
 from dqforge.reports.plain_data import PlainData, shortest
+from dqforge.reports.waveforms.float32_model import phase_reference_from
 
 if TYPE_CHECKING:
-    from dqforge.optimizer.phase_control.phase_controller import PhaseControl
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.optimizer.curves.single_precision import SingleArray
+    from dqforge.optimizer.loops.loop_gains import LoopGains
+    from dqforge.optimizer.phase_control.phase_controller import PhaseControl, TorqueLimit
     from dqforge.optimizer.solution import Solution
+
 
 _FLOAT_BYTES = 4
 
@@ -224,3 +230,269 @@ def _judgement(solution: Solution, control: PhaseControl) -> list[str]:
 def shape_bytes(plain: Mapping[str, Any]) -> int:
     """Bytes of the table of the back-EMF."""
     return _FLOAT_BYTES * int(np.size(plain["shape"]))
+
+
+# The emitted control of a phase machine as plain data, and back to its model.
+
+PIS = ("d", "q", "zero", "speed")
+
+NUMBERS = (
+    "pole_pairs", "r_s", "l_d", "l_q", "l_0", "psi_pm", "voltage_share", "t_s", "sampling",
+    "torque_max", "speed_filter", "fade_end", "fade",
+)  # fmt: skip
+
+HARMONIC_NUMBERS = ("harmonic_rate", "harmonic_fade", "harmonic_error_max")
+
+MIDPOINT_NUMBERS = ("balance", "zero_fade")
+
+_FAULT = InputError("control_header is not what dqforge writes; run the design again")
+
+_MOST_NODES, _MOST_ORDER, _MOST_TURNS = 65_536, 200, 1000
+
+_FADE_SHARE = 5.0  # over the last fifth of the frequencies
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What the emitted control takes from the design beside its current control.
+
+    Args:
+        modulation: Modulator of three legs without a neutral.
+        voltage_margin: Share of the DC link that stays unused.
+        speed: Gains of the speed loop, None without one.
+        ratio: Current samples per speed sample.
+        speed_filter: Share of a new speed sample, 1 without filter.
+    """
+
+    modulation: ModulationName
+    voltage_margin: float = 0.0
+    speed: LoopGains | None = None
+    ratio: int = 1
+    speed_filter: float = 1.0
+
+
+def _single(value: float) -> float:
+    return shortest(np.float32(value))
+
+
+def _fade(control: PhaseControl) -> tuple[float, float]:
+    """Share of the shape = first - second |omega_e|: 1 and 0 at the samples per period given."""
+    begins, ends = control.fade
+    if begins <= ends:
+        return 1.0, 0.0
+    slope = 1.0 / (1.0 / ends - 1.0 / begins)
+    return slope / ends, slope * control.t_s / (2.0 * math.pi)
+
+
+def _numbers(control: PhaseControl, around: Surroundings) -> dict[str, float]:
+    fade_end, fade = _fade(control)
+    l_d, l_q, l_0 = control.inductances
+    found = {
+        "pole_pairs": control.pole_pairs,
+        "r_s": control.r_s,
+        "l_d": l_d,
+        "l_q": l_q,
+        "l_0": l_0,
+        "psi_pm": control.psi_pm,
+        "voltage_share": 1.0 - around.voltage_margin,
+        "t_s": control.t_s,
+        "sampling": 1.0 / control.t_s,
+        "torque_max": control.torque_max,
+        "speed_filter": around.speed_filter,
+        "fade_end": fade_end,
+        "fade": fade,
+    }
+    if control.harmonics is not None:
+        found["harmonic_rate"] = control.harmonics.rate * control.t_s
+        found["harmonic_fade"] = _FADE_SHARE / (2.0 * math.pi * control.harmonics.frequency_max)
+        found["harmonic_error_max"] = control.harmonics.error_max
+    if control.midpoint is not None:
+        least = control.midpoint.omega_e_min
+        found["balance"] = control.midpoint.balance
+        found["zero_fade"] = 1.0 / least if least > 0.0 else 1e30
+    return {name: _single(value) for name, value in found.items()}
+
+
+def _limit(limit: TorqueLimit | None) -> PlainData | None:
+    """The table with at least two nodes on each axis."""
+    if limit is None:
+        return None
+    axes, torque = [limit.omega_e, limit.v_dc], np.asarray(limit.torque)
+    for axis in (0, 1):
+        if axes[axis].size == 1:
+            axes[axis] = np.append(axes[axis], axes[axis][0] + 1.0)
+            torque = np.repeat(torque, 2, axis=axis)
+    return {
+        "omega_e": [_single(x) for x in axes[0]],
+        "v_dc": [_single(x) for x in axes[1]],
+        "torque": [[_single(x) for x in row] for row in torque],
+        "v_nominal": None if limit.v_nominal is None else _single(limit.v_nominal),
+    }
+
+
+def _require(control: PhaseControl) -> None:
+    """Refuse what the emitted control does not do."""
+    rule = TOPOLOGIES[control.topology]
+    l_d, l_q, _ = control.inductances
+    if control.frame == "dqy" and not rule.neutral:
+        raise InputError(
+            "control.current_loop.frame: dqy needs a zero-sequence current, and "
+            f"{control.topology} drives none; write dqx or table"
+        )
+    if l_d != l_q and control.frame not in ("dq", "table"):
+        raise InputError(
+            f"control.current_loop.frame: {control.frame} is for machines without saliency; write "
+            "table or dq"
+        )
+    rows, nodes = control.shape.flux.shape
+    if rows == 1 and (control.shape.turns > 1 or nodes % 3):
+        raise InputError(
+            "the emitted back-EMF needs three rows where it repeats after several periods, or "
+            f"nodes in multiples of 3 for one row; it has {nodes} nodes and {control.shape.turns} "
+            "periods"
+        )
+    if control.limited is not None and control.frame in ("dq", "dqx"):
+        raise InputError(
+            "control.current_loop.limited_waveforms: references of frame "
+            f"{control.frame} do not follow the back-EMF with its zero sequence; write table"
+        )
+    if rule.midpoint != (control.midpoint is not None):
+        raise InputError(f"{control.topology}: gains of the midpoint belong to split-capacitor")
+
+
+def plain_phase_control(
+    control: PhaseControl,
+    around: Surroundings,
+    *,
+    by_waveform: bool = False,
+    start_up: bool = False,
+) -> PlainData:
+    """The emitted control as plain data; every number is a float32 value.
+
+    ``by_waveform`` says that the references are those of the header of phase currents, ``start_up``
+    that a start without encoder adds currents to them.
+
+    Raises:
+        InputError: It is not emitted; the message says what is instead.
+    """
+    _require(control)
+    flux: FloatArray = np.concatenate([control.shape.flux, control.shape.flux[:, :1]], axis=1)
+    harmonics = control.harmonics
+    neutral = TOPOLOGIES[control.topology].neutral
+    speed = around.speed
+    gains = {
+        name: [_single(axis.kp), _single(axis.ki * control.t_s), 0.0]
+        for name, axis in zip(PIS[:3], control.gains, strict=True)
+    }
+    gains["speed"] = (
+        [0.0, 0.0, 0.0]
+        if speed is None
+        else [_single(x) for x in (speed.kp, speed.ki_ts, speed.anti_windup * speed.t_s)]
+    )
+    return {
+        "frame": control.frame,
+        "feedforward": control.feedforward,
+        "topology": control.topology,
+        "modulation": around.modulation,
+        "turns": control.shape.turns,
+        "by_waveform": by_waveform,
+        **({"start_up": True} if start_up else {}),
+        "ratio": around.ratio,
+        "plane": [] if harmonics is None else list(harmonics.plane),
+        "zero_orders": list(harmonics.zero) if harmonics is not None and neutral else [],
+        **gains,
+        **_numbers(control, around),
+        "torque_limit": _limit(control.torque_limit),
+        "limited": plain_limited(control.limited),
+        "shape": [[_single(x) for x in row] for row in flux],
+    }
+
+
+def structure_of(plain: Mapping[str, Any]) -> Structure:
+    """What the code is made of, from data as `plain_phase_control` makes them.
+
+    Raises:
+        KeyError, TypeError, ValueError: They are not.
+    """
+    whole = {name: plain[name] for name in ("turns", "ratio")}
+    orders = {name: tuple(plain[name]) for name in ("plane", "zero_orders")}
+    for value in (*whole.values(), *orders["plane"], *orders["zero_orders"]):
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise TypeError
+    for values, known in (
+        (plain["frame"], get_args(CurrentFrame)),
+        (plain["feedforward"], get_args(Feedforward)),
+        (plain["topology"], tuple(TOPOLOGIES)),
+        (plain["modulation"], tuple(MODULATORS)),
+    ):
+        if values not in known:
+            raise ValueError
+    sizes = [abs(order) for order in (*orders["plane"], *orders["zero_orders"])]
+    if not all(1 <= size <= _MOST_ORDER for size in sizes) or min(whole.values()) < 1:
+        raise ValueError
+    if min((*orders["zero_orders"], 1)) < 1 or whole["turns"] > _MOST_TURNS:
+        raise ValueError
+    if any(len(set(found)) != len(found) for found in orders.values()):
+        raise ValueError
+    found = Structure(
+        plain["frame"], plain["feedforward"], plain["topology"], plain["modulation"],
+        whole["turns"], whole["ratio"], orders["plane"], orders["zero_orders"],
+        plain["torque_limit"] is not None,
+        plain["l_d"] != plain["l_q"],
+        bool(plain.get("by_waveform", False)),
+        plain.get("start_up", False) is True,
+    )  # fmt: skip
+    if (found.zero or found.frame == "dqy") and not found.neutral:
+        raise ValueError
+    return found
+
+
+def _array(rows: Any) -> SingleArray:
+    return np.array([[single_from(x) for x in row] for row in rows], dtype=np.float32)
+
+
+def phase_control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> PhaseControlModel:
+    """Read the control functions back from a result and its part that describes them.
+
+    Raises:
+        InputError: The data are not what `plain_phase_control` makes.
+    """
+    try:
+        structure = structure_of(described)
+        names = (
+            *NUMBERS,
+            *(HARMONIC_NUMBERS if structure.multiples else ()),
+            *(MIDPOINT_NUMBERS if structure.midpoint else ()),
+        )
+        gains: dict[str, Any] = {
+            name: tuple(single_from(x) for x in described[name]) for name in PIS
+        }
+        gains |= {name: single_from(described[name]) for name in names}
+        shape, limit = _array(described["shape"]), described["torque_limit"]
+        table = None if limit is None else _limit_from(limit)
+        at = None if limit is None else limit["v_nominal"]
+        nominal = None if at is None else single_from(at)
+        beyond = described.get("limited")
+        limited = None if beyond is None else limited_from(beyond, shape.shape)
+        reference = None if structure.by_torque else from_plain(whole["header"]["reference"])
+        waveform = phase_reference_from(whole["waveform_header"]) if structure.by_waveform else None
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise _FAULT from error
+    rows, columns = shape.shape if shape.ndim == 2 else (0, 0)
+    thirds = rows == 3 or ((columns - 1) % 3 == 0 and structure.turns == 1)
+    if rows not in (1, 3) or not 4 <= columns <= _MOST_NODES or not thirds:
+        raise _FAULT
+    if not all(len(gains[name]) == 3 for name in PIS) or isinstance(reference, FixedReference):
+        raise _FAULT
+    if nominal is not None and not nominal > 0.0:
+        raise _FAULT
+    return PhaseControlModel(structure, gains, shape, reference, table, nominal, limited, waveform)
+
+
+def _limit_from(limit: Mapping[str, Any]) -> tuple[SingleArray, SingleArray, SingleArray]:
+    speeds, voltages = _array([limit["omega_e"]])[0], _array([limit["v_dc"]])[0]
+    torque = _array(limit["torque"])
+    ascending = all(np.all(np.diff(axis) > 0.0) for axis in (speeds, voltages))
+    if torque.shape != (speeds.size, voltages.size) or min(torque.shape) < 2 or not ascending:
+        raise ValueError
+    return speeds, voltages, torque

@@ -5,23 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.firmware.asked import drive_values
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
-from dqforge.optimizer.firmware.explained import Explained, explain
-from dqforge.optimizer.firmware.judge import JudgedFirmware
-from dqforge.optimizer.firmware.solve import FirmwareFit, method_of
-from dqforge.reports.firmware.text_file import read_text_file
+from dqforge.optimizer.firmware.firmware_method import JudgedFirmware, drive_values
+from dqforge.optimizer.firmware.solve import Explained, FirmwareFit, explain, method_of
+from dqforge.reports.firmware.target import read_text_file
 from dqforge.reports.firmware_files.design_made import design_from_files
 from dqforge.reports.firmware_files.plain import plain_explained, plain_fit
 from dqforge.reports.firmware_files.recognised import read_configuration
 from dqforge.reports.firmware_files.settled import require_settling
 from dqforge.reports.output.manifest import sha256
-from dqforge.reports.pages.files import write_all
+from dqforge.reports.pages.answer import write_all
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.run import solved_files
 from dqforge.reports.session.result import Result

@@ -19,7 +19,7 @@ from dqforge.machines.plants.scenario import Profile, Scenario
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.current_reference.fit import fit_reference
-from dqforge.optimizer.current_reference.integer_form import FixedReference
+from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.application.header import application_files
@@ -27,32 +27,35 @@ from dqforge.reports.field_weakening.header import weakening_files
 from dqforge.reports.fixed_observers.fixed_observer_header import fixed_observer_files
 from dqforge.reports.fixed_reference.header import reference_files
 from dqforge.reports.main_header.header import header_files
-from dqforge.reports.observers.estimator_header import estimator_files
 from dqforge.reports.observers.position_header import observer_files
-from dqforge.reports.observers.speed_header import REDUCED_ORDER, speed_observer_files
-from dqforge.reports.operating_system.host_compiler import require_compiler
-from dqforge.reports.phase_control.emitted import emitted_control_files, phase_control_of
-from dqforge.reports.phase_control.emitted_integers import integer_files
-from dqforge.reports.simulation.compiled_plant import (
-    Progress,
-    simulate,
-    simulator,
+from dqforge.reports.observers.tracker_header import (
+    REDUCED_ORDER,
+    estimator_files,
+    speed_observer_files,
 )
-from dqforge.reports.simulation.number_format import not_simulated, simulated
-from dqforge.reports.simulation.plant_input import Drive
+from dqforge.reports.operating_system.host_compiler import require_compiler
+from dqforge.reports.phase_control.emitted_integers import (
+    emitted_control_files,
+    integer_files,
+    phase_control_of,
+)
+from dqforge.reports.simulation.plant_input import Drive, not_simulated, simulated
 from dqforge.reports.simulation.recorded_run import (
     ApplicationRecord,
     BlockFigures,
     BlockRecord,
     PhaseRecord,
+    Progress,
     Simulation,
     StartRecord,
     Summary,
+    simulate,
+    simulator,
 )
 from dqforge.reports.simulation.start_figures import StartFigures, estimated, start_figures
-from dqforge.reports.speed_measurement.header import measurement_files
+from dqforge.reports.speed_measurement.tables import measurement_files
 from dqforge.reports.start_up.header import every_start_file
-from dqforge.reports.waveforms.header import waveform_files
+from dqforge.reports.waveforms.tables import waveform_files
 
 SETTLED = 0.02  # Share of a step within which the answer counts as settled.
 _LAST = 0.1  # share of an interval over which its final error is averaged

@@ -4,34 +4,33 @@ simulate_main.c.j2).
 
 from __future__ import annotations
 
+import ctypes
 import math
+import struct
 from dataclasses import replace
 from itertools import pairwise
+from typing import get_args
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.flux_map import FluxMap
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError
-from dqforge.machines.names import Topology
-from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
+from dqforge.machines.names import NumberFormat, Topology
+from dqforge.machines.phase_machines.phase_machine import (
+    AnyPhaseMachine,
+    PhaseMachine,
+    SalientPhaseMachine,
+)
 from dqforge.machines.plants.scenario import ControlMode, Profile, Scenario
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
-from dqforge.reports.simulation.phase_plant_input import (
-    duty_table,
-    emf_table,
-    highest_order,
-    inductance_table,
-    least_inductance,
-    midpoint_frequency,
-    no_phase_parameters,
-    phase_parameters,
-)
-from dqforge.reports.simulation.plant_layout import PARAMETERS
+from dqforge.optimizer.current_reference.forms import FixedReference
+from dqforge.optimizer.fixed_control.transforms import IDLE, FixedControl, FixedPi
+from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.solution import Solution
 
 _MODES: dict[ControlMode, float] = {"speed": 0.0, "torque": 1.0, "current": 2.0, "open-loop": 3.0}
 _RELATIVE_STEP = 0.05
@@ -376,3 +375,356 @@ def share_tables(runs: list[RunInput]) -> list[RunInput]:
         )
         shared.append(replace(run, tables=tables))
     return shared
+
+
+# Phase machines, their topologies and what opens in them as the numbers that the compiled
+# simulation reads (template phase_plant.c.j2).
+
+# Where the neutral ends, as the C code numbers it.
+_FLOATING, _LEG, _DIODES, _MIDPOINT, _LINK = range(5)
+
+# Rows and columns of the six entries of a symmetric matrix, in the order of the C code.
+_ENTRIES = ((0, 0), (1, 1), (2, 2), (1, 2), (2, 0), (0, 1))
+_NEGLIGIBLE = 1e-13
+_NOTHING = 1e-12  # Share of the current limit below which a conductor has no current.
+
+
+def harmonics_table(waveforms: FloatArray) -> FloatArray:
+    """Harmonics of periodic waveforms: order, then cosine and sine of each, for every order.
+
+    They are those of the interpolating trigonometric polynomial, without what is rounding.
+
+    Args:
+        waveforms: Values in any unit on an even grid over their period, shape (K, N).
+    """
+    count = waveforms.shape[1]
+    spectrum = np.fft.rfft(waveforms, axis=1) * (2.0 / count)
+    spectrum[:, 0] *= 0.5
+    orders = np.arange((count + 1) // 2)  # without the highest, whose phase the table does not tell
+    sizes = np.max(np.abs(spectrum[:, orders]), axis=0)
+    kept = orders[sizes > _NEGLIGIBLE * np.max(sizes)]
+    terms = np.empty((kept.size, 1 + 2 * waveforms.shape[0]))
+    terms[:, 0] = kept
+    terms[:, 1::2], terms[:, 2::2] = spectrum[:, kept].real.T, -spectrum[:, kept].imag.T
+    return terms.reshape(-1)
+
+
+def emf_table(phases: AnyPhaseMachine, scale: float = 1.0) -> FloatArray:
+    """Harmonics of the back-EMF over electrical speed, of the phases a, b, c."""
+    return harmonics_table(phases.flux * scale)
+
+
+def inductance_table(phases: AnyPhaseMachine, scale: float = 1.0) -> FloatArray:
+    """Harmonics of the inductances aa, bb, cc, bc, ca, ab; empty where they are constant."""
+    if isinstance(phases, PhaseMachine):
+        return np.zeros(0)
+    return harmonics_table(np.stack([phases.inductance[:, j, k] for j, k in _ENTRIES]) * scale)
+
+
+def duty_table(profiles: list[FloatArray]) -> FloatArray:
+    """The tables of profiles one behind the other, each behind its length."""
+    parts = [part for table in profiles for part in (np.array([float(table.size)]), table)]
+    return np.concatenate(parts) if parts else np.zeros(0)
+
+
+def constant_inductances(phases: AnyPhaseMachine) -> tuple[float, float]:
+    """Self and mutual inductance in H, of salient machines the means over phases and angle."""
+    if isinstance(phases, SalientPhaseMachine):
+        mean = np.mean(phases.inductance, axis=0)
+        own = float(np.trace(mean)) / 3.0
+        return own, (float(np.sum(mean)) - 3.0 * own) / 6.0
+    return phases.l_s, phases.m_s
+
+
+def least_inductance(phases: AnyPhaseMachine, topology: Topology) -> float:
+    """Least inductance in H of a current that the topology lets flow."""
+    matrices = (
+        phases.inductance
+        if isinstance(phases, SalientPhaseMachine)
+        else phases.inductances[np.newaxis]
+    )
+    if not TOPOLOGIES[topology].neutral:
+        basis = np.array([[2.0, -1.0, -1.0], [0.0, math.sqrt(3.0), -math.sqrt(3.0)]])
+        basis /= math.sqrt(6.0)
+        matrices = basis @ matrices @ basis.T
+    return float(np.min(np.linalg.eigvalsh(matrices)))
+
+
+def midpoint_frequency(phases: AnyPhaseMachine, inverter: Inverter) -> float:
+    """Frequency in rad/s with which the midpoint of a split link swings against the machine's zero
+    sequence; 0 where the link is not split, or stiff.
+    """
+    if not TOPOLOGIES[inverter.topology].midpoint or inverter.midpoint_capacitance is None:
+        return 0.0
+    least = least_inductance(phases, inverter.topology)
+    return math.sqrt(3.0 / (least * inverter.midpoint_capacitance))
+
+
+def highest_order(phases: AnyPhaseMachine) -> float:
+    """Highest harmonic of the back-EMF in electrical periods."""
+    return float(emf_table(phases)[::7].max()) / turns_of(phases)
+
+
+def turns_of(phases: AnyPhaseMachine) -> int:
+    """Electrical periods after which the waveforms repeat."""
+    return phases.turns
+
+
+def neutral_end(topology: Topology) -> int:
+    """Where the neutral ends, by the record of the topology."""
+    rule = TOPOLOGIES[topology]
+    if rule.diodes:
+        return _DIODES
+    if not rule.neutral:
+        return _FLOATING
+    if rule.midpoint:
+        return _MIDPOINT
+    return _LEG if "n" in rule.legs else _LINK
+
+
+def no_phase_parameters() -> dict[str, float]:
+    """Parameters of the phase plant for a machine in dq coordinates, on three legs."""
+    return dict.fromkeys(
+        (
+            "second",
+            "neutral",
+            "capacitance",
+            "l_own",
+            "l_mutual",
+            "l_neutral",
+            "i_nothing",
+            "open_phase",
+            "open_time",
+            "aware_time",
+        ),
+        0.0,
+    ) | {"legs": 3.0, "turns": 1.0}
+
+
+def phase_parameters(
+    phases: AnyPhaseMachine,
+    inverter: Inverter,
+    topology: Topology,
+    scenario: Scenario,
+    i_max: float,
+) -> dict[str, float]:
+    """Parameters of the phase plant, the relative errors applied."""
+    scale = 1.0 + scenario.errors.l_d
+    own, mutual = (scale * value for value in constant_inductances(phases))
+    legs, opening = TOPOLOGIES[topology].legs, scenario.open_phase
+    return {
+        "l_d": own - mutual,
+        "l_q": own - mutual,
+        "legs": float(len(legs)),
+        "second": 1.0 if "a2" in legs else 0.0,
+        "neutral": float(neutral_end(topology)),
+        "capacitance": inverter.midpoint_capacitance or 0.0,
+        "l_own": own,
+        "l_mutual": mutual,
+        "l_neutral": inverter.neutral_inductance,
+        "turns": float(turns_of(phases)),
+        "i_nothing": _NOTHING * i_max,
+        "open_phase": 0.0 if opening is None else 1.0 + "abc".index(opening.phase),
+        "open_time": 0.0 if opening is None else opening.time,
+        "aware_time": math.inf
+        if opening is None or opening.detected_after is None
+        else opening.time + opening.detected_after,
+    }
+
+
+# Names of what the compiled plant integrates, reads and writes, in the order of its structures.
+
+# States of the plant; those from ``torque`` on serve phase machines, ``torque`` being the integral
+# of the torque and ``v_midpoint`` the voltage of a split link's midpoint above its half.
+STATES = (
+    "i_x",
+    "i_y",
+    "i_zero",
+    "omega_m",
+    "theta_m",
+    "e_in",
+    "e_copper",
+    "e_shaft",
+    "e_load",
+    "e_friction",
+    "i_square",
+    "torque",
+    "v_midpoint",
+    "neutral_square",
+    "e_copper_a",
+    "e_copper_b",
+    "e_copper_c",
+)
+
+# Further states, where a tracker is told the voltages of the phases: their integrals, in V s.
+HEARD = ("v_a", "v_b", "v_c")
+
+# Fields of the C structure ``parameters_t``, all doubles, in this order.
+PARAMETERS = (
+    *("mode", "t_s", "samples", "stride", "sub_steps", "tail", "progress", "seed", "i_stop"),
+    *(
+        "kind",
+        "pole_pairs",
+        "r_s",
+        "l_d",
+        "l_q",
+        "psi_pm",
+        "scale_d",
+        "scale_q",
+        "scale_pm",
+    ),
+    *("inertia", "friction", "driven", "omega_m_0", "theta_m_0"),
+    *("switched", "halves", "dead_time", "dead_band", "ripple_l_d", "ripple_l_q"),
+    *("counts", "speed_ratio", "angle_error"),
+    *(
+        "adc_bits",
+        "adc_full_scale",
+        "noise",
+        "offset_a",
+        "offset_b",
+        "offset_c",
+        "gain_a",
+        "gain_b",
+        "gain_c",
+    ),
+    *("v_bits", "v_full_scale"),
+    *("observed_speed", "sensorless", "sensor_above", "sensor_below"),
+    *("legs", "second", "neutral", "capacitance", "l_own", "l_mutual", "l_neutral", "turns"),
+    *("i_nothing", "open_phase", "open_time", "aware_time"),
+    "delay",
+    *("load_resists", "brake_time", "brake_stiffness", "brake_damping"),
+    *("encoderless", "stop_time"),
+    *("edges", "clock", "measured_ratio"),
+)
+
+# What is recorded at a sampling instant, in this order.
+COLUMNS = (
+    *(
+        "t",
+        "i_d",
+        "i_q",
+        "i_zero",
+        "omega_m",
+        "theta_e",
+        "torque",
+        "torque_load",
+        "duty_a",
+        "duty_b",
+        "duty_c",
+    ),
+    *("v_dc", "reference", "reference_d", "i_a_measured", "i_b_measured", "i_c_measured"),
+    *("theta_e_measured", "omega_m_measured", "i_d_reference", "i_q_reference", "torque_reference"),
+    *("v_alpha", "v_beta", "theta_e_observed", "omega_m_observed", "sensorless"),
+    *("start_state", "start_fault", "start_reference"),
+    *("application_state", "application_fault"),
+    *("duty_n", "duty_a2", "duty_b2", "duty_c2", "i_a", "i_b", "i_c", "i_n", "v_m", "torque_mean"),
+)
+
+# Figures of a run, in this order.
+SUMMARY = (
+    *(
+        "status",
+        "t",
+        "peak_current",
+        "tail_error",
+        "tail_current",
+        "i_d",
+        "i_q",
+        "omega_m",
+        "torque",
+        "i_square",
+    ),
+    *("e_in", "e_copper", "e_shaft", "e_load", "e_friction"),
+    *("e_magnetic", "e_midpoint", "tail_torque", "tail_ripple_means", "tail_ripple"),
+    *("tail_neutral_rms", "tail_copper_a", "tail_copper_b", "tail_copper_c", "tail_midpoint"),
+)
+
+
+# Gains of a control in integers as the bytes of its C structure, for runs that are given their
+# own.
+
+
+def integer_gain_bytes(control: FixedControl) -> bytes:
+    """Bytes of what ``simulation/integer_border.h.j2`` takes on this machine: full scales, and
+    ``<prefix>_control_gains_q15_t`` or that of another width.
+
+    One compiled program runs all controls that share the modulator, the scale of the dc link and
+    the references.
+    """
+    current, voltage, speed, torque = control.bases
+    scales = (current, voltage, voltage * 2.0**control.dc_scale, speed, torque, 1.0)
+    return struct.pack("=6d", *scales) + bytes(_gains(control))
+
+
+def _gains(control: FixedControl) -> ctypes.Structure:
+    wide = ctypes.c_int32 if control.width == 16 else ctypes.c_int64
+    number = ctypes.c_int16 if control.width == 16 else ctypes.c_int32
+
+    class Gain(ctypes.Structure):
+        _fields_ = (("mantissa", ctypes.c_int32), ("shift", ctypes.c_uint32), ("half", wide))
+
+        @classmethod
+        def of(cls, gain: FixedGain) -> Gain:
+            return cls(gain.mantissa, gain.shift, 2**gain.shift // 2)
+
+    class Pi(ctypes.Structure):
+        _fields_ = (
+            ("kp", Gain), ("ki", Gain), ("tracking", Gain), ("fraction", ctypes.c_uint32),
+            ("half", wide), ("most", wide),
+        )  # fmt: skip
+
+        @classmethod
+        def of(cls, pi: FixedPi) -> Pi:
+            gains = (Gain.of(gain) for gain in (pi.kp, pi.ki, pi.tracking))
+            half, most = 2**pi.fraction // 2, control.top << pi.fraction
+            return cls(*gains, pi.fraction, half, most)
+
+    class Gains(ctypes.Structure):
+        _fields_ = (
+            ("d", Pi), ("q", Pi),
+            ("x_d", Gain), ("x_q", Gain), ("back_emf", Gain),
+            ("voltage_limit", Gain), ("angle_advance", Gain), ("speed_filter", Gain),
+            ("speed", Pi),
+            ("dc_least", number), ("torque_max", number), ("ratio", ctypes.c_uint32),
+        )  # fmt: skip
+
+    loops = (control.i_d, control.i_q, control.speed)
+    pis = [Pi.of(IDLE if forms is None else forms["parallel"]) for forms in loops]
+    feed = control.decoupling
+    gains = (
+        feed.x_d, feed.x_q, feed.back_emf, control.limit, control.advance, control.speed_filter,
+    )  # fmt: skip
+    numbers = (control.dc_least, control.torque_max, control.ratio)
+    return Gains(*pis[:2], *(Gain.of(gain) for gain in gains), pis[2], *numbers)
+
+
+# Which number formats a simulation runs, and which emitted ones it does not.
+
+_DEFAULT: NumberFormat = "float32"
+
+
+def simulated(solution: Solution) -> tuple[NumberFormat, ...]:
+    """Formats whose control functions a simulation runs: all that the design emits, float32 where
+    it emits none.
+    """
+    emitted = solution.design.export.control
+    return tuple(name for name in get_args(NumberFormat) if name in emitted) or (_DEFAULT,)
+
+
+def not_simulated(solution: Solution) -> tuple[NumberFormat, ...]:
+    """Formats of an emitted current reference that no simulated control functions have.
+
+    Control functions call references in their own arithmetic.
+    """
+    reference = solution.fit.reference
+    if not isinstance(reference, FixedReference) or reference.format in simulated(solution):
+        return ()
+    return (reference.format,)
+
+
+def format_text(run: tuple[NumberFormat, ...], left: tuple[NumberFormat, ...]) -> str:
+    """What runs and what does not, in words; empty where all that is emitted is float32."""
+    if run == (_DEFAULT,) and not left:
+        return ""
+    text = f"runs the {' and the '.join(run)} control"
+    return f"{text}; the emitted {' and '.join(left)} is not simulated" if left else text

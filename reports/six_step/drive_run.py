@@ -16,18 +16,9 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.six_step.control import FAULTS, RUNNING, STAGES
-from dqforge.optimizer.six_step.design import SixStepDesign, solve_six_step
-from dqforge.optimizer.six_step.errors import commutation_errors
+from dqforge.optimizer.six_step.design import SixStepDesign, commutation_errors, solve_six_step
 from dqforge.optimizer.six_step.sectors import SECTOR
 from dqforge.reports.pages.templating import render
-from dqforge.reports.simulation.compiled_plant import (
-    Progress,
-    as_recorded,
-    compiled,
-    execute,
-    records_of,
-    simulation_sources,
-)
 from dqforge.reports.simulation.design_run import (
     DriveSimulation,
     ObservedFigures,
@@ -36,9 +27,18 @@ from dqforge.reports.simulation.design_run import (
     recorded_stride,
     require_scenario,
 )
-from dqforge.reports.simulation.plant_input import Drive, run_input
-from dqforge.reports.simulation.plant_layout import COLUMNS
-from dqforge.reports.simulation.recorded_run import BlockFigures, BlockRecord, Simulation
+from dqforge.reports.simulation.plant_input import COLUMNS, Drive, run_input
+from dqforge.reports.simulation.recorded_run import (
+    BlockFigures,
+    BlockRecord,
+    Progress,
+    Simulation,
+    as_recorded,
+    compiled,
+    execute,
+    records_of,
+    simulation_sources,
+)
 from dqforge.reports.six_step.header import six_step_files
 
 if TYPE_CHECKING:

@@ -16,13 +16,12 @@ import numpy as np
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.estimators.tracker import Tracker
-from dqforge.reports.c_code.float32_functions import SINGLE, rotation, wrap
-from dqforge.reports.control.float32_model import ControlModel, ControlState
+from dqforge.reports.c_code.harness import SINGLE, rotation, wrap
+from dqforge.reports.control.header import ControlModel, ControlState
 from dqforge.reports.phase_control.float32_model import PhaseControlModel, PhaseControlState
 
 if TYPE_CHECKING:
-    from dqforge.optimizer.observers.method import ObserverMethod
-    from dqforge.optimizer.observers.parts import ObserverState
+    from dqforge.optimizer.observers.parts import ObserverMethod, ObserverState
 
 F = np.float32
 

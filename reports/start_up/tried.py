@@ -10,23 +10,19 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.estimators.registry import TRACKERS
 from dqforge.optimizer.observers.parts import cast
-from dqforge.reports.c_code.float32_functions import SINGLE
-from dqforge.reports.c_code.harness import Programme
-from dqforge.reports.c_code.read_back import single_from
+from dqforge.reports.c_code.harness import SINGLE, Programme, single_from
 from dqforge.reports.observers.position_header import observer_from
 from dqforge.reports.observers.tracker_header import (
     tracker_from,
     tracker_programme,
 )
-from dqforge.reports.phase_control.emitted import emitted_control_from
+from dqforge.reports.phase_control.emitted_integers import emitted_control_from
 from dqforge.reports.start_up.float32_model import StartUpModel
-from dqforge.reports.start_up.header import LOW_FILE
-from dqforge.reports.start_up.members import MEMBERS
-from dqforge.reports.start_up.sequences import HEARING, OUTPUTS, SEEN, recorded
+from dqforge.reports.start_up.header import HEARING, LOW_FILE, MEMBERS, OUTPUTS, SEEN, recorded
 
 if TYPE_CHECKING:
     from dqforge.optimizer.estimators.tracker import Tracker
-    from dqforge.optimizer.observers.method import ObserverMethod
+    from dqforge.optimizer.observers.parts import ObserverMethod
     from dqforge.reports.observers.tracker_float32_model import EmittedTracker
 
 _FAULT = InputError("startup_header is not what dqforge writes; run the design again")

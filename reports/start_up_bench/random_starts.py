@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import field, fields, replace
+from pathlib import Path
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.from_machine import make_design
-from dqforge.machines.design.settings import StartUpSettings
+from dqforge.machines.design.settings import ObserverSettings, StartUpSettings
 from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.errors import NoSolutionError, VerificationError
+from dqforge.machines.names import StartUpMethodName
 from dqforge.machines.plants.scenario import (
     CurrentSensor,
     ElasticBrake,
@@ -21,18 +27,30 @@ from dqforge.machines.plants.scenario import (
     Scenario,
     constant,
 )
-from dqforge.machines.random_drives.random_drive import RandomDrive
+from dqforge.machines.random_drives import RandomDrive, random_drives
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.methods.flux import design as flux_gains
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.optimizer.observers.tuning_numbers import LARGEST_TURN, ObserverTuning
-from dqforge.optimizer.saliency.wave_steps import WaveGains
-from dqforge.optimizer.start_up.plan import StartUpPlan, start_up_plan
-from dqforge.reports.control.header import gain_bytes
+from dqforge.optimizer.observers.parts import LARGEST_TURN, ObserverTuning
+from dqforge.optimizer.saliency.injection import TRACKER, WaveGains
+from dqforge.optimizer.solution import solve
+from dqforge.optimizer.start_up.plan import LEAST_SALIENCY, StartUpPlan, start_up_plan
+from dqforge.optimizer.start_up.solve import StartRate, StartRecord, judge_start
+from dqforge.reports.control.header import gain_bytes, plain_control
+from dqforge.reports.operating_system.host_compiler import compile_program, require_compiler
+from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData
-from dqforge.reports.simulation.plant_input import Drive, RunInput, run_input
-from dqforge.reports.start_up.members import settings_bytes
-from dqforge.reports.start_up_bench.bench_program import StartInput
+from dqforge.reports.simulation.design_run import controller_files
+from dqforge.reports.simulation.plant_input import (
+    PARAMETERS,
+    STATES,
+    Drive,
+    RunInput,
+    run_input,
+    share_tables,
+)
+from dqforge.reports.simulation.recorded_run import PLANT_FLAGS
+from dqforge.reports.start_up.header import settings_bytes, start_up_files
 from dqforge.reports.steps.observer_text import gains_bytes
 
 # Noise of each current over the rated one, how resistance and flux differ from the data, and the
@@ -310,3 +328,296 @@ def square_wave_bytes(gains: WaveGains) -> bytes:
     assert {one.name for one in fields(gains)} == {*_SQUARE_WAVE, "carrier_beta", "reference_beta"}
     values = np.concatenate([np.atleast_1d(getattr(gains, name)) for name in _SQUARE_WAVE])
     return values.astype(np.float32).tobytes()
+
+
+# Random drives started by one compiled program, method by method.
+
+_INJECTION = ObserverSettings(method="injection")
+_OBSERVER = "flux"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RandomBench:
+    """Drives with their designs, and the program that starts them.
+
+    Args:
+        drives, designs: As many.
+        low: Bytes of the gains of the estimator from standstill on, empty for none.
+        refused: Drives whose start by saliency the tool refuses, with the reason: among ``drives``
+            no more.
+        template: Gains of the control functions that all drives share.
+        program: The compiled program.
+    """
+
+    drives: tuple[RandomDrive, ...]
+    designs: tuple[Design, ...]
+    low: tuple[bytes, ...]
+    refused: tuple[tuple[RandomDrive, str], ...]
+    template: Mapping[str, object]
+    program: BenchProgram
+
+    @property
+    def saliency(self) -> bool:
+        """Whether the drives start by their saliency."""
+        return any(self.low)
+
+
+# (drive, its plan) -> the plan that is used, and what the start meets.
+Adjust = Callable[[RandomDrive, StartUpPlan], tuple[StartUpPlan, Conditions]]
+
+
+def _as_planned(_: RandomDrive, plan: StartUpPlan) -> tuple[StartUpPlan, Conditions]:
+    return plan, Conditions()
+
+
+def _trackers(
+    drives: tuple[RandomDrive, ...],
+) -> tuple[list[tuple[RandomDrive, Design, bytes]], list[tuple[RandomDrive, str]]]:
+    """Salient drives with their designs and gains, and those that are refused."""
+    found, refused = [], []
+    for drive in drives:
+        if drive.saliency < LEAST_SALIENCY:
+            continue
+        design = random_design(drive)
+        try:
+            gains = square_wave_bytes(TRACKER.design(design, _INJECTION))
+        except NoSolutionError as error:
+            refused.append((drive, str(error)))
+            continue
+        found.append((drive, design, gains))
+    return found, refused
+
+
+@contextmanager
+def random_bench(count: int, *, seed: int = 1, saliency: bool = False) -> Iterator[RandomBench]:
+    """The first drives of a series with their compiled program.
+
+    Args:
+        count: How many are drawn.
+        seed: Of the series.
+        saliency: Whether they start by their saliency: only the salient ones are then there.
+
+    Raises:
+        VerificationError: There is no compiler, or the headers do not compile.
+    """
+    drawn = random_drives(count, seed)
+    refused: list[tuple[RandomDrive, str]] = []
+    if saliency:
+        found, refused = _trackers(drawn)
+    else:
+        found = [(drive, random_design(drive), b"") for drive in drawn]
+    settings = settings_for("saliency" if saliency else "i-f", 0.0)
+    if saliency:
+        settings = replace(settings, alignment="two-step")  # constant inductances: no polarity
+    first = found[0][1]
+    solution = solve(replace(first, control=replace(first.control, start_up=settings)))
+    assert solution.start_up is not None
+    files = controller_files(solution) | start_up_files(solution, solution.start_up)
+    low = _INJECTION.method if saliency else ""
+    with bench_program(files, PREFIX, _OBSERVER, low, shared=True) as program:
+        drives, designs, gains = zip(*found, strict=True)
+        template = plain_control(solution)
+        yield RandomBench(drives, designs, gains, tuple(refused), template, program)
+
+
+def settings_for(method: StartUpMethodName, load: float) -> StartUpSettings:
+    """How the bench starts: what the design leaves open is computed, and no start is tried again.
+
+    Args:
+        method: The method.
+        load: Largest load torque in N m.
+    """
+    if method == "saliency":
+        return StartUpSettings(
+            method, load_torque=load, retries=0, alignment="none", observer=_INJECTION
+        )
+    return StartUpSettings(method, load_torque=load, retries=0)
+
+
+def planned_starts(
+    bench: RandomBench, method: StartUpMethodName, load: float, adjust: Adjust = _as_planned
+) -> list[tuple[StartUpPlan, StartInput]]:
+    """The starts of all drives with their plans.
+
+    Args:
+        bench: The drives.
+        method: The method.
+        load: Friction over the rated torque, known to the plan.
+        adjust: What is otherwise in a start.
+    """
+    starts = []
+    for drive, design, low in zip(bench.drives, bench.designs, bench.low, strict=True):
+        torque = load * drive.torque_rated
+        plan = plan_for(design, settings_for(method, torque))
+        used, conditions = adjust(drive, plan)
+        given = random_start(drive, used, torque, bench.template, conditions, low)
+        starts.append((used, given))
+    return starts
+
+
+def recorded_starts(
+    bench: RandomBench, method: StartUpMethodName, load: float, adjust: Adjust = _as_planned
+) -> list[dict[str, FloatArray]]:
+    """What was recorded of the start of each drive.
+
+    Args:
+        bench, method, load, adjust: As `planned_starts`.
+    """
+    starts = planned_starts(bench, method, load, adjust)
+    return run_starts(bench.program, [start for _, start in starts])
+
+
+def start_rate(
+    bench: RandomBench, method: StartUpMethodName, load: float, adjust: Adjust = _as_planned
+) -> StartRate:
+    """How often the drives start against a load.
+
+    Args:
+        bench, method, load, adjust: As `planned_starts`.
+    """
+    rows = recorded_starts(bench, method, load, adjust)
+    return StartRate(load, tuple(judge_start(start_record(row), SETTLED) for row in rows))
+
+
+# A program that starts any number of drives with the emitted state machine, and its runs.
+
+# What is recorded at a sampling instant, in this order; ``fault`` is the last one there was.
+COLUMNS = (
+    *("t", "omega_m", "theta_e", "theta_e_observed", "omega_e_observed"),
+    *("theta_e_used", "omega_e_used", "state", "fault", "tries"),
+    *("reference", "current", "peak", "broken"),
+)
+
+RUN_STATE = 7.0  # Number of the state in which the observer at speed rules.
+
+
+@dataclass(frozen=True, slots=True)
+class BenchProgram:
+    """A compiled program; ``shared`` where the current references of the machine are data."""
+
+    program: Path
+    shared: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StartInput:
+    """One start: the plant as the simulation reads it, and the numbers of the controller.
+
+    Args:
+        plant: Parameters and tables of the plant, its gains those of the control functions.
+        settings, low: Bytes of the structures of the start-up and of the gains of the estimator
+            from standstill on; empty for those of the headers.
+        torque_per_ampere: In N m/A, where the program's current references are data.
+    """
+
+    plant: RunInput
+    settings: bytes = b""
+    low: bytes = b""
+    torque_per_ampere: float = 0.0
+
+    def run(self) -> RunInput:
+        """What the program reads."""
+        further = (
+            _doubles(self.settings),
+            _doubles(self.low),
+            np.array([self.torque_per_ampere]),
+        )
+        return RunInput(self.plant.parameters, (*self.plant.tables, *further))
+
+
+def _doubles(content: bytes) -> FloatArray:
+    return np.frombuffer(content + bytes(-len(content) % 8), dtype=np.float64)
+
+
+def _sources(prefix: str, code: str, low: str, *, shared: bool) -> dict[str, str]:
+    context = {
+        "prefix": prefix,
+        "macro": prefix.upper(),
+        "code": code,
+        "low": low,
+        "shared": shared,
+        "parameters": PARAMETERS,
+        "states": STATES,
+        "columns": COLUMNS,
+        "hears": (),
+    }
+    sources = {
+        "plant.c": render("simulation/plant.c.j2", context),
+        "phase_plant.c": render("simulation/phase_plant.c.j2", context),
+        "main.c": render("start_up_bench/bench_main.c.j2", context),
+    }
+    if shared:
+        sources[f"{prefix}.h"] = render("start_up_bench/any_machine.h.j2", context)
+    return sources
+
+
+@contextmanager
+def bench_program(
+    files: Mapping[str, bytes], prefix: str, code: str, low: str = "", *, shared: bool
+) -> Iterator[BenchProgram]:
+    """A compiled program in a folder that goes with the block.
+
+    Args:
+        files: Emitted headers by name, that of the start-up among them.
+        prefix: That of the headers.
+        code: Name in C of the observer at speed.
+        low: That of the estimator from standstill on, empty for none.
+        shared: Whether the current references are those of any machine without d current, with the
+            torque per ampere as data, in place of the design's header.
+
+    Raises:
+        VerificationError: There is no compiler, or the headers do not compile.
+    """
+    compiler = require_compiler()
+    with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
+        folder = Path(name)
+        for file_name, content in files.items():
+            (folder / file_name).write_bytes(content)
+        for file_name, text in _sources(prefix, code, low, shared=shared).items():
+            (folder / file_name).write_text(text, encoding="ascii", newline="\n")
+        failed = "the bench of starts does not compile"
+        program = compile_program(compiler, PLANT_FLAGS, "main.c", folder, "bench", failed)
+        yield BenchProgram(program, shared)
+
+
+def run_starts(program: BenchProgram, starts: Sequence[StartInput]) -> list[dict[str, FloatArray]]:
+    """What was recorded of each start, by the names of `COLUMNS`.
+
+    Args:
+        program: The compiled program.
+        starts: What it runs.
+
+    Raises:
+        VerificationError: The program cannot be run, or the numbers are not those of its headers.
+    """
+    runs = share_tables([start.run() for start in starts])
+    content = np.array([float(len(runs))]).tobytes() + b"".join(run.content() for run in runs)
+    done = subprocess.run([str(program.program)], input=content, capture_output=True, check=False)
+    if done.returncode != 0:
+        raise VerificationError(f"the bench of starts stopped with exit code {done.returncode}")
+    numbers, place = np.frombuffer(done.stdout, dtype=np.float64), 0
+    found = []
+    for _ in runs:
+        count = int(numbers[place])
+        rows = numbers[place + 1 : place + 1 + count * len(COLUMNS)].reshape(count, len(COLUMNS))
+        place += 1 + count * len(COLUMNS)
+        found.append({name: rows[:, n].copy() for n, name in enumerate(COLUMNS)})
+    return found
+
+
+def start_record(rows: dict[str, FloatArray]) -> StartRecord:
+    """A recorded start as it is judged.
+
+    Args:
+        rows: Of `run_starts`.
+    """
+    gap = rows["theta_e_observed"] - rows["theta_e"]
+    return StartRecord(
+        time=rows["t"],
+        omega_m=rows["omega_m"],
+        reference=rows["reference"],
+        angle_error=np.asarray((gap + np.pi) % (2.0 * np.pi) - np.pi),
+        ruling=(rows["state"] == RUN_STATE).astype(np.float64),
+        reported=bool(rows["fault"][-1] != 0.0),
+        broken=bool(rows["broken"][-1] != 0.0),
+    )

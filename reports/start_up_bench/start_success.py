@@ -18,18 +18,19 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.conditions import lost_voltage
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.optimizer.start_up.plan import StartUpPlan
-from dqforge.optimizer.start_up.start_judgement import StartRate, judge_start
+from dqforge.optimizer.start_up.solve import StartRate, judge_start
 from dqforge.reports.simulation.design_run import controller_files, drive_of, in_float32
 from dqforge.reports.simulation.plant_input import run_input
 from dqforge.reports.start_up.header import start_up_files
-from dqforge.reports.start_up_bench.bench_program import (
+from dqforge.reports.start_up_bench.random_starts import (
+    SETTLED,
     BenchProgram,
     StartInput,
     bench_program,
+    duration_of,
     run_starts,
     start_record,
 )
-from dqforge.reports.start_up_bench.random_starts import SETTLED, duration_of
 
 # Relative deviations, to either side, of a design that names no tolerances.
 USUAL_BOX = {"r_s": 0.3, "psi_pm": 0.04}

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +22,7 @@ from dqforge.optimizer.exploration.row_block import (
     RowBlock,
     RowSource,
 )
+from dqforge.reports.pages.console import shares, stage
 
 Column = FloatArray | NDArray[np.int32]
 
@@ -113,3 +117,203 @@ def joined(blocks: Sequence[RowBlock]) -> RowBlock:
 def counted(block: RowBlock) -> Mapping[str, int]:
     """Rows of a block by how they ended."""
     return Counter(STATES[state] for state in block.states)
+
+
+# A part of a study whose process died: which of its rows is to blame.
+#
+# Ranges are halved until single rows are left. What a part holds in the end follows from the rows
+# that kill and from nothing else: a range in which no row is found to blame is computed once more
+# as a whole, since it was a neighbour, or somebody from outside, that ended its process.
+
+# Deaths at which a single row, or a range without a row to blame, is given up; at the last one
+# nothing else was running.
+DEATHS = 3
+
+
+@dataclass(slots=True, eq=False)
+class SuspectRange:
+    """A range of rows on its way to a block."""
+
+    first: int
+    end: int
+    parent: SuspectRange | None = None
+    halves: tuple[SuspectRange, ...] = ()
+    block: RowBlock | None = None
+    crashed: bool = False
+    deaths: int = 0
+
+    @property
+    def alone(self) -> bool:
+        """Whether it is to run with nothing else under way: a verdict hangs on it."""
+        return self.deaths == DEATHS - 1 and (self.single or bool(self.halves))
+
+    @property
+    def single(self) -> bool:
+        """Whether it is one row."""
+        return self.end - self.first == 1
+
+
+@dataclass(slots=True)
+class SuspectPart:
+    """Rows ``first`` to ``end`` - 1 of ``source``, which ended their process.
+
+    Each step hands back the ranges that are to be run next.
+    """
+
+    part: int
+    first: int
+    end: int
+    source: RowSource
+    root: SuspectRange = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.root = SuspectRange(self.first, self.end)
+
+    @property
+    def block(self) -> RowBlock | None:
+        """All rows, once they are there."""
+        return self.root.block
+
+    def began(self) -> list[SuspectRange]:
+        """What is run first: the part as a whole has died before."""
+        return self.died(self.root, "")
+
+    def computed(self, found: SuspectRange, block: RowBlock) -> list[SuspectRange]:
+        """A range was computed."""
+        found.block = block
+        return self._settled(found)
+
+    def died(self, found: SuspectRange, message: str) -> list[SuspectRange]:
+        """A range ended its process; ``message`` says how, should it be the row's fault."""
+        found.deaths += 1
+        if (found.single or found.halves) and found.deaths < DEATHS:
+            return [found]
+        if found.single:
+            found.block, found.crashed = crashed_row(self.source, found.first, message), True
+            return self._settled(found)
+        if found.halves:  # clean in pieces, dead as a whole: the pieces are what there is
+            found.block = _of_halves(found)
+            return self._settled(found)
+        middle = halfway(found.first, found.end)
+        found.halves = (
+            SuspectRange(found.first, middle, found),
+            SuspectRange(middle, found.end, found),
+        )
+        return list(found.halves)
+
+    def _settled(self, found: SuspectRange) -> list[SuspectRange]:
+        """A range has its block; the range that it is a half of may have one now, too."""
+        above = found.parent
+        if above is None or any(half.block is None for half in above.halves):
+            return []
+        if not any(half.crashed for half in above.halves):
+            return [above]
+        above.block, above.crashed = _of_halves(above), True
+        return self._settled(above)
+
+
+def _of_halves(found: SuspectRange) -> RowBlock:
+    return joined([half.block for half in found.halves if half.block is not None])
+
+
+# How far a run of a study is, as the terminal shows it.
+
+_WELL = ("ok", "limit")
+_REFRESH_S = 0.2
+
+
+@dataclass(slots=True)
+class StudyProgress:
+    """Rows by how they ended.
+
+    Args:
+        count: Rows of the study.
+        kept: Rows that an earlier run has left.
+        states: Rows of this run.
+    """
+
+    count: int
+    kept: int
+    states: Counter[str] = field(default_factory=Counter)
+    began: float = field(default_factory=time.monotonic)
+    shown: float = 0.0
+
+    @property
+    def done(self) -> int:
+        """Rows that are kept."""
+        return self.kept + self.states.total()
+
+    @property
+    def seconds(self) -> float:
+        """Time since the first row was asked for."""
+        return time.monotonic() - self.began
+
+    def starts(self) -> None:
+        """The first row is asked for: what came before does not count for the rate."""
+        self.began = time.monotonic()
+
+    def finished(self, states: Mapping[str, int]) -> None:
+        """A part is written."""
+        self.states.update(states)
+        now = time.monotonic()
+        if now - self.shown >= _REFRESH_S or self.done == self.count:
+            self.shown = now
+            self._show()
+
+    def waits(self, text: str) -> None:
+        """Say what the run waits for."""
+        stage(text)
+
+    def _show(self) -> None:
+        computed = self.states.total()
+        failed = computed - sum(self.states[state] for state in _WELL)
+        rate = computed / max(self.seconds, 1e-9)
+        failures = f", {failed:,} failed" if failed else ""
+        stage(f"{self.done:,} of {self.count:,} rows, {rate:,.0f}/s{failures}")
+        move = shares()
+        if move is not None:
+            move(computed / max(self.count - self.kept, 1))
+
+
+# How long a batch may take before its process is ended: from what batches have taken so far.
+
+_FIRST_S = 900.0
+_LEAST_S = 60.0
+_LEAST_OF_A_PIECE_S = 10.0
+_USUAL_BATCHES = 30.0
+_LONGEST_BATCHES = 5.0
+_ENOUGH = 3
+
+
+@dataclass(slots=True)
+class TimeLimits:
+    """Limits in s.
+
+    Args:
+        given: By the user, for every batch; None to learn it.
+        rows: Rows of a whole part.
+        taken: What whole parts have taken.
+    """
+
+    given: float | None
+    rows: int
+    taken: list[float] = field(default_factory=list)
+
+    def of(self, count: int) -> float:
+        """Limit of ``count`` rows: 30 usual batches and 5 of the longest, at least a minute, for a
+        piece of a part its share and at least 10 s.
+        """
+        if self.given is not None:
+            return self.given
+        if len(self.taken) < _ENOUGH:
+            return _FIRST_S
+        usual = max(_USUAL_BATCHES * median(self.taken), _LONGEST_BATCHES * max(self.taken))
+        if count >= self.rows:
+            return max(_LEAST_S, usual)
+        return max(_LEAST_OF_A_PIECE_S, usual * count / self.rows)
+
+    def in_words(self) -> str:
+        """The limit in a message: one that was learned differs from run to run, and messages do
+        not.
+        """
+        return "30 usual batches" if self.given is None else f"{self.given:g} s"

@@ -16,10 +16,9 @@ import numpy as np
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.exploration.row_block import INPUT_COLUMN, STATES
 from dqforge.reports.pages.console import stage
-from dqforge.reports.study_engine.engine_settings import EngineSettings
+from dqforge.reports.study_engine.engine_settings import EngineSettings, StudyOutcome
 from dqforge.reports.study_engine.run_study import computing, opened_run
-from dqforge.reports.study_engine.study_outcome import StudyOutcome
-from dqforge.reports.study_store.part_columns import PartColumns
+from dqforge.reports.study_store.part_file import PartColumns
 from dqforge.reports.study_store.part_store import PartStore
 
 if TYPE_CHECKING:

@@ -11,12 +11,9 @@ from typing import TYPE_CHECKING
 from uuid import uuid4
 
 from dqforge.reports.operating_system.system import processors
-from dqforge.reports.study_engine.engine_settings import EngineSettings
-from dqforge.reports.study_engine.main_process import run_here
-from dqforge.reports.study_engine.signals import AskedToStop, asked_to_stop
-from dqforge.reports.study_engine.study_outcome import StudyOutcome, study_outcome
-from dqforge.reports.study_engine.study_progress import StudyProgress
-from dqforge.reports.study_engine.time_limits import TimeLimits
+from dqforge.reports.study_engine.contained_rows import StudyProgress, TimeLimits
+from dqforge.reports.study_engine.engine_settings import EngineSettings, StudyOutcome, study_outcome
+from dqforge.reports.study_engine.local_cluster import AskedToStop, asked_to_stop, run_here
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -111,7 +108,7 @@ def computing(
     most = parts if at_once is None else min(parts, at_once)
     with asked_to_stop() as asked:
         if settings.elsewhere:
-            from dqforge.reports.study_engine.existing_cluster import existing_workers
+            from dqforge.reports.study_engine.local_cluster import existing_workers
 
             waits = run.progress.waits
             with existing_workers(settings, waits, lambda: bool(asked)) as client:
@@ -150,9 +147,8 @@ def _here(run: StudyRun, asked: AskedToStop) -> Compute:
 
 def _on_workers(run: StudyRun, client: Client, asked: AskedToStop) -> Compute:
     """Each source is sent to the workers once, and forgotten by them in the end."""
-    from dqforge.reports.study_engine.cluster_run import ClusterRun
-    from dqforge.reports.study_engine.existing_cluster import compared_facts
-    from dqforge.reports.study_engine.worker_side import StudyOnWorker
+    from dqforge.reports.study_engine.cluster_run import ClusterRun, StudyOnWorker
+    from dqforge.reports.study_engine.local_cluster import compared_facts
 
     digest, settings = run.store.header.digest, run.settings
     facts = compared_facts(mixed=settings.mixed)

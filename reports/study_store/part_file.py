@@ -8,20 +8,32 @@ the file itself and counts as zeros while it is computed. A part needs no list b
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+import os
+import re
+import stat
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.errors import DqforgeError, InputError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.row_block import KEY_BYTES, STATES, ColumnSpec, RowBlock
+from dqforge.reports.operating_system.host_compiler import (
+    FolderTakenError,
+    flush_folder,
+    lock_folder,
+)
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
 
 INDEX, KEY, STATE, MESSAGE = "index", "key", "state", "message"
 OWN_COLUMNS = (INDEX, KEY, STATE, MESSAGE)
@@ -42,7 +54,7 @@ class PartAbout:
     """What a part says of itself.
 
     Args:
-        digest: SHA-256 of what its rows depend on (`dqforge.reports.study_store.study_header`).
+        digest: SHA-256 of what its rows depend on (`dqforge.reports.study_store.part_store`).
         first: Index of its first row.
         count: Number of rows.
         audited: As `RowBlock.audited`.
@@ -271,3 +283,259 @@ def part_table(data: bytes, names: Sequence[str]) -> tuple[PartAbout, pa.Table]:
     except (pa.ArrowException, OSError) as error:
         raise PartError("it cannot be read") from error
     return _about(file.metadata.metadata, file.metadata.num_rows), table
+
+
+# Files of an explored folder: written whole or not at all, read only where they are files, and
+# taken away only where a study wrote them.
+
+PARTS = "parts"
+FRONT, SENSITIVITY, REPORT = "front.parquet", "sensitivity.json", "report.html"
+BESIDE = (FRONT, SENSITIVITY, REPORT)  # What stands beside ``study.json`` when a study is done.
+WINNERS = "winners"  # Folder in which each row that is exported has one.
+LARGEST_PART = 2_000_000_000  # Bytes of the largest part that is read.
+
+# Flags of opening: no links, no waiting for a pipe, and bytes as they are.
+_PART = re.compile(r"part-(\d{6,9})\.parquet")
+_LEFTOVER = re.compile(r"\.(?:part-\d{6,9}\.parquet|[a-z][a-z-]*\.(?:json|parquet|html))\.new")
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+_PLAIN = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+
+
+class StoreError(DqforgeError):
+    """What is computed cannot be kept, or what was kept cannot be read; parts that are finished
+    stay.
+    """
+
+
+def part_name(part: int) -> str:
+    """Name of a part's file in its folder."""
+    return f"part-{part:06d}.parquet"
+
+
+def part_files(folder: Path, parts: Collection[int] | None = None) -> dict[int, Path]:
+    """Files that have the name of a part, by its number, links and folders left out.
+
+    Args:
+        folder: Of the study.
+        parts: Those that are looked for, None for all.
+    """
+    if parts is not None:
+        paths = {part: folder / PARTS / part_name(part) for part in sorted(parts)}
+        return {
+            part: path for part, path in paths.items() if path.is_file() and not path.is_symlink()
+        }
+    found = {}
+    for entry in _entries(folder / PARTS):
+        match = _PART.fullmatch(entry.name)
+        if (
+            match
+            and part_name(int(match[1])) == entry.name
+            and entry.is_file(follow_symlinks=False)
+        ):
+            found[int(match[1])] = Path(entry.path)
+    return dict(sorted(found.items()))
+
+
+def _entries(folder: Path) -> list[os.DirEntry[str]]:
+    try:
+        with os.scandir(folder) as entries:
+            return list(entries)
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise InputError(f"cannot read the folder {folder}: {error.strerror}") from error
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove files that a run was writing when it ended."""
+    for place in (folder, folder / PARTS):
+        for entry in _entries(place):
+            if _LEFTOVER.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
+                Path(entry.path).unlink(missing_ok=True)
+
+
+def read_whole(path: Path) -> bytes:
+    """A file of a study; links are not followed.
+
+    Raises:
+        OSError: It cannot be read, or is no regular file.
+    """
+    _refuse_link(path)  # which Windows would follow
+    descriptor = os.open(path, os.O_RDONLY | _PLAIN)
+    with os.fdopen(descriptor, "rb") as file:
+        about = os.fstat(file.fileno())
+        if not stat.S_ISREG(about.st_mode) or about.st_size > LARGEST_PART:
+            raise OSError(errno.EINVAL, "no file of a study")
+        return file.read()
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file through a temporary one beside it: flushed, renamed, and the folder flushed.
+
+    Raises:
+        StoreError: It cannot be written; the old one, if any, is there as it was.
+    """
+    temporary = path.parent / f".{path.name}.new"
+    try:
+        _refuse_link(path)
+        temporary.unlink(missing_ok=True)
+        _fill(temporary, content)
+        temporary.replace(path)
+        flush_folder(path.parent)
+    except OSError as error:
+        refuse_write(path, error)
+
+
+def _refuse_link(path: Path) -> None:
+    if path.is_symlink():
+        raise OSError(errno.ELOOP, "it is a link")
+
+
+def write_below(folder: Path, name: str, content: bytes) -> None:
+    """Write a file into a folder of the study, which is made if missing; raises as
+    `write_whole`, and `StoreError` where a link leads out of the study.
+    """
+    path = folder / name
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        refuse_write(path, error)
+    if not Path(os.path.realpath(path.parent)).is_relative_to(os.path.realpath(folder)):
+        raise StoreError(f"cannot write {path}: a link leads out of {folder}; take another -o")
+    write_whole(path, content)
+
+
+def _fill(path: Path, content: bytes) -> None:
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _PLAIN, 0o666)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise
+
+
+def refuse_write(path: Path, error: OSError) -> NoReturn:
+    """Say in one line that a file cannot be written, and what to do."""
+    reason = error.strerror or str(error)
+    advice = "make room" if error.errno in _FULL else "make it writable"
+    raise StoreError(
+        f"cannot write {path}: {reason}; {advice} and run the same command again, finished parts "
+        "are kept"
+    ) from error
+
+
+def keep_folder(folder: Path) -> int:
+    """Keep other runs from a folder, until the process ends or closes what comes back.
+
+    Raises:
+        InputError: Another run has it.
+    """
+    try:
+        return lock_folder(folder)
+    except FolderTakenError as error:
+        raise InputError(
+            f"{folder} is being written by another run; wait for it, or take another -o"
+        ) from error
+
+
+def own_files(folder: Path, names: tuple[str, ...]) -> Iterator[Path]:
+    """Files that a study wrote: its parts, then those of ``names`` that are there."""
+    yield from part_files(folder).values()
+    for name in names:
+        path = folder / name
+        if path.is_file() and not path.is_symlink():
+            yield path
+
+
+# Columns of a part as arrays, in the words of the study.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartColumns:
+    """Some columns of one part.
+
+    Args:
+        about: What the part says of itself.
+        columns: Those that were asked for: numbers (n,) in SI units, of choices the places in their
+            words, int32, -1 for none.
+        states: Places in `STATES`, int8 (n,).
+        keys: Hash of each row's resolved design, uint8 (n, 16); (0, 16) where not asked for.
+        messages: Empty texts for rows that ended well; an empty tuple where not asked for.
+    """
+
+    about: PartAbout
+    columns: Mapping[str, FloatArray | NDArray[np.int32]]
+    states: NDArray[np.int8]
+    keys: NDArray[np.uint8]
+    messages: tuple[str, ...]
+
+    @property
+    def first(self) -> int:
+        """Index of the first row."""
+        return self.about.first
+
+    @property
+    def count(self) -> int:
+        """Number of rows."""
+        return self.about.count
+
+
+def part_columns(data: bytes, names: Sequence[str], specs: Sequence[ColumnSpec]) -> PartColumns:
+    """Columns of a part.
+
+    Args:
+        data: The file.
+        names: Columns of the study, or `KEY`, `MESSAGE`.
+        specs: Columns of the study.
+
+    Raises:
+        PartError: The part was changed, or has no such column or word.
+    """
+    about, table = part_table(data, [*dict.fromkeys([STATE, *names])])
+    described = {spec.name: spec for spec in specs}
+    columns: dict[str, FloatArray | NDArray[np.int32]] = {}
+    for name in names:
+        if name in described:
+            array = _one(table, name)
+            choice = described[name].kind == "choice"
+            columns[name] = (
+                _places(array, described[name].choices) if choice else _stored_numbers(array)
+            )
+    states = _places(_one(table, STATE), STATES).astype(np.int8)
+    keys = _stored_keys(_one(table, KEY)) if KEY in names else np.empty((0, KEY_BYTES), np.uint8)
+    messages = _messages(_one(table, MESSAGE)) if MESSAGE in names else ()
+    return PartColumns(about, columns, states, keys, messages)
+
+
+def _one(table: pa.Table, name: str) -> pa.Array:
+    return table.column(name).combine_chunks()
+
+
+def _stored_numbers(array: pa.Array) -> FloatArray:
+    return np.array(array.to_numpy(zero_copy_only=False), dtype=np.float64)
+
+
+def _places(array: pa.Array, words: Sequence[str]) -> NDArray[np.int32]:
+    """Places of words in those of the study, -1 where there is none."""
+    known = {word: place for place, word in enumerate(words)}
+    found = array.dictionary.to_pylist()
+    strange = [word for word in found if word not in known]
+    if strange:
+        raise PartError("it holds a word that the study does not know")
+    places = np.array([*(known[word] for word in found), -1], dtype=np.int32)
+    codes: NDArray[np.int32] = array.indices.fill_null(len(found)).to_numpy(zero_copy_only=False)
+    return np.asarray(places[codes])
+
+
+def _stored_keys(array: pa.Array) -> NDArray[np.uint8]:
+    content = array.buffers()[1]
+    count, start = len(array), array.offset * KEY_BYTES
+    flat = np.frombuffer(content, np.uint8, count * KEY_BYTES, start)
+    return flat.reshape(count, KEY_BYTES).copy()
+
+
+def _messages(array: pa.Array) -> tuple[str, ...]:
+    return tuple("" if text is None else str(text) for text in array.to_pylist())

@@ -23,14 +23,14 @@ from dqforge.optimizer.exploration.row_block import (
     OUTPUT_COLUMN,
     STATES,
     ColumnSpec,
+    Inputs,
     RowBlock,
+    row_inputs,
+    row_keys,
 )
-from dqforge.optimizer.exploration.row_inputs import Inputs, row_inputs
-from dqforge.optimizer.exploration.row_keys import row_keys
-from dqforge.optimizer.exploration.study_limits import hold_limits, study_limits
-from dqforge.optimizer.exploration.study_plan import StudyPlan
+from dqforge.optimizer.exploration.study_plan import StudyPlan, hold_limits, study_limits
 from dqforge.optimizer.variant_steps.outputs import study_outputs
-from dqforge.reports.study_store.earlier_rows import EarlierOutputs, EarlierRows
+from dqforge.reports.study_store.summary_files import EarlierOutputs, EarlierRows
 
 _BEYOND = STATES.index("limit")
 

@@ -13,24 +13,24 @@ from pathlib import Path
 
 import numpy as np
 
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.errors import DqforgeError, InputError
 from dqforge.machines.exploration.row_designs import design_text_of
 from dqforge.machines.exploration.study import Study
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.exploration.row_block import INPUT_COLUMN, OUTPUT_COLUMN
-from dqforge.optimizer.exploration.row_inputs import row_assignments
-from dqforge.optimizer.exploration.row_keys import row_keys
+from dqforge.optimizer.exploration.row_block import (
+    INPUT_COLUMN,
+    OUTPUT_COLUMN,
+    row_assignments,
+    row_keys,
+)
 from dqforge.reports.output.folder import RUN, write_output
 from dqforge.reports.pages.console import stage
 from dqforge.reports.run import RunOutput, export_design
-from dqforge.reports.study_store.part_file import INDEX, KEY
-from dqforge.reports.study_store.part_store import PartStore
-from dqforge.reports.study_store.plain_study import input_names, study_from
-from dqforge.reports.study_store.store_files import FRONT, WINNERS, StoreError, read_whole
-from dqforge.reports.study_store.table_query import Condition, TableQuery
-from dqforge.reports.study_store.table_rows import find_rows
+from dqforge.reports.study_store.part_file import FRONT, INDEX, KEY, WINNERS, StoreError, read_whole
+from dqforge.reports.study_store.part_store import PartStore, input_names, study_from
+from dqforge.reports.study_store.table_query import Condition, TableQuery, find_rows
 
 _MOST = 1000
 _ROWS = re.compile(r"row:(\d{1,12}(?:,\d{1,12})*)")

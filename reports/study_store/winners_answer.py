@@ -10,9 +10,14 @@ from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.study_store.part_file import INDEX
 from dqforge.reports.study_store.part_store import PartStore
-from dqforge.reports.study_store.table_answer import people_texts
-from dqforge.reports.study_store.table_query import Condition, TableQuery, short_name, usual_columns
-from dqforge.reports.study_store.table_rows import find_rows
+from dqforge.reports.study_store.table_query import (
+    Condition,
+    TableQuery,
+    find_rows,
+    people_texts,
+    short_name,
+    usual_columns,
+)
 from dqforge.reports.study_store.winners import Winner, chosen_rows, export_row, stored_study
 
 

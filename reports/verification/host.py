@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.records import dataclass
-from dqforge.reports.current_reference.programme import reference_programme
+from dqforge.reports.current_reference.plain import reference_programme
 from dqforge.reports.operating_system.host_compiler import (
     NO_COMPILER,
     Language,

@@ -16,17 +16,18 @@ from numpy.typing import NDArray
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.records import dataclass
 from dqforge.reports.pages.templating import render
-from dqforge.reports.verification.block_trace import (
+from dqforge.reports.verification.cross_tools import (
     LOGGED,
-    calls_in_blocks,
-    cycles_of_paths,
-    executed_blocks,
-)
-from dqforge.reports.verification.cross_tools import build, emulate, execute, program
-from dqforge.reports.verification.cycle_model import (
     Span,
     address_of,
+    build,
+    calls_in_blocks,
+    cycles_of_paths,
+    emulate,
+    execute,
+    executed_blocks,
     parse_disassembly,
+    program,
 )
 from dqforge.reports.verification.host import WARNINGS
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dqforge.reports.pages.html_text import (
-    count,
-)
+from dqforge.reports.pages.html_text import count
 
 if TYPE_CHECKING:
+    from dqforge.reports.plain_data import PlainData
     from dqforge.reports.verification.cortex_m import TargetVerification
     from dqforge.reports.verification.host import Verification
 
@@ -54,3 +53,21 @@ def target_text(outcome: TargetVerification) -> str:
         f"vectors), an estimated {low:.0f}-{high:.0f} cycles (at most {most[0]}-{most[1]}; zero "
         f"wait states) and {outcome.flash} bytes"
     )
+
+
+# What was compiled and compared, as plain data.
+
+
+def plain_verification(found: Verification | None) -> PlainData | None:
+    """What was compiled and compared; None where that was skipped."""
+    if found is None:
+        return None
+    checks = [
+        {
+            "standard": check.standard,
+            "compared": check.compared,
+            "missing_package": check.missing or None,
+        }
+        for check in found.checks
+    ]
+    return {"vectors": found.vectors, "sweep": found.sweep, "checks": checks}

@@ -9,7 +9,7 @@ import numpy as np
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.waveforms.firmware_form import (
+from dqforge.optimizer.waveforms.firmware_fit import (
     PhaseHarmonics,
     PhasePolynomials,
     PhaseReference,

@@ -3,15 +3,39 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 
+import numpy as np
+
 from dqforge.machines.design.design import Design
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
+from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.optimizer.solution import Solution
 from dqforge.optimizer.waveforms.comparison import RuleCurrents, WaveformComparison
 from dqforge.optimizer.waveforms.confirmation import Confirmation
-from dqforge.optimizer.waveforms.firmware_fit import PhaseFit
+from dqforge.optimizer.waveforms.firmware_fit import (
+    HALF_ROOT_3,
+    PhaseCandidate,
+    PhaseFit,
+    PhasePolynomials,
+    PhaseReference,
+)
+from dqforge.reports.c_code.harness import Programme, title
+from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind
+from dqforge.reports.c_code.numbers import rounded_up
+from dqforge.reports.capability import Capability, Draw, Quantity, ReportPart
+from dqforge.reports.pages.html_text import HtmlTable, Row, ceiling, quantity, share, symbols
 from dqforge.reports.pages.table import Table
-from dqforge.reports.plain_data import PlainData
+from dqforge.reports.pages.templating import WAVEFORMS as CHAPTER
+from dqforge.reports.pages.templating import render
+from dqforge.reports.plain_data import PlainData, shortest
+from dqforge.reports.waveforms.float32_model import (
+    model_currents,
+    phase_reference_from,
+    plain_phase_reference,
+    waveform_inputs,
+)
 
 RULE_TEXT = {
     "dq": "dq: sinusoidal",
@@ -283,3 +307,401 @@ def plain_waveforms(comparison: WaveformComparison) -> PlainData:
             for found in comparison.rules
         },
     }
+
+
+# The C header of phase currents and its test vectors, as text.
+
+_SEED = 20_260_502
+
+
+def _error_lines(fit: PhaseFit) -> list[str]:
+    chosen = fit.chosen
+    current, torque = (
+        rounded_up(100.0 * value) for value in (chosen.errors.current, chosen.errors.torque)
+    )
+    lines = [
+        (
+            f"Form {chosen.name}: {chosen.flash} bytes of constants, some {chosen.operations} "
+            "operations;"
+        ),
+        (
+            f"currents err by at most {current} % of the peak, the torque by {torque} % of the "
+            "torque asked for"
+        ),
+        (
+            f"({chosen.errors.samples} evaluations, with and without fused multiply-add; sampled, "
+            "not proven)."
+        ),
+    ]
+    for other in fit.candidates[1:]:
+        worst = rounded_up(100.0 * other.errors.current)
+        lines.append(
+            f"Not chosen: {other.name}, {other.flash} bytes, {other.operations} operations, "
+            f"{worst} %."
+        )
+    return lines
+
+
+def _terms(plain: PlainData) -> list[list[PlainData]]:
+    """Products of each phase in the order in which they are added; none of a table."""
+    if plain["form"] != "harmonics":
+        return []
+    rows = []
+    for cosine, sine in zip(plain["cosine"], plain["sine"], strict=True):
+        pairs = [
+            (harmonic, weight, factor)
+            for harmonic, weights in enumerate(zip(cosine, sine, strict=True))
+            for weight, factor in zip(weights, ("c", "s"), strict=True)
+            if weight != 0.0
+        ]
+        rows.append(
+            [
+                {"harmonic": harmonic, "weight": weight, "factor": factor, "first": place == 0}
+                for place, (harmonic, weight, factor) in enumerate(pairs)
+            ]
+        )
+    return rows
+
+
+def _weight_steps(form: PhasePolynomials, weight: tuple[float, ...]) -> PlainData | None:
+    """How the C evaluates one weight: Horner's rule in x or its square."""
+    if not weight:
+        return None
+    coefficients, variable, odd = form.steps(weight)
+    return {
+        "last": coefficients[-1],
+        "others": coefficients[-2::-1],
+        "variable": variable,
+        "odd": odd,
+    }
+
+
+def _polynomial_context(form: PhasePolynomials) -> PlainData:
+    """Harmonics in the order in which the C adds them, each with the weights of its rows."""
+    equal, started = len(form.cosine) == 1, set()
+    harmonics = []
+    for harmonic in range(form.size):
+        order = 1 + form.stride * harmonic
+        rows = []
+        for row, (cosine, sine) in enumerate(zip(form.cosine, form.sine, strict=True)):
+            a, b = _weight_steps(form, cosine[harmonic]), _weight_steps(form, sine[harmonic])
+            if a is None and b is None:
+                continue
+            along = ("along" if order % 3 else "common") if equal else f"i_{'abc'[row]}"
+            turns = equal and order % 3 != 0
+            rows.append(
+                {
+                    "cosine": a,
+                    "sine": b,
+                    "along": along,
+                    "first_along": along not in started,
+                    "across": turns,
+                    "first_across": turns and "across" not in started,
+                    "sign": "" if order % 3 == 1 else "-",
+                }
+            )
+            started |= {along, "across"} if turns else {along}
+        harmonics.append({"order": order, "rows": rows})
+    weights = [
+        weight
+        for part in (form.cosine, form.sine)
+        for row in part
+        for weight in row
+        if len(weight) > 1
+    ]
+    names = ("common", "along", "across") if equal else ("i_a", "i_b", "i_c")
+    return {
+        "equal": equal,
+        "stride": form.stride,
+        "harmonics": harmonics,
+        "sums": [{"name": name, "used": name in started} for name in names],
+        "uses": {
+            "x": bool(weights),
+            "square": any(form.steps(weight)[1] == "square" for weight in weights),
+            "a": any(any(row) for row in form.cosine),
+            "b": any(any(row) for row in form.sine),
+        },
+        "inverse": shortest(form.inverse),
+        "half_root_3": shortest(HALF_ROOT_3),
+    }
+
+
+def _span(design: Design) -> str:
+    """The turn that a table spans."""
+    turns = 1 if design.phase_machine is None else design.phase_machine.turns
+    return "electrical" if turns == 1 else "mechanical"
+
+
+def _angle_lines(design: Design, form: str) -> list[str]:
+    """What the C takes as its angle."""
+    if form != "table":
+        return ["sine, cosine: of the electrical angle of the d axis from phase a."]
+    span = _span(design)
+    text = (
+        f"turn: {span} angle of the d axis from phase a over 2 pi, 0 to below 1; others count as 0."
+    )
+    if span == "electrical":
+        return [text]
+    pairs = design.machine.pole_pairs
+    return [text, f"The {pairs} pole pairs differ: at 0 the first one of the back-EMF begins."]
+
+
+def _context(design: Design, fit: PhaseFit) -> PlainData:
+    plain = plain_phase_reference(fit.reference)
+    rule = "with" if TOPOLOGIES[design.inverter.topology].neutral else "without"
+    angle = _angle_lines(design, plain["form"])
+    form = fit.reference.form
+    proportional = (
+        "not in proportion to" if isinstance(form, PhasePolynomials) else "proportional to"
+    )
+    return {
+        **title(design),
+        "polynomials": _polynomial_context(form) if isinstance(form, PhasePolynomials) else None,
+        "torque_max": plain["torque_max"],
+        "span": _span(design),
+        "form": {"table": None, "size": 0}
+        | plain
+        | ({"size": len(plain["table"][0]) - 1} if "table" in plain else {}),
+        "terms": _terms(plain),
+        "preamble": [
+            (
+                f"{design.machine.pole_pairs} pole pairs, {design.i_max:.6g} A (peak), "
+                f"{design.inverter.topology}."
+            ),
+            (
+                "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated "
+                "errors hold either way."
+            ),
+        ],
+        "comment": [
+            (
+                f"Constant torque at least copper loss, {rule} zero-sequence current; "
+                f"{proportional} the torque."
+            ),
+            (
+                "torque_Nm: torque in N m, clamped to +-TORQUE_MAX; i_a_A, i_b_A, i_c_A: phase "
+                "currents in A."
+            ),
+            *angle,
+            *_error_lines(fit),
+        ],
+    }
+
+
+def waveform_files(design: Design, fit: PhaseFit) -> dict[str, bytes]:
+    """Names and bytes of the header of phase currents and of its test vectors."""
+    context, prefix = _context(design, fit), design.export.prefix
+    inputs = waveform_inputs(fit.reference, max(design.export.vectors, 64), _SEED)
+    currents = model_currents(fit.reference, inputs)
+    vectors = np.concatenate([inputs, currents], axis=1)
+    more = {"vectors": [list(row) for row in vectors], "inputs": inputs.shape[1]}
+    template = (
+        "waveforms/waveform.h.j2" if context["polynomials"] is None else "waveforms/salient.h.j2"
+    )
+    texts = {
+        f"{prefix}_waveform.h": render(template, context),
+        f"{prefix}_waveform_vectors.h": render("waveforms/vectors.h.j2", context | more),
+    }
+    return {name: text.encode("ascii") for name, text in texts.items()}
+
+
+def waveform_programme(reference: PhaseReference) -> Programme:
+    """The harness of phase currents, with what their model answers."""
+    inputs = waveform_inputs(reference, SWEEP_POINTS, SWEEP_SEED)
+    return Programme(
+        "waveforms/harness.c.j2", inputs, model_currents(reference, inputs), name="phase currents"
+    )
+
+
+# Phase currents in the report: what the rules cost, and what the firmware evaluates.
+
+_ROUNDING = 1e-9
+
+
+def point_words(comparison: WaveformComparison) -> str:
+    """Torque and speed for which the currents are shaped."""
+    return f"{quantity(comparison.torque, 'N m')} at {quantity(comparison.omega_m, 'rpm')}"
+
+
+def comparison_text(comparison: WaveformComparison) -> str:
+    """The operating point, and what holds the currents there."""
+    limits = comparison.limits
+    where = point_words(comparison)
+    held = (
+        f"held by the limits of {', '.join(comparison.binding)}"
+        if comparison.binding
+        else "held by no limit"
+    )
+    source = (
+        f"{quantity(limits.v_dc, 'V')} ({limits.topology}), at most {quantity(limits.i_max, 'A')} "
+        "(peak)"
+    )
+    note = optimality_note(comparison)
+    return (
+        f"{where} from {source}; the last row is "
+        f"{held}.{f' {note[0].upper()}{note[1:]}.' if note else ''}"
+    )
+
+
+def _cells(found: RuleCurrents) -> tuple[str, ...]:
+    values, torque = found.figures, abs(float(found.figures.torque[0]))
+    ripple, neutral = float(values.ripple[0]) / torque, float(values.neutral_rms[0])
+    return (
+        RULE_TEXT[found.rule],
+        quantity(float(values.copper[0]), "W"),
+        share(ripple, 3) if ripple > _ROUNDING else "0",
+        quantity(float(values.rms[0]), "A"),
+        quantity(float(values.peak[0]), "A"),
+        quantity(neutral, "A", 3) if neutral > _ROUNDING * float(values.rms[0]) else "0",
+        quantity(float(values.bus[0]), "V"),
+        ", ".join(found.obstacles) or "nothing",
+    )
+
+
+def rules_table(comparison: WaveformComparison) -> HtmlTable:
+    """One row per rule."""
+    columns = ("", "copper", "ripple p-p", "r.m.s.", "peak", "neutral", "dc link", "breaks")
+    rows = tuple(
+        Row(
+            _cells(found),
+            "chosen" if found.rule == "limited" else "muted" if found.obstacles else "",
+        )
+        for found in comparison.rules
+    )
+    caption = "Phase currents by rule: copper loss, torque ripple, currents, dc link needed"
+    return HtmlTable(caption, tuple(symbols(text) for text in columns), rows)
+
+
+def _confirmation_cells(entry: Confirmation) -> tuple[str, ...]:
+    return (
+        share(entry.ripple / abs(entry.torque)) if entry.torque else "0",
+        entry.verdict,
+        *(
+            f"{side.largest:.1e}" if math.isfinite(side.largest) else "none"
+            for side in (entry.ours, entry.theirs)
+        ),
+        f"{100.0 * entry.loss_difference:+.0e} %"
+        if math.isfinite(entry.loss_difference)
+        else "none",
+        f"{entry.current_difference:.1e} A" if math.isfinite(entry.current_difference) else "none",
+        f"{entry.iterations}",
+    )
+
+
+def confirmations_table(comparison: WaveformComparison) -> HtmlTable:
+    """Every quadratic programme with the residuals of both solvers."""
+    columns = (
+        "deviation",
+        "by OSQP",
+        "residual here",
+        "residual of OSQP",
+        "loss",
+        "current",
+        "iterations",
+    )
+    rows = tuple(
+        Row(_confirmation_cells(entry), "muted" if entry.verdict == "differs" else "")
+        for entry in comparison.confirmations
+    )
+    caption = (
+        "The same programmes solved by OSQP: largest residual of the optimality conditions, "
+        "differences"
+    )
+    return HtmlTable(caption, columns, rows, folded=True)
+
+
+def _candidate_cells(entry: PhaseCandidate) -> tuple[str, ...]:
+    return (
+        entry.name,
+        share(ceiling(entry.errors.current), 3),
+        share(ceiling(entry.errors.torque), 3),
+        f"{entry.flash} B",
+        f"{entry.operations}",
+    )
+
+
+def candidates_table(fit: PhaseFit) -> HtmlTable:
+    """The forms for the firmware, the emitted one first."""
+    columns = ("", "current error of peak", "torque error", "constants", "operations")
+    rows = tuple(
+        Row(_candidate_cells(entry), "chosen" if entry is fit.chosen else "")
+        for entry in fit.candidates
+    )
+    return HtmlTable(
+        "Forms for the firmware: largest errors found",
+        tuple(symbols(text) for text in columns),
+        rows,
+    )
+
+
+def waveform_part(solution: Solution) -> PlainData | None:
+    """The part of the report on phase currents; None without."""
+    if solution.waveforms is None or solution.phases is None:
+        return None
+    return {
+        "text": comparison_text(solution.waveforms),
+        "tables": [
+            rules_table(solution.waveforms),
+            candidates_table(solution.phases),
+            *(
+                [confirmations_table(solution.waveforms)]
+                if solution.waveforms.confirmations
+                else []
+            ),
+        ],
+        "file": f"{solution.design.export.prefix}_waveform.h",
+    }
+
+
+# Phase currents of machines whose back-EMF is not sinusoidal, as records.
+
+_SECTION = "phase currents"
+_RULES = ("dq", "dqx", "dqy", "limited")
+
+
+def _figures(_: Solution, comparison: WaveformComparison) -> Mapping[str, Draw]:
+    from dqforge.reports.waveforms.figures import plot_waveforms
+
+    return {"waveforms": lambda: plot_waveforms(comparison)}
+
+
+def _parts(solution: Solution, found: WaveformComparison) -> list[ReportPart]:
+    data, key = waveform_part(solution), point_words(found)
+    return [] if data is None else [ReportPart(CHAPTER, "waveforms/report.html.j2", data, key)]
+
+
+WAVEFORMS = Capability(
+    name="waveforms",
+    title="phase currents by rule",
+    of=lambda outcome: outcome.solution.waveforms,
+    plain=lambda _, comparison: plain_waveforms(comparison),
+    tables=lambda solution, comparison: waveform_tables(solution.design, comparison),
+    figures=_figures,
+    parts=_parts,
+    quantities=(
+        Quantity(_SECTION, "torque", "N m", ("waveforms", "torque_Nm")),
+        Quantity(_SECTION, "speed", "rpm", ("waveforms", "omega_m_rad_per_s")),
+        *(
+            Quantity(
+                _SECTION, f"copper loss, {rule}", "W", ("waveforms", "rules", rule, "copper_W")
+            )
+            for rule in _RULES
+        ),
+    ),
+)
+
+PHASE_REFERENCE = Capability(
+    name="waveform_fit",
+    title="phase currents in the firmware",
+    of=lambda outcome: outcome.solution.phases,
+    plain=lambda _, fit: plain_phase_fit(fit),
+    headers=(
+        HeaderKind(
+            name="waveform",
+            files=lambda solution, fit: waveform_files(solution.design, fit),
+            plain=lambda _, fit: plain_phase_reference(fit.reference),
+            read=lambda own, _: phase_reference_from(own),
+            programme=waveform_programme,
+        ),
+    ),
+)

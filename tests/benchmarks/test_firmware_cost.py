@@ -21,14 +21,18 @@ from drives import IPM, in_floats, make_design
 
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.names import BreakpointMode, Core, FitForm, NumberFormat, Strategy
-from dqforge.optimizer.current_reference.cost_model import estimated_cycles
-from dqforge.optimizer.current_reference.forms import PENALTY_FROM, ErrorCurves, error_curves
-from dqforge.optimizer.current_reference.integer_form import FixedReference
+from dqforge.optimizer.current_reference.fit import estimated_cycles
+from dqforge.optimizer.current_reference.forms import (
+    PENALTY_FROM,
+    ErrorCurves,
+    FixedReference,
+    error_curves,
+)
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.solution import solve
 from dqforge.reports.c_code.numbers import float_literal
-from dqforge.reports.current_reference.evaluator import vector_torques
+from dqforge.reports.current_reference.plain import vector_torques
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.verification.measured_cost import TargetCost, cost_on_target
 

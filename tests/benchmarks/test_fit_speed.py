@@ -15,11 +15,9 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import FitBudget, FitSettings
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.current_reference.alternatives import alternatives
-from dqforge.optimizer.current_reference.cheapest import choose_fit
-from dqforge.optimizer.current_reference.fit import fit_reference
-from dqforge.optimizer.curves.breakpoints import search
-from dqforge.optimizer.curves.edge_levelling import level_edges
+from dqforge.optimizer.current_reference.fit import alternatives, fit_reference
+from dqforge.optimizer.current_reference.solve import choose_fit
+from dqforge.optimizer.curves.breakpoints import level_edges, search
 from dqforge.optimizer.curves.fitting import Curve, SideConditions, fit_curve, largest_error
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 

@@ -13,8 +13,7 @@ from peak_memory import run_and_measure
 from scipy.optimize import minimize
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import FluxMap, complete_by_symmetry
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine, complete_by_symmetry
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points.points import optimal_points
 

@@ -13,8 +13,8 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.plants.scenario import Scenario, constant
 from dqforge.optimizer.solution import solve
 from dqforge.reports.control.header import gain_bytes, plain_control
-from dqforge.reports.simulation.compiled_plant import simulate, simulate_many, simulator
 from dqforge.reports.simulation.design_run import controller_files, drive_of
+from dqforge.reports.simulation.recorded_run import simulate, simulate_many, simulator
 
 pytestmark = pytest.mark.benchmark
 

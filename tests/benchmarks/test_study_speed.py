@@ -13,7 +13,7 @@ from study_commands import linear_study
 from study_rows import StudyRows
 from study_runs import run_in
 
-from dqforge.machines.exploration.study_reader import study_of_text
+from dqforge.machines.exploration.study_checks import study_of_text
 from dqforge.optimizer.exploration.study_plan import StudyPlan
 from dqforge.reports.study_engine.contained_rows import contained_rows
 from dqforge.reports.study_engine.engine_settings import EngineSettings

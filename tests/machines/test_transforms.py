@@ -14,7 +14,7 @@ import pytest
 import dqforge
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.modulation.modulators import MODULATORS, modulate
-from dqforge.machines.modulation.zero_sequence import load_turn, zero_sequence_of
+from dqforge.machines.modulation.registry import load_turn, zero_sequence_of
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import (
     DOUBLES,

@@ -18,8 +18,8 @@ from figure_pages import blank_figure
 from toys.kinetic_energy import KINETIC_ENERGY
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.settings import ObserverSettings, ReferenceSettings
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.reports.capabilities import CAPABILITIES

@@ -8,7 +8,7 @@ import pytest
 from drives import make_design
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.losses.machine_loss import MachineLoss
+from dqforge.machines.losses.machine_budget import MachineLoss
 from dqforge.optimizer.solution import solve
 from dqforge.reports.convention_text import convention_lines, machine_lines
 

@@ -20,7 +20,7 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.current_reference.figures import plot_errors, plot_fit, plot_mtpa
 from dqforge.reports.loops.figures import plot_gains
-from dqforge.reports.losses.figures import plot_losses
+from dqforge.reports.losses.map_figures import plot_losses
 from dqforge.reports.pages.figures_style import prefixed, save, thinned, to_svg
 
 SVG = "{http://www.w3.org/2000/svg}"

@@ -19,12 +19,11 @@ import pytest
 from matplotlib.image import imread
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.design import Design
+from dqforge.machines.design.design import Design, InputValue
 from dqforge.machines.design.settings import FitSettings
-from dqforge.machines.design.values import InputValue
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.page_frame.file_list import ListedFile
+from dqforge.reports.page_frame import ListedFile
 from dqforge.reports.pages.figures_style import BLUE, ORANGE, PART_COLOURS, SKY, TEAL
 from dqforge.reports.pages.html_text import count, number, quantity, share, symbols
 from dqforge.reports.report import render_report

@@ -13,9 +13,8 @@ from drives import make_design
 from dqforge.machines.design.settings import LoadPoint, LossSettings
 from dqforge.optimizer.certificates.current_reference import Certificate
 from dqforge.optimizer.losses.solve import solve_losses
-from dqforge.reports.losses.plain import plain_losses
-from dqforge.reports.pages.certificate_text import plain_certificate
-from dqforge.reports.pages.envelope import to_text
+from dqforge.reports.losses.map_tables import plain_losses
+from dqforge.reports.pages.templating import plain_certificate, to_text
 
 
 def test_proven_bounds_are_never_rounded_down() -> None:

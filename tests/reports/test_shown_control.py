@@ -18,17 +18,19 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ObserverSettings, Tolerances
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
-from dqforge.optimizer.loops.analysis import step_response
+from dqforge.optimizer.loops.loop_gains import step_response
 from dqforge.optimizer.observers.reduced_order import errors_at_loads
-from dqforge.reports.control.fixed_header import control_fixed_files, plain_fixed_evidence
-from dqforge.reports.control.fixed_tables import control_fixed_tables
-from dqforge.reports.loops.html import loop_table
-from dqforge.reports.loops.plain import plain_gains
-from dqforge.reports.loops.tables import gains_tables
-from dqforge.reports.observers.html import speed_tables
-from dqforge.reports.observers.text import position_parts
-from dqforge.reports.pages.envelope import to_text
+from dqforge.reports.control.fixed_header import (
+    control_fixed_files,
+    control_fixed_tables,
+    plain_fixed_evidence,
+)
+from dqforge.reports.loops.capability import loop_table
+from dqforge.reports.loops.proven_text import gains_tables, plain_gains
+from dqforge.reports.observers.position_header import position_parts
+from dqforge.reports.observers.tracker_header import speed_tables
 from dqforge.reports.pages.html_text import NARROW, number, quantity, share
+from dqforge.reports.pages.templating import to_text
 
 RPM = 30.0 / math.pi
 

@@ -17,19 +17,22 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import FitSettings, OperationSettings
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.current_reference.solve import solve_fit
-from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
+from dqforge.optimizer.curves.single_precision import PiecewisePolynomial
 from dqforge.optimizer.losses.solve import require_losses
-from dqforge.optimizer.operating_points.drive_points import LimitedDrive, points_within
-from dqforge.optimizer.operating_points.operating_map import VoltageLimit
+from dqforge.optimizer.operating_points.characteristics import (
+    LimitedDrive,
+    VoltageLimit,
+    points_within,
+)
 from dqforge.optimizer.operating_points.solve import solve_curves
 from dqforge.optimizer.waveforms.comparison import compare_waveforms, require_phases
-from dqforge.optimizer.waveforms.phase_currents import unit_currents
+from dqforge.optimizer.waveforms.constraint_rows import unit_currents
 from dqforge.optimizer.waveforms.solve import solve_phases
 from dqforge.reports.current_reference.plain import plain_fit
-from dqforge.reports.losses.plain import plain_losses
+from dqforge.reports.losses.map_tables import plain_losses
 from dqforge.reports.operating_points.plain import plain_curves
-from dqforge.reports.pages.envelope import to_text
 from dqforge.reports.pages.labels import operation_text
+from dqforge.reports.pages.templating import to_text
 from dqforge.reports.waveforms.tables import plain_phase_fit, plain_waveforms
 
 

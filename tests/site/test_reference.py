@@ -21,7 +21,7 @@ from schema_keys import groups
 import dqforge
 from dqforge.cli import app
 from dqforge.machines.design.schema import DesignFile, json_schema
-from dqforge.machines.exploration.study_schema import StudyFile, study_json_schema
+from dqforge.machines.exploration.study import StudyFile, study_json_schema
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]

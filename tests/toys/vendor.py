@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from dqforge.reports.c_code.header_constant import Constant
+from dqforge.reports.c_code.harness import Constant
 from dqforge.reports.main_header.dialect import Dialect, Entry
 
 NAMES = {

@@ -13,16 +13,13 @@ import math
 
 import numpy as np
 
-from dqforge.machines.design.datasheet import peak_current
-from dqforge.machines.design.design import Design
-from dqforge.machines.design.plausibility.control import control_figures
-from dqforge.machines.design.plausibility.devices import device_figures
-from dqforge.machines.design.plausibility.figures import Figure, sentences
-from dqforge.machines.design.plausibility.scale import Scale
-from dqforge.machines.design.plausibility.scenario import scenario_figures
+from dqforge.machines.design.design import Design, peak_current
+from dqforge.machines.design.plausibility.figures import Figure, device_figures, sentences
 from dqforge.machines.design.schema import DesignFile
-from dqforge.machines.dq_machines.torque_limit import largest_torque_within
+from dqforge.machines.design.settings import ToleranceName
+from dqforge.machines.dq_machines.synchronous import largest_torque_within
 from dqforge.machines.entries.rules import si_of
+from dqforge.machines.records import dataclass
 
 
 def implausibilities(design: Design, sections: DesignFile) -> list[str]:
@@ -325,3 +322,352 @@ def _inverter(design: Design, scale: Scale) -> list[Figure]:
                     Figure("inverter.dead_time", what, inverter.dead_time, "s", 0.2e-6, 20e-6)
                 )
     return figures
+
+
+# Figures of sampling, loops, observer and bases, see
+# `dqforge.machines.design.plausibility.design`.
+
+_TURN = 2.0 * math.pi
+
+
+def control_figures(design: Design, scale: Scale) -> list[Figure]:
+    """Figures of the controllers and of what they are told."""
+    return [
+        *_current_loop(design),
+        *_speed_loop(design),
+        *_observer(design),
+        *_bases(design, scale),
+        *_tolerances(design),
+        *_operation(design, scale),
+    ]
+
+
+def _current_loop(design: Design) -> list[Figure]:
+    control, machine = design.control, design.machine
+    loop, least = control.current_loop, min(machine.l_d, machine.l_q)
+    figures = [
+        Figure(
+            "control.sampling_frequency",
+            "the sampling period over the time constant of the winding",
+            control.t_s * machine.r_s / least,
+            "",
+            0.0,
+            1.0,
+        )
+    ]
+    if loop.bandwidth is not None:
+        share, what = loop.bandwidth * control.t_s / _TURN, "its share of the sampling frequency"
+        figures.append(Figure("control.current_loop.bandwidth", what, share, "%", 5e-4, 0.25))
+    if loop.kp is not None and loop.ki is not None:
+        key, what = "control.current_loop.kp", "kp times the sampling period over the inductance"
+        figures.append(Figure(key, what, loop.kp * control.t_s / least, "", 1e-3, 2.0))
+        key, what = (
+            "control.current_loop.ki",
+            "the integral time kp/ki over the time constant of the winding",
+        )
+        if loop.ki > 0.0:
+            figures.append(
+                Figure(key, what, loop.kp / loop.ki * machine.r_s / least, "", 1e-2, 1e2)
+            )
+    return figures
+
+
+def _speed_loop(design: Design) -> list[Figure]:
+    control, loop = design.control, design.control.speed_loop
+    if loop is None:
+        return []
+    sampling = 1.0 / (control.t_s * loop.ratio)
+    figures = [
+        Figure(
+            "control.speed_loop.ratio",
+            "the sampling frequency of the speed",
+            sampling,
+            "Hz",
+            50.0,
+            100e3,
+        ),
+        Figure("control.speed_loop.filter_time", "the time", loop.filter_time, "s", 0.0, 0.1),
+    ]
+    if loop.bandwidth is not None:
+        key, share = "control.speed_loop.bandwidth", loop.bandwidth / (_TURN * sampling)
+        figures.append(
+            Figure(key, "its share of the sampling frequency of the speed", share, "%", 1e-4, 0.25)
+        )
+        if control.current_loop.bandwidth is not None:
+            share = loop.bandwidth / control.current_loop.bandwidth
+            figures.append(Figure(key, "its share of the current loop's", share, "%", 0.0, 0.5))
+    return figures
+
+
+def _observer(design: Design) -> list[Figure]:
+    observer, figures = design.control.observer, []
+    if observer is None:
+        return []
+    for name in ("pole", "bandwidth", "pll_bandwidth"):
+        value = getattr(observer, name)
+        if value is not None:
+            key, what = f"control.observer.{name}", "the angular frequency"
+            figures.append(Figure(key, what, value, "rad/s", 1.0, math.inf))
+            share, what = value * design.control.t_s / _TURN, "its share of the sampling frequency"
+            figures.append(Figure(key, what, share, "%", 0.0, 0.25))
+    return figures
+
+
+def _bases(design: Design, scale: Scale) -> list[Figure]:
+    bases = design.control.bases
+    speed = scale.base_speed if scale.top_speed is None else scale.top_speed
+    return [
+        Figure(
+            "control.per_unit.current",
+            "its ratio to the current limit",
+            bases.current / scale.current,
+            "",
+            0.2,
+            20.0,
+        ),
+        Figure(
+            "control.per_unit.voltage",
+            "its ratio to v_dc/sqrt(3)",
+            bases.voltage / scale.voltage,
+            "",
+            0.2,
+            20.0,
+        ),
+        Figure(
+            "control.per_unit.speed",
+            "its ratio to the largest speed",
+            bases.speed / speed,
+            "",
+            0.05,
+            50.0,
+        ),
+        Figure(
+            "control.per_unit.torque",
+            "its ratio to the largest torque",
+            bases.torque / scale.torque,
+            "",
+            5e-3,
+            50.0,
+        ),
+    ]
+
+
+_LARGEST_DEVIATIONS: tuple[tuple[ToleranceName, float], ...] = (
+    ("r_s", 0.7),
+    ("l_d", 0.7),
+    ("l_q", 0.7),
+    ("psi_pm", 0.4),
+    ("inertia", 0.8),
+    ("v_dc", 0.5),
+)
+
+
+def _tolerances(design: Design) -> list[Figure]:
+    box, figures = design.control.tolerances, []
+    if box is None:
+        return []
+    for name, most in _LARGEST_DEVIATIONS:
+        deviation = max(map(abs, box.limits(name)))
+        figures.append(
+            Figure(f"control.tolerances.{name}", "the deviation", deviation, "%", 0.0, most)
+        )
+    if design.inverter.dead_time > 0.0:
+        share = max(map(abs, box.limits("dead_time"))) / design.inverter.dead_time
+        figures.append(
+            Figure(
+                "control.tolerances.dead_time", "its share of the dead time", share, "%", 0.0, 1.0
+            )
+        )
+    return figures
+
+
+def _operation(design: Design, scale: Scale) -> list[Figure]:
+    operation, fit, weakening = design.operation, design.fit, design.weakening
+    figures = [
+        Figure(
+            "operation.voltage_margin",
+            "the share kept free",
+            operation.voltage_margin,
+            "%",
+            0.0,
+            0.3,
+        )
+    ]
+    if operation.omega_m is not None:
+        ratio = operation.omega_m / scale.base_speed
+        figures.append(
+            Figure("operation.speed", "its ratio to the base speed", ratio, "", 0.05, 20.0)
+        )
+    if fit.torque_max is not None:
+        share = fit.torque_max / scale.torque
+        figures.append(
+            Figure("fit.max_torque", "its share of the largest torque", share, "%", 0.05, 1.01)
+        )
+    if fit.budget is not None:
+        for name in ("torque_error", "loss_penalty"):
+            value = getattr(fit.budget, name)
+            if value is not None:
+                figures.append(Figure(f"fit.{name}", "the permitted error", value, "%", 1e-7, 0.1))
+    if weakening is not None:
+        ratio = weakening.omega_m / scale.base_speed
+        figures += [
+            Figure("field_weakening.speed", "its ratio to the base speed", ratio, "", 0.05, 20.0),
+            Figure(
+                "field_weakening.torque_error",
+                "the permitted error",
+                weakening.torque_error,
+                "%",
+                1e-6,
+                0.1,
+            ),
+            Figure(
+                "field_weakening.voltage_excess",
+                "the permitted excess",
+                weakening.voltage_excess,
+                "%",
+                1e-6,
+                0.1,
+            ),
+        ]
+    return figures
+
+
+# Figures of points, simulation, waveform and choice of modulator, see
+# `dqforge.machines.design.plausibility.design`.
+
+
+def scenario_figures(design: Design, scale: Scale) -> list[Figure]:
+    """Figures of what the drive is asked to do."""
+    return [
+        *_points(design, scale),
+        *_simulation(design, scale),
+        *_waveform(design, scale),
+        *_choice(design, scale),
+    ]
+
+
+def _points(design: Design, scale: Scale) -> list[Figure]:
+    figures = []
+    for index, point in enumerate(() if design.losses is None else design.losses.points):
+        share, what = abs(point.torque) / scale.torque, "its share of the largest torque"
+        figures.append(Figure(f"losses.points[{index}].torque", what, share, "%", 0.0, 1.01))
+        power, what = (
+            abs(point.torque * point.omega_m) / scale.power,
+            "torque times speed over the apparent power",
+        )
+        figures.append(Figure(f"losses.points[{index}].speed", what, power, "%", 0.0, 1.2))
+    return figures
+
+
+def _simulation(design: Design, scale: Scale) -> list[Figure]:
+    scenario = design.simulation
+    if scenario is None:
+        return []
+    sensor = scenario.sensor
+    figures = [
+        Figure(
+            "simulation.duration",
+            "the number of control periods",
+            scenario.duration / design.control.t_s,
+            "",
+            10.0,
+            2e7,
+        ),
+        Figure(
+            "simulation.current_sensor.noise",
+            "its share of the current limit",
+            sensor.noise / scale.current,
+            "%",
+            0.0,
+            0.1,
+        ),
+        Figure(
+            "simulation.current_sensor.offset",
+            "the largest share of the current limit",
+            max(map(abs, sensor.offset)) / scale.current,
+            "%",
+            0.0,
+            0.2,
+        ),
+    ]
+    if sensor.bits > 0:
+        ratio, what = sensor.full_scale / scale.current, "its ratio to the current limit"
+        figures.append(Figure("simulation.current_sensor.full_scale", what, ratio, "", 0.8, 20.0))
+    if scenario.dead_time is not None:
+        share, what = scenario.dead_time * design.inverter.f_sw, "its share of the switching period"
+        figures.append(Figure("simulation.dead_time", what, share, "%", 0.0, 0.1))
+    speed = scale.base_speed if scale.top_speed is None else scale.top_speed
+    start = abs(scenario.omega_m) / speed
+    figures.append(
+        Figure("simulation.initial.speed", "its ratio to the largest speed", start, "", 0.0, 2.0)
+    )
+    return figures
+
+
+def _waveform(design: Design, scale: Scale) -> list[Figure]:
+    settings, figures = design.waveform, []
+    if settings.torque is not None:
+        share, what = (
+            settings.torque / scale.torque,
+            "its ratio to the largest torque of the fundamental",
+        )
+        figures.append(Figure("waveform.torque", what, share, "", 1e-3, 2.0))
+    figures.append(
+        Figure("waveform.ripple", "the permitted ripple", settings.ripple, "%", 0.0, 0.5)
+    )
+    return figures
+
+
+def _choice(design: Design, scale: Scale) -> list[Figure]:
+    choice = design.modulation_choice
+    if choice is None:
+        return []
+    figures = [
+        Figure(
+            "modulation_choice.max_frequency", "the frequency", choice.f_max, "Hz", 500.0, 500e3
+        ),
+        Figure(
+            "modulation_choice.speed",
+            "its ratio to the base speed",
+            choice.omega_m / scale.base_speed,
+            "",
+            0.05,
+            20.0,
+        ),
+    ]
+    if choice.junction_max is not None:
+        margin = choice.junction_max - design.inverter.coolant_temperature
+        what = "what it leaves above the coolant"
+        figures.append(
+            Figure("modulation_choice.max_junction_temperature", what, margin, "K", 5.0, math.inf)
+        )
+    if choice.ripple_max is not None:
+        share, what = choice.ripple_max / scale.current, "its share of the current limit"
+        figures.append(Figure("modulation_choice.ripple_current", what, share, "%", 1e-4, 0.7))
+    return figures
+
+
+# Sizes of a drive that its figures are shares of.
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Sizes of a drive, in SI units.
+
+    Args:
+        voltage: v_dc/sqrt(3), the largest phase voltage in the linear range.
+        current: Current limit, peak of phase.
+        flux: Flux linkage at half the current limit, 45 degrees ahead of the q axis.
+        base_speed: Mechanical speed in rad/s at which this flux linkage uses the voltage up.
+        torque: Largest torque within the current limit.
+        power: Apparent power at voltage and current.
+        top_speed: Largest mechanical speed in rad/s, or None.
+    """
+
+    voltage: float
+    current: float
+    flux: float
+    base_speed: float
+    torque: float
+    power: float
+    top_speed: float | None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from dqforge.machines.design.reading import Reading
+from dqforge.machines.design.design import Reading
 from dqforge.machines.design.settings import ObserverSettings, SpeedLoopSettings, Tolerances
 from dqforge.machines.devices.inverter import Inverter
 

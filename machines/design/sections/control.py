@@ -8,8 +8,7 @@ import math
 
 from pydantic import Field
 
-from dqforge.machines.design.from_section import settings_from
-from dqforge.machines.design.reading import ROUNDING_OF_DATA, Reading
+from dqforge.machines.design.design import ROUNDING_OF_DATA, Reading
 from dqforge.machines.design.sections.chosen_together import chosen_together
 from dqforge.machines.design.sections.control_loops import (
     CurrentLoopSection,
@@ -36,6 +35,7 @@ from dqforge.machines.design.settings import (
     ObserverSettings,
     SpeedLoopSettings,
     StartUpSettings,
+    settings_from,
 )
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine

@@ -6,8 +6,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from dqforge.machines.design.from_section import settings_from
-from dqforge.machines.devices.current_sensing import CurrentSensing
+from dqforge.machines.design.settings import settings_from
+from dqforge.machines.devices.inverter import CurrentSensing
 from dqforge.machines.entries.kinds import Section
 from dqforge.machines.entries.rules import Quantity, QuantityRule
 from dqforge.machines.files.positioned_yaml import YamlDocument

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from dqforge.machines.design.from_section import settings_from
 from dqforge.machines.design.settings import (
     ExportSettings,
+    settings_from,
 )
 from dqforge.machines.entries.kinds import (
     ControlFormats,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from dqforge.machines.design.from_section import settings_from
-from dqforge.machines.design.reading import Reading
+from dqforge.machines.design.design import Reading
 from dqforge.machines.design.settings import (
     WeakeningSettings,
+    settings_from,
 )
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.kinds import (

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from dqforge.machines.design.from_section import settings_from
-from dqforge.machines.design.reading import Reading
+from dqforge.machines.design.design import Reading
 from dqforge.machines.design.sections.operation import OperationSection
 from dqforge.machines.design.settings import (
     FitBudget,
     FitSettings,
     PerUnitBases,
+    settings_from,
 )
-from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
-from dqforge.machines.dq_machines.torque_limit import largest_torque_within
+from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, largest_torque_within
 from dqforge.machines.entries.former_keys import former
 from dqforge.machines.entries.kinds import (
     ByteCount,

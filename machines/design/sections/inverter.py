@@ -6,16 +6,14 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from dqforge.machines.design.reading import Reading
+from dqforge.machines.design.design import Reading
 from dqforge.machines.design.sections.current_sensing import (
     CurrentSensingSection,
     check_current_sensing,
     read_current_sensing,
 )
-from dqforge.machines.devices.device import DeviceModel
-from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.devices.inverter import DeviceModel, Inverter, SwitchDevice
 from dqforge.machines.devices.sections import DeviceEntry, DeviceReference, DeviceSection
-from dqforge.machines.devices.switch import SwitchDevice
 from dqforge.machines.entries.kinds import (
     Capacitance,
     ChokeInductance,

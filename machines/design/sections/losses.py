@@ -8,15 +8,15 @@ from typing import Annotated
 
 from pydantic import Field
 
-from dqforge.machines.design.modulator_key import ModulatorList
-from dqforge.machines.design.reading import ROUNDING_OF_DATA, Reading
+from dqforge.machines.design.design import ROUNDING_OF_DATA, Reading
 from dqforge.machines.design.sections.machine.schema import MachineSection
 from dqforge.machines.design.settings import (
     LoadPoint,
     LossSettings,
     LossStrategy,
+    ModulatorList,
+    bare_speed_hint,
 )
-from dqforge.machines.design.speed_remarks import bare_speed_hint
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.kinds import (
     FileName,
@@ -28,9 +28,14 @@ from dqforge.machines.entries.kinds import (
 )
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.files.positioned_yaml import YamlDocument
-from dqforge.machines.losses.machine_budget import COPPER_COEFFICIENT, WindingHeat
-from dqforge.machines.losses.machine_loss import MachineLoss
-from dqforge.machines.losses.mission import MOST_BYTES, Mission, read_mission
+from dqforge.machines.losses.machine_budget import (
+    COPPER_COEFFICIENT,
+    MOST_BYTES,
+    MachineLoss,
+    Mission,
+    WindingHeat,
+    read_mission,
+)
 from dqforge.machines.units.quantities import format_quantity
 
 _LOSSES = LossSettings(points=())

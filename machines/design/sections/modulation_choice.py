@@ -7,13 +7,13 @@ from typing import Annotated
 
 from pydantic import Field
 
-from dqforge.machines.design.from_section import settings_from
-from dqforge.machines.design.modulator_key import ModulatorList
-from dqforge.machines.design.reading import Reading
+from dqforge.machines.design.design import Reading
 from dqforge.machines.design.settings import (
     ChoiceSettings,
+    ModulatorList,
+    bare_speed_hint,
+    settings_from,
 )
-from dqforge.machines.design.speed_remarks import bare_speed_hint
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.kinds import (

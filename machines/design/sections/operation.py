@@ -6,13 +6,13 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from dqforge.machines.design.from_section import settings_from
-from dqforge.machines.design.modulator_key import ModulatorKey
-from dqforge.machines.design.reading import ROUNDING_OF_DATA
+from dqforge.machines.design.design import ROUNDING_OF_DATA
 from dqforge.machines.design.settings import (
+    ModulatorKey,
     OperationSettings,
+    bare_speed_hint,
+    settings_from,
 )
-from dqforge.machines.design.speed_remarks import bare_speed_hint
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.kinds import (
@@ -23,7 +23,7 @@ from dqforge.machines.entries.kinds import (
 )
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.files.positioned_yaml import YamlDocument
-from dqforge.machines.modulation.hexagon import follows_hexagon
+from dqforge.machines.modulation.registry import follows_hexagon
 from dqforge.machines.names import (
     OvermodulationName,
     Strategy,

@@ -22,10 +22,7 @@ from dqforge.machines.phase_machines.frame_choice import (
     uses_zero_sequence,
     zero_sequence_inductance,
 )
-from dqforge.machines.phase_machines.salient_phase_machine import (
-    AnyPhaseMachine,
-    SalientPhaseMachine,
-)
+from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine, SalientPhaseMachine
 from dqforge.machines.topologies.topology import TOPOLOGIES
 
 # Keys of ``control.current_loop`` that other machines have no use for.

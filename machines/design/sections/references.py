@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from dqforge.machines.design.from_section import settings_from
 from dqforge.machines.design.sections.export import ExportSection
-from dqforge.machines.design.settings import ReferenceSettings, VoltageFeedbackSettings
+from dqforge.machines.design.settings import (
+    ReferenceSettings,
+    VoltageFeedbackSettings,
+    settings_from,
+)
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.kinds import (
     Bandwidth,

@@ -8,8 +8,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from dqforge.machines.design.from_section import settings_from
-from dqforge.machines.design.settings import SixStepSettings
+from dqforge.machines.design.settings import SixStepSettings, settings_from
 from dqforge.machines.entries.kinds import Drop, FilterTime, PhaseCurrent, Section
 from dqforge.machines.names import SIX_STEP_METHODS
 

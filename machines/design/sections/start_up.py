@@ -7,9 +7,8 @@ from typing import Annotated, Any, Protocol, get_args
 
 from pydantic import BeforeValidator, Field
 
-from dqforge.machines.design.from_section import settings_from
-from dqforge.machines.design.reading import Reading
-from dqforge.machines.design.settings import StartUpSettings
+from dqforge.machines.design.design import Reading
+from dqforge.machines.design.settings import StartUpSettings, settings_from
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.kinds import PhaseCurrent, Section, Speed, Torque, Voltage
 from dqforge.machines.entries.rules import Quantity, QuantityRule, not_truth

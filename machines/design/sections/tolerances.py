@@ -6,13 +6,12 @@ from typing import Annotated
 
 from pydantic import Field
 
-from dqforge.machines.design.reading import Reading
+from dqforge.machines.design.design import Reading
 from dqforge.machines.design.settings import Deviation, Tolerances
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
-from dqforge.machines.entries.kinds import Section
+from dqforge.machines.entries.kinds import Between, PartOrTimeRule, Section, ShareRule
 from dqforge.machines.entries.rules import Quantity, QuantityRule
-from dqforge.machines.entries.two_sided import Between, PartOrTimeRule, ShareRule
 from dqforge.machines.units.quantities import format_quantity
 
 DeviationKey = Annotated[Quantity | Between, ShareRule()]

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from dqforge.machines.design.from_section import settings_from
 from dqforge.machines.design.sections.inverter import InverterSection
 from dqforge.machines.design.sections.machine.schema import MachineSection
 from dqforge.machines.design.settings import (
     WaveformSettings,
+    settings_from,
 )
 from dqforge.machines.entries.kinds import (
     Current,

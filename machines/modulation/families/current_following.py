@@ -15,10 +15,11 @@ import math
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.modulation.modulator import Coefficients, Modulator
-from dqforge.machines.modulation.resting_angles import (
+from dqforge.machines.modulation.modulator import (
     SIXTY,
     THIRTY,
+    Coefficients,
+    Modulator,
     clamping_angle,
     folded,
     rectified_integral,

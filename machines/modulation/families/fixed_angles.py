@@ -13,8 +13,14 @@ import math
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.modulation.modulator import Modulator, constant
-from dqforge.machines.modulation.resting_angles import SIXTY, THIRTY, saturated_resting, saving
+from dqforge.machines.modulation.modulator import (
+    SIXTY,
+    THIRTY,
+    Modulator,
+    constant,
+    saturated_resting,
+    saving,
+)
 from dqforge.machines.transforms import Pair
 
 _ROOT3 = math.sqrt(3.0)

@@ -14,8 +14,13 @@ from collections.abc import Callable
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.modulation.modulator import Modulator, constant
-from dqforge.machines.modulation.quarter_waves import HALF_PI, angle_of, wave_integral
+from dqforge.machines.modulation.modulator import (
+    HALF_PI,
+    Modulator,
+    angle_of,
+    constant,
+    wave_integral,
+)
 
 _THIRD = -4.0 * math.sqrt(3.0) / math.pi
 

@@ -7,8 +7,13 @@ import math
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.modulation.modulator import Modulator, constant
-from dqforge.machines.modulation.quarter_waves import HALF_PI, angle_of, wave_integral
+from dqforge.machines.modulation.modulator import (
+    HALF_PI,
+    Modulator,
+    angle_of,
+    constant,
+    wave_integral,
+)
 
 _ROOT3 = math.sqrt(3.0)
 

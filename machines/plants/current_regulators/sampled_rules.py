@@ -1,14 +1,11 @@
-"""Sampled rules that name the next switching state: predictive, circle, look-up table.
+"""The eight switching states of a bridge, and the table that names one by sector and error.
 
-Each is written once, in the order of operations of the emitted C, and runs on numpy arrays in
-double precision for analysis and in single precision as the model of the C. A rule is called at the
-start of a sampling period, knows the state that is on until its end, predicts the currents there,
-and names the state that is on from there: the computing time of one sample is part of it.
+A state is a code: bit 0 is leg a, bit 1 leg b, bit 2 leg c, set where the upper switch is on. The
+active vectors stand at 0, 60, ... 300 degrees.
 
-Sources: paper 001 (Bezerra, COPPE/UFRJ 2004), sections 6.2.4.3 and 6.2.4.4; J. Holtz, S. Stadtfeld,
-"A predictive controller for the stator current vector of AC machines fed from a switched voltage
-source", IPEC Tokyo 1983, pp. 1665-1675 (circle, straight trajectories, time over commutations); the
-table: `state_table`.
+Sources: A. Nabae, S. Ogasawara, H. Akagi, "A novel control scheme for current-controlled PWM
+inverters", IEEE Transactions on Industry Applications IA-22(4), 1986, pp. 697-701 (the table).
+Paper 001 (Bezerra, COPPE/UFRJ 2004), section 6.2.4.3, names it twice, as [61] and as [65].
 """
 
 from __future__ import annotations
@@ -19,15 +16,62 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.names import SampledRuleName
-from dqforge.machines.plants.current_regulators.state_table import (
-    ACTIVE,
-    COMMUTATIONS,
-    Codes,
-    switching_table,
-    unit_vectors,
-)
 from dqforge.machines.records import dataclass
+
+Codes = NDArray[np.int64]
+
+# Codes of the active states by the angle of their vector, in steps of 60 degrees.
+ACTIVE: tuple[int, ...] = (1, 3, 2, 6, 4, 5)
+
+# Legs of each code, shape (8, 3).
+LEGS: BoolArray = np.array([[bool(code >> leg & 1) for leg in range(3)] for code in range(8)])
+
+# Legs that commutate between two codes, shape (8, 8).
+COMMUTATIONS: NDArray[np.int64] = np.array(
+    [[bin(first ^ second).count("1") for second in range(8)] for first in range(8)]
+)
+
+_PLACES = ("own", "next", "next", "zero", "zero", "own")
+
+
+def unit_vectors() -> FloatArray:
+    """Vectors of the codes in the stator over the DC-link voltage, shape (8, 2): alpha and beta."""
+    a, b, c = (LEGS[:, leg].astype(np.float64) for leg in range(3))
+    return np.stack([(2.0 * a - b - c) / 3.0, (b - c) / math.sqrt(3.0)], axis=-1)
+
+
+def switching_table() -> tuple[tuple[int, ...], ...]:
+    """Code for each sector of the counter voltage and each region of the error, 6 by 6.
+
+    The sector k lies between the active vectors k and k + 1, the region j within 30 degrees of the
+    vector j. In the first sector the regions name V1, V2, V2, V0, V0, V1; each further sector turns
+    all by 60 degrees. Of V0 and V7 the nearer one is meant; the table says 0.
+    """
+    rows = []
+    for sector in range(6):
+        names = {"own": ACTIVE[sector], "next": ACTIVE[(sector + 1) % 6], "zero": 0}
+        rows.append(tuple(names[_PLACES[(region - sector) % 6]] for region in range(6)))
+    return tuple(rows)
+
+
+def codes_of(legs: BoolArray) -> Codes:
+    """Codes (...) of switching states (..., 3)."""
+    return np.asarray(legs @ np.array([1, 2, 4]), dtype=np.int64)
+
+
+# Sampled rules that name the next switching state: predictive, circle, look-up table.
+#
+# Each is written once, in the order of operations of the emitted C, and runs on numpy arrays in
+# double precision for analysis and in single precision as the model of the C. A rule is called at
+# the start of a sampling period, knows the state that is on until its end, predicts the currents
+# there, and names the state that is on from there: the computing time of one sample is part of it.
+#
+# Sources: paper 001 (Bezerra, COPPE/UFRJ 2004), sections 6.2.4.3 and 6.2.4.4; J. Holtz, S.
+# Stadtfeld, "A predictive controller for the stator current vector of AC machines fed from a
+# switched voltage source", IPEC Tokyo 1983, pp. 1665-1675 (circle, straight trajectories, time over
+# commutations); the table: `state_table`.
 
 Reals = NDArray[Any]
 

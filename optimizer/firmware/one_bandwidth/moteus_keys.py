@@ -9,17 +9,39 @@ Facts of github.com/mjbots/moteus (firmware ABI 0x010e and later unless said oth
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cache
 
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import Firmware
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     DriveValues,
+    LoopProfile,
     OwnValue,
     PiGains,
 )
+from dqforge.optimizer.firmware.firmware_method import (
+    Asked,
+    JudgedFirmware,
+    JudgedLoop,
+    Price,
+    Shortfall,
+    judge,
+    linear_rule,
+    price_of,
+)
 from dqforge.optimizer.firmware.one_bandwidth.moteus_sentences import contradictions, conventions
 from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS, rounded
+from dqforge.optimizer.firmware.sampled_structure import Winding, current_loop
+from dqforge.optimizer.loops.plants import PiLoop
+from dqforge.optimizer.sampled_systems import loop_margins
 
 FIRMWARE: Firmware = "moteus"
 VERSION = "ABI 0x010e and later"
@@ -235,3 +257,362 @@ def _speed_gains(numbers: Numbers, drive: DriveValues) -> PiGains | None:
         return None
     turn = 2.0 * math.pi * 1.5 * drive.pole_pairs * drive.psi_pm
     return PiGains(damping / turn, numbers.get("servo.pid_position.kp", 0.0) / turn)
+
+
+# What firmware that is told one bandwidth cannot hold of a design: in words, with prices.
+
+_SAME = 1e-3  # Relative difference below which two numbers count as one.
+
+
+def margin_words(judged: JudgedFirmware) -> str:
+    """Phase margins and crossovers of the current loops in words.
+
+    Args:
+        judged: The loops.
+    """
+    return " and ".join(
+        f"{_degrees(loop)} at {loop.crossover / (2.0 * math.pi):.4g} Hz ({axis})"
+        for axis, loop in (("d", judged.current_d), ("q", judged.current_q))
+        if loop is not None
+    )
+
+
+def gains_changed(
+    asked: Asked, held: Configuration, judged: JudgedFirmware, lead: str
+) -> tuple[Shortfall, ...]:
+    """Current gains that the firmware works out by itself, where they are not those asked for.
+
+    Args:
+        asked, held: The wishes, and what was made of them.
+        judged: The loops that run.
+        lead: Which key decides, in words.
+    """
+    pairs = (("d", asked.current_d, held.current_d), ("q", asked.current_q, held.current_q))
+    changes = [
+        f"{axis} kp {own.kp:.4g} V/A and ki {own.ki:.4g} V/(A s) instead of {wish.kp:.4g} and "
+        f"{wish.ki:.4g}"
+        for axis, wish, own in pairs
+        if own is not None and not _same(wish, own)
+    ]
+    if not changes:
+        return ()
+    words = f"{lead}: {'; '.join(changes)}; phase margins {margin_words(judged)}"
+    prices = tuple(
+        Price(f"phase margin ({axis})", loop.phase_margin, "rad")
+        for axis, loop in (("d", judged.current_d), ("q", judged.current_q))
+        if loop is not None
+    )
+    return (Shortfall(words, prices),)
+
+
+def rates_changed(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
+    """Frequency of the inverter and periods of the controllers that are not those of the design.
+
+    Args:
+        asked, held: The wishes, and what was made of them.
+    """
+    wish, own = asked.drive, held.drive
+    changes = [
+        f"{name} {was * scale:.6g} {unit} becomes {now * scale:.6g} {unit}"
+        for name, was, now, scale, unit in (
+            ("switching frequency", wish.f_sw, own.f_sw, 1e-3, "kHz"),
+            ("current control every", wish.t_s, own.t_s, 1e6, "us"),
+            ("speed control every", wish.t_speed, own.t_speed, 1e6, "us"),
+        )
+        if was is not None and now is not None and abs(now / was - 1.0) > _SAME
+    ]
+    return (Shortfall(f"{held.firmware} runs at its own rates: {'; '.join(changes)}"),) * bool(
+        changes
+    )
+
+
+def saturation_unknown(asked: Asked, loops: LoopProfile, what: str) -> tuple[Shortfall, ...]:
+    """What constant inductances make of the margins where the machine saturates.
+
+    Args:
+        asked: The design.
+        loops: The current loops that run.
+        what: What the format holds, in words.
+    """
+    drive, machine = asked.drive, asked.design.machine
+    if drive.i_max is None or drive.l_d is None or drive.l_q is None:
+        return ()
+    jet = machine.jet(np.zeros(1), np.full(1, drive.i_max))
+    l_d, l_q = float(jet.l_dd[0]), float(jet.l_qq[0])
+    if abs(l_q / drive.l_q - 1.0) <= _SAME and abs(l_d / drive.l_d - 1.0) <= _SAME:
+        return ()
+    if not (l_d > 0.0 and l_q > 0.0):
+        return ()
+    judged = judge(replace(loops, speed=None), replace(drive, l_d=l_d, l_q=l_q))
+    words = (
+        f"{what}; at {drive.i_max:.4g} A of q current they are {l_d * 1e6:.4g} uH (d) and "
+        f"{l_q * 1e6:.4g} uH (q) instead of {drive.l_d * 1e6:.4g} and {drive.l_q * 1e6:.4g} uH, "
+        f"and the phase margins {margin_words(judged)}"
+    )
+    prices = tuple(
+        Price(f"phase margin ({axis}) at i_max", loop.phase_margin, "rad")
+        for axis, loop in (("d", judged.current_d), ("q", judged.current_q))
+        if loop is not None
+    )
+    return (Shortfall(words, prices),)
+
+
+def d_current_missing(asked: Asked) -> tuple[Shortfall, ...]:
+    """What it costs that no d current flows, where the design asks for one.
+
+    Args:
+        asked: The design.
+    """
+    design, i_max = asked.design, asked.drive.i_max
+    if design.strategy == "id0" or i_max is None:
+        return ()
+    machine = design.machine
+    price = price_of(machine, i_max, linear_rule(machine.psi_pm, 0.0))
+    torque = float(machine.torque(np.zeros(1), np.full(1, i_max))[0])
+    if price.torque < _SAME or not torque > 0.0:
+        return ()
+    best = torque / (1.0 - price.torque)
+    loss = 1.5 * machine.r_s * i_max * i_max
+    least = loss / (1.0 + price.copper_loss)
+    words = (
+        f"no d current below the voltage limit: {torque:.4g} N m at {i_max:.4g} A instead of "
+        f"{best:.4g} N m ({price.torque:.1%} less); for the same {torque:.4g} N m {loss:.4g} W of "
+        f"copper loss instead of {least:.4g} W"
+    )
+    prices = (Price("torque", best - torque, "N m"), Price("copper loss", loss - least, "W"))
+    return (Shortfall(words, prices),)
+
+
+def field_weakening_missing(asked: Asked, words: str) -> tuple[Shortfall, ...]:
+    """That currents beyond base speed are not those of the design, where it asks for any.
+
+    Args:
+        asked: The design.
+        words: What the firmware does instead.
+    """
+    return () if asked.design.weakening is None else (Shortfall(words),)
+
+
+def _same(wish: PiGains, own: PiGains) -> bool:
+    return abs(own.kp - wish.kp) <= _SAME * wish.kp and abs(own.ki - wish.ki) <= _SAME * wish.ki
+
+
+def _degrees(loop: JudgedLoop) -> str:
+    return f"{math.degrees(loop.phase_margin):.1f} deg"
+
+
+# Torque over q current as moteus models it, fitted to that of a saturating machine: proportional
+# up to a current, a logarithm from there on.
+#
+# T = K i up to i_c, and K i_c + t log2(1 + s (i - i_c)) beyond (`fw/torque_model.h` of moteus); no
+# d current flows. The fit makes the largest error over 0..i_max as small as it can.
+
+# Current in A from which moteus counts a machine as saturated when nothing else is set.
+NEVER = 10000.0
+
+# What the other two are when nothing is set; without meaning below `NEVER`.
+NO_CURRENT_SCALE, NO_TORQUE_SCALE = 0.05, 14.7
+_POINTS = 241
+_LINEAR_ENOUGH = 1e-4  # Largest error over the largest torque below which nothing is fitted.
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueRotation:
+    """The model of moteus of one machine.
+
+    ``cutoff`` in A, ``current_scale`` in 1/A, ``torque_scale`` in N m; ``error`` in N m is the
+    largest over 0..i_max, ``straight`` that of the torque constant alone, ``largest`` the machine's
+    torque at i_max.
+    """
+
+    cutoff: float
+    current_scale: float
+    torque_scale: float
+    error: float
+    straight: float
+    largest: float
+
+    def torque(self, constant: float, current: FloatArray) -> FloatArray:
+        """Torque in N m of q currents in A from zero on, any shape.
+
+        Args:
+            constant: Torque per ampere in N m/A.
+            current: In A.
+        """
+        beyond = np.maximum(current - self.cutoff, 0.0)
+        bent = self.torque_scale * np.log2(1.0 + self.current_scale * beyond)
+        return constant * np.minimum(current, self.cutoff) + bent
+
+
+def torque_rotation(machine: Machine, constant: float, i_max: float) -> TorqueRotation:
+    """Fit the model to a machine.
+
+    Args:
+        machine: The machine.
+        constant: Torque per ampere in N m/A with which moteus computes.
+        i_max: Largest current in A.
+    """
+    current = np.linspace(0.0, i_max, _POINTS)
+    torque = machine.torque(np.zeros(_POINTS), current)
+    straight = float(np.max(np.abs(constant * current - torque)))
+    largest = float(torque[-1])
+    unused = TorqueRotation(NEVER, NO_CURRENT_SCALE, NO_TORQUE_SCALE, straight, straight, largest)
+    if straight <= _LINEAR_ENOUGH * abs(largest):
+        return unused
+    cutoff, scale = _best_shape(current, torque, constant)
+    weight, error = _best_weight(current, torque, constant, np.array([cutoff]), np.array([scale]))
+    cutoff, scale, torque_scale = (
+        rounded(value, FLOAT32_DIGITS) for value in (cutoff, scale, weight[0])
+    )
+    found = TorqueRotation(cutoff, scale, torque_scale, float(error[0]), straight, largest)
+    return found if found.torque_scale > 0.0 and found.error < straight else unused
+
+
+def _best_shape(current: FloatArray, torque: FloatArray, constant: float) -> tuple[float, float]:
+    """Cutoff and current scale with the least largest error: a grid, refined round its best."""
+    i_max = float(current[-1])
+    cutoffs = np.linspace(0.0, 0.98 * i_max, 41)
+    scales = np.geomspace(1e-3, 1e3, 41) / i_max
+    width, factor = cutoffs[1], scales[1] / scales[0]
+    for _ in range(14):
+        grid = np.meshgrid(cutoffs, scales, indexing="ij")
+        flat = (grid[0].ravel(), grid[1].ravel())
+        best = int(np.argmin(_best_weight(current, torque, constant, *flat)[1]))
+        cutoff, scale = float(flat[0][best]), float(flat[1][best])
+        cutoffs = np.clip(cutoff + width * np.linspace(-1.0, 1.0, 9), 0.0, 0.98 * i_max)
+        scales = scale * factor ** np.linspace(-1.0, 1.0, 9)
+        width, factor = 0.6 * width, factor**0.6
+    return cutoff, scale
+
+
+def _best_weight(
+    current: FloatArray,
+    torque: FloatArray,
+    constant: float,
+    cutoff: FloatArray,
+    scale: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Torque scale of each pair with its largest error in N m, arrays of shape (n,).
+
+    The error is convex in the torque scale: the least of it is found by sections.
+    """
+    beyond = np.maximum(current - cutoff[:, None], 0.0)
+    shape = np.log2(1.0 + scale[:, None] * beyond)
+    rest = torque - constant * np.minimum(current, cutoff[:, None])
+
+    def error(weight: FloatArray) -> FloatArray:
+        found: FloatArray = np.max(np.abs(weight[:, None] * shape - rest), axis=1)
+        return found
+
+    low = np.zeros(cutoff.size)
+    high = 2.0 * np.max(np.abs(rest), axis=1) / np.max(shape, axis=1)
+    for _ in range(48):
+        left, right = low + (high - low) / 3.0, high - (high - low) / 3.0
+        falls = error(left) > error(right)
+        low, high = np.where(falls, left, low), np.where(falls, high, right)
+    weight = 0.5 * (low + high)
+    return weight, error(weight)
+
+
+# The bandwidth of a firmware that works out its gains from one: the largest up to what was asked
+# for with which its own loops keep their margins, from no current to the limit.
+
+# Largest modulus of 1/(1 + L) of current loops whose bandwidth had to be lowered, as that of the
+# optimised gains: a phase margin of some 60 deg where the winding's pole is cancelled.
+MOST_SENSITIVITY = 1.6
+_LEAST_SHARE = 1e-4
+_STEP = 0.7
+_RESOLUTION = 1e-3
+_DIGITS = 4
+
+
+def bandwidth_asked(asked: Asked) -> float:
+    """Bandwidth in rad/s that the gains wished for have: kp/L of the slower axis.
+
+    Args:
+        asked: What is asked of the firmware, with both inductances.
+    """
+    l_d, l_q = asked.drive.l_d, asked.drive.l_q
+    assert l_d is not None
+    assert l_q is not None
+    return min(asked.current_d.kp / l_d, asked.current_q.kp / l_q)
+
+
+def drives_over_current(asked: Asked) -> tuple[DriveValues, ...]:
+    """The drive with its inductances at no current, and where it saturates at the current limit.
+
+    Args:
+        asked: What is asked of the firmware.
+    """
+    drive, i_max = asked.drive, asked.drive.i_max
+    if i_max is None:
+        return (drive,)
+    jet = asked.design.machine.jet(np.zeros(1), np.full(1, i_max))
+    limit = replace(drive, l_d=float(jet.l_dd[0]), l_q=float(jet.l_qq[0]))
+    return (drive,) if limit == drive or min(jet.l_dd[0], jet.l_qq[0]) <= 0.0 else (drive, limit)
+
+
+def held_bandwidth(wished: float, loops: Callable[[float], LoopProfile], asked: Asked) -> float:
+    """Largest bandwidth, at most the one wished for, with which both current loops keep the phase
+    margin of the design and, at no current, a sensitivity of at most `MOST_SENSITIVITY`; four
+    digits, rounded down.
+
+    Args:
+        wished: In the unit of the firmware.
+        loops: The loops with a bandwidth in that unit.
+        asked: What is asked of the firmware; the ``min_phase_margin`` of its design must hold.
+    """
+    from scipy.optimize import brentq
+
+    least = asked.design.control.current_loop.min_phase_margin
+    drives = [
+        (Winding(drive.r_s, drive.l_d), Winding(drive.r_s, drive.l_q))
+        for drive in drives_over_current(asked)
+        if drive.r_s is not None and drive.l_d is not None and drive.l_q is not None
+    ]
+
+    @cache
+    def spare(bandwidth: float) -> float:
+        """What is left of margin and sensitivity, relative to what must hold; below zero where
+        one of them does not.
+        """
+        current = loops(bandwidth).current
+        return min(
+            _spare(current_loop(winding, pi, current.delay), least, damped=index == 0)
+            for index, pair in enumerate(drives)
+            for winding, pi in zip(pair, (current.d, current.q), strict=True)
+        )
+
+    high = rounded_down(wished)
+    low = high
+    while spare(low) < 0.0:
+        high, low = low, _STEP * low
+        if low < _LEAST_SHARE * wished:
+            raise NoSolutionError(
+                f"no bandwidth of the current loops of {loops(low).firmware} keeps a phase margin "
+                f"of {math.degrees(least):.4g} deg; lower control.current_loop.min_phase_margin"
+            )
+    if low == high:
+        return high
+    edge = rounded_down(float(brentq(spare, low, high, rtol=_RESOLUTION)))
+    while spare(edge) < 0.0:
+        edge = rounded_down((1.0 - _RESOLUTION) * edge)
+    return edge
+
+
+def _spare(loop: PiLoop, least: float, *, damped: bool) -> float:
+    if abs(loop.closed.poles[0]) >= 1.0:
+        return -1.0
+    margins = loop_margins(loop.open_loop)
+    margin = margins.phase_margin / max(least, 1e-6) - 1.0  # a design may ask for none
+    return min(margin, MOST_SENSITIVITY / margins.max_sensitivity - 1.0) if damped else margin
+
+
+def rounded_down(value: float) -> float:
+    """A positive number with four digits, not above what it was.
+
+    Args:
+        value: Any positive number.
+    """
+    step = 10.0 ** (math.floor(math.log10(value)) - _DIGITS + 1)
+    return float(f"{math.floor(value / step * (1.0 + 1e-12)) * step:.{_DIGITS}g}")

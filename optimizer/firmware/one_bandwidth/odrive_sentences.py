@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from dqforge.optimizer.firmware.one_bandwidth.feedforward_overshoot import overshoot
+from dqforge.optimizer.firmware.one_bandwidth.moteus_sentences import overshoot
 
 Values = Mapping[str, float | int | bool]
 

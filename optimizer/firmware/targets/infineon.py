@@ -7,34 +7,32 @@ import math
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
+    CurrentLoops,
     DriveValues,
+    FluxObserver,
+    LoopProfile,
     OwnValue,
+    PiController,
     PiGains,
+    SpeedController,
+    SpeedEstimate,
 )
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
-from dqforge.optimizer.firmware.infineon_format.flux_table import flux_table
-from dqforge.optimizer.firmware.infineon_format.infineon_configuration import configuration
-from dqforge.optimizer.firmware.infineon_format.infineon_contradictions import filter_time
-from dqforge.optimizer.firmware.infineon_format.infineon_keys import (
+from dqforge.optimizer.firmware.infineon_format import (
     FIRMWARE,
     KEYS,
     TABLE,
     TABLE_KEYS,
     TABLE_POINTS,
     VERSION,
+    configuration,
+    filter_time,
+    flux_table,
     kept,
     number,
+    shortfalls,
 )
-from dqforge.optimizer.firmware.infineon_format.infineon_shortfalls import shortfalls
 from dqforge.optimizer.firmware.own_values import needed
-from dqforge.optimizer.firmware.profile import (
-    CurrentLoops,
-    FluxObserver,
-    LoopProfile,
-    PiController,
-    SpeedController,
-    SpeedEstimate,
-)
 
 _HOME = "Infineon/REF_MTR_48V30A_GaN motor-ctrl-lib 4.5 OperationalCode/"
 

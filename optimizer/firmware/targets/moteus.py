@@ -13,47 +13,47 @@ import numpy as np
 
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Price, Shortfall
-from dqforge.optimizer.firmware.judge import judge
-from dqforge.optimizer.firmware.one_bandwidth.bandwidth_choice import (
-    bandwidth_asked,
-    held_bandwidth,
-    rounded_down,
+from dqforge.optimizer.firmware.configuration import (
+    AntiWindup,
+    Configuration,
+    CurrentLoops,
+    DriveValues,
+    LoopProfile,
+    PiController,
+    SpeedController,
+    SpeedEstimate,
+)
+from dqforge.optimizer.firmware.firmware_method import (
+    Asked,
+    FirmwareMethod,
+    Price,
+    Shortfall,
+    judge,
 )
 from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
     FILTER,
     FIRMWARE,
     KV_FLUX,
+    NEVER,
     SLIP,
     VERSION,
+    TorqueRotation,
     as_printed,
+    bandwidth_asked,
     configuration,
     control_period,
-    filter_bandwidth,
-    filter_gains,
-    pwm_rate,
-    voltage_share,
-)
-from dqforge.optimizer.firmware.one_bandwidth.shortfalls import (
     d_current_missing,
     field_weakening_missing,
+    filter_bandwidth,
+    filter_gains,
     gains_changed,
+    held_bandwidth,
+    pwm_rate,
     rates_changed,
+    rounded_down,
     saturation_unknown,
-)
-from dqforge.optimizer.firmware.one_bandwidth.torque_rotation import (
-    NEVER,
-    TorqueRotation,
     torque_rotation,
-)
-from dqforge.optimizer.firmware.profile import (
-    AntiWindup,
-    CurrentLoops,
-    LoopProfile,
-    PiController,
-    SpeedController,
-    SpeedEstimate,
+    voltage_share,
 )
 
 SOURCES = (

@@ -5,28 +5,22 @@ from __future__ import annotations
 import math
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.firmware.configuration import Configuration, PiGains
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
-from dqforge.optimizer.firmware.lacking import MAX_SPEED
-from dqforge.optimizer.firmware.nxp_mcat.mcat_design import own_values
-from dqforge.optimizer.firmware.nxp_mcat.mcat_edition import (
-    EDITIONS,
-    FIXED_2022,
-    FLOAT_2025,
-    Edition,
-)
-from dqforge.optimizer.firmware.nxp_mcat.mcat_file import McatFile
-from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import ROOT_3, McatSheet
-from dqforge.optimizer.firmware.nxp_mcat.mcat_shortfalls import shortfalls
-from dqforge.optimizer.firmware.profile import (
+from dqforge.optimizer.firmware.configuration import (
+    Configuration,
     CurrentLoops,
     FluxObserver,
     LoopProfile,
     PiController,
+    PiGains,
     PiRule,
     SpeedController,
     SpeedEstimate,
 )
+from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
+from dqforge.optimizer.firmware.nxp_mcat.mcat_design import own_values, shortfalls
+from dqforge.optimizer.firmware.nxp_mcat.mcat_names import EDITIONS, FIXED_2022, FLOAT_2025, Edition
+from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import ROOT_3, McatFile, McatSheet
+from dqforge.optimizer.firmware.own_values import MAX_SPEED
 
 _HOME = "nxp-mcuxpresso/mcux-motor_control"
 

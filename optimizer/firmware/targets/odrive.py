@@ -11,13 +11,31 @@ import math
 from dataclasses import replace
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.firmware.configuration import Configuration
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Price, Shortfall
-from dqforge.optimizer.firmware.judge import JudgedFirmware, judge
-from dqforge.optimizer.firmware.one_bandwidth.bandwidth_choice import (
+from dqforge.optimizer.firmware.configuration import (
+    Configuration,
+    CurrentLoops,
+    LoopProfile,
+    PiController,
+    SpeedController,
+    SpeedEstimate,
+)
+from dqforge.optimizer.firmware.firmware_method import (
+    Asked,
+    FirmwareMethod,
+    JudgedFirmware,
+    Price,
+    Shortfall,
+    judge,
+)
+from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
     bandwidth_asked,
+    d_current_missing,
+    field_weakening_missing,
+    gains_changed,
     held_bandwidth,
+    rates_changed,
     rounded_down,
+    saturation_unknown,
 )
 from dqforge.optimizer.firmware.one_bandwidth.odrive_keys import (
     FIRMWARE,
@@ -29,20 +47,6 @@ from dqforge.optimizer.firmware.one_bandwidth.odrive_keys import (
     as_printed,
     configuration,
     pll_gains,
-)
-from dqforge.optimizer.firmware.one_bandwidth.shortfalls import (
-    d_current_missing,
-    field_weakening_missing,
-    gains_changed,
-    rates_changed,
-    saturation_unknown,
-)
-from dqforge.optimizer.firmware.profile import (
-    CurrentLoops,
-    LoopProfile,
-    PiController,
-    SpeedController,
-    SpeedEstimate,
 )
 
 SOURCES = (

@@ -8,37 +8,31 @@ from collections.abc import Mapping
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
+    CurrentLoops,
     DriveValues,
+    LoopProfile,
     Number,
     OwnValue,
-    PiGains,
-)
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Shortfall
-from dqforge.optimizer.firmware.own_values import number
-from dqforge.optimizer.firmware.profile import (
-    CurrentLoops,
-    LoopProfile,
     PiController,
+    PiGains,
     SpeedController,
     SpeedEstimate,
 )
-from dqforge.optimizer.firmware.simplefoc_format.simplefoc_configuration import (
-    configuration,
-    loop_period,
-    speed_period,
-)
-from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import (
+from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Shortfall
+from dqforge.optimizer.firmware.own_values import number
+from dqforge.optimizer.firmware.simplefoc_format import (
     FOC_CURRENT,
     LOOP_PERIOD,
     V_DC,
     VERSION,
     as_printed,
+    configuration,
     flux_or_kv,
+    loop_period,
     set_or_default,
+    speed_period,
 )
-from dqforge.optimizer.firmware.simplefoc_format.simplefoc_shortfalls import (
-    shortfalls as found_shortfalls,
-)
+from dqforge.optimizer.firmware.simplefoc_format import shortfalls as found_shortfalls
 
 SOURCES = (
     "simplefoc/Arduino-FOC 7f9c45f src/common/pid.cpp:41: trapezoid, integral clamped",

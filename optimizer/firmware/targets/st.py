@@ -13,31 +13,26 @@ from dqforge.optimizer.firmware.configuration import (
     PiGains,
 )
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
-from dqforge.optimizer.firmware.lacking import CURRENT_SENSING
-from dqforge.optimizer.firmware.own_values import needed, number
-from dqforge.optimizer.firmware.st_format.st_configuration import st_configuration
-from dqforge.optimizer.firmware.st_format.st_gains import current_integers, speed_integers
-from dqforge.optimizer.firmware.st_format.st_keys import VERSION
-from dqforge.optimizer.firmware.st_format.st_loops import profile
-from dqforge.optimizer.firmware.st_format.st_mtpa import MtpaTable
-from dqforge.optimizer.firmware.st_format.st_observer import (
-    LOW_SHARE,
-    ObservedMachine,
-    emf_of,
-    observed_machine,
-    observer_integers,
-    tracking,
-    tracking_integers,
-)
+from dqforge.optimizer.firmware.own_values import CURRENT_SENSING, needed, number
+from dqforge.optimizer.firmware.st_format.st_keys import VERSION, MtpaTable
+from dqforge.optimizer.firmware.st_format.st_loops import profile, shortfalls, table_for
 from dqforge.optimizer.firmware.st_format.st_scales import (
     FULL,
     LARGEST,
+    LOW_SHARE,
+    ObservedMachine,
+    current_integers,
     current_scale,
+    emf_of,
+    observed_machine,
+    observer_integers,
     printed,
     scales,
+    speed_integers,
+    st_configuration,
+    tracking,
+    tracking_integers,
 )
-from dqforge.optimizer.firmware.st_format.st_shortfalls import shortfalls
-from dqforge.optimizer.firmware.st_format.st_table import table_for
 
 _TICKS = 2000  # Hz of the timer that the speed controller is counted from.
 

@@ -6,42 +6,37 @@ import math
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import (
-    Configuration,
-    DriveValues,
-    OwnValue,
-    PiGains,
-)
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
-from dqforge.optimizer.firmware.lacking import INERTIA
-from dqforge.optimizer.firmware.own_values import needed
-from dqforge.optimizer.firmware.profile import (
     AntiWindup,
+    Configuration,
     CurrentLoops,
+    DriveValues,
     FluxObserver,
     LoopProfile,
+    OwnValue,
     PiController,
+    PiGains,
     SpeedController,
     SpeedEstimate,
 )
-from dqforge.optimizer.firmware.ti_format.ti_configuration import (
+from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
+from dqforge.optimizer.firmware.own_values import INERTIA, needed
+from dqforge.optimizer.firmware.ti_format import (
     BANDWIDTHS,
-    TWO_PI,
-    Bandwidths,
-    configuration,
-    current_rule,
-    speed_rule,
-)
-from dqforge.optimizer.firmware.ti_format.ti_keys import (
     BOARD_PREFIX,
     FIRMWARE,
     KEYS,
     MOTOR_PREFIX,
+    TWO_PI,
     VERSION,
+    Bandwidths,
+    configuration,
+    current_rule,
     kept,
     known,
     number,
+    shortfalls,
+    speed_rule,
 )
-from dqforge.optimizer.firmware.ti_format.ti_shortfalls import shortfalls
 
 _LAB = "TexasInstruments/motor-control-sdk tidm_02018_universal_motorcontrol "
 _OLDER = "anyway-blows/ti-c2000-motor-control-sdk 3.03 "

@@ -7,40 +7,37 @@ import math
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
-    DriveValues,
-    Number,
-    OwnValue,
-    PiGains,
-)
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Shortfall
-from dqforge.optimizer.firmware.own_values import number
-from dqforge.optimizer.firmware.profile import (
     CurrentLoops,
+    DriveValues,
     FluxObserver,
     LoopProfile,
+    Number,
+    OwnValue,
     PiController,
+    PiGains,
     SpeedController,
     SpeedEstimate,
 )
-from dqforge.optimizer.firmware.vesc_format.vesc_configuration import (
+from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Shortfall
+from dqforge.optimizer.firmware.own_values import number
+from dqforge.optimizer.firmware.vesc_format import (
+    KEYS,
     LOOP_RATES,
+    OBSERVER_RATE,
+    VERSION,
     configuration,
     control_period,
     erpm_per_speed,
-    pole_pairs,
-    speed_period,
-    speed_scale,
-)
-from dqforge.optimizer.firmware.vesc_format.vesc_contradictions import OBSERVER_RATE, tracking_poles
-from dqforge.optimizer.firmware.vesc_format.vesc_keys import (
-    KEYS,
-    VERSION,
     has_two_observers,
     kept,
     known_to,
     loop_number,
+    pole_pairs,
+    speed_period,
+    speed_scale,
+    tracking_poles,
 )
-from dqforge.optimizer.firmware.vesc_format.vesc_shortfalls import shortfalls as found_shortfalls
+from dqforge.optimizer.firmware.vesc_format import shortfalls as found_shortfalls
 
 SOURCES = (
     "vedderb/bldc b9d287b motor/mcpwm_foc.c:4631-4680: both PI controllers, d axis first",

@@ -16,15 +16,17 @@ from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.fitting import Curve
-from dqforge.optimizer.loops.loop_batch import (
+from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
+from dqforge.optimizer.loops.pi_methods import (
+    CURRENT_DELAY,
     BatchMargins,
     batch_margins,
     close_loops,
+    current_pi,
     current_plants,
+    require_positive,
 )
-from dqforge.optimizer.loops.loop_gains import LoopGains
-from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
-from dqforge.optimizer.loops.pi_methods import CURRENT_DELAY, current_pi, require_positive
 from dqforge.optimizer.loops.robustness import LoopRobustness, summarise
 from dqforge.optimizer.loops.schedule.schedule_fit import GAIN_NAMES, ScheduleFit, fit_gains
 from dqforge.optimizer.loops.tolerance_box import Axis, BoxPoints, DriveBox

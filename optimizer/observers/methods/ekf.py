@@ -11,29 +11,27 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.methods.ekf_tuning import tuned_ekf, usual_noise
 from dqforge.optimizer.observers.models.kalman_model import Ekf
 from dqforge.optimizer.observers.parts import (
+    USUAL_SHARE_OF_SPEED,
+    USUAL_WIDTH,
     Arithmetic,
     Dq,
     Member,
+    ObserverMethod,
     ObserverState,
+    ObserverTuning,
     Pair,
     StateMembers,
     limited,
 )
-from dqforge.optimizer.observers.sampled_gains import (
+from dqforge.optimizer.observers.sampled_machine import (
     SampledGains,
     entries_and_slopes,
     model_scale,
     next_currents,
     sampled_gains,
-)
-from dqforge.optimizer.observers.tuning_numbers import (
-    USUAL_SHARE_OF_SPEED,
-    USUAL_WIDTH,
-    ObserverTuning,
 )
 
 

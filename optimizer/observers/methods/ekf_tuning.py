@@ -32,7 +32,7 @@ from dqforge.machines.dq_machines.synchronous import Machine, linearised
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.models.kalman_model import Ekf, ekf, run
-from dqforge.optimizer.observers.trials import (
+from dqforge.optimizer.observers.sampled_machine import (
     CurrentSensor,
     Trial,
     simulate,

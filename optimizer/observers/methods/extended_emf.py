@@ -40,21 +40,22 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.observers.method import ObserverMethod, loop_scale
 from dqforge.optimizer.observers.parts import (
     EXACT,
     AlphaBeta,
     Arithmetic,
     Dq,
     Member,
+    ObserverMethod,
     ObserverState,
+    ObserverTuning,
     Pair,
     StateMembers,
     at_least,
     limited,
+    loop_scale,
 )
 from dqforge.optimizer.observers.pll import PllGains, corrected, pll_bandwidth, pll_gains, predicted
-from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
 ComplexArray = NDArray[np.complex128]
 

@@ -34,7 +34,6 @@ import numpy as np
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.observers.method import ObserverMethod, flux_in_words, loop_scale
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains, FluxPath
 from dqforge.optimizer.observers.methods.lpv_certificate import certify_flux_observer
 from dqforge.optimizer.observers.parts import (
@@ -43,13 +42,16 @@ from dqforge.optimizer.observers.parts import (
     Arithmetic,
     Dq,
     Member,
+    ObserverMethod,
     ObserverState,
+    ObserverTuning,
     Pair,
     StateMembers,
     at_least,
+    flux_in_words,
+    loop_scale,
 )
 from dqforge.optimizer.observers.pll import corrected, pll_bandwidth, pll_gains, predicted
-from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
 _PIECES, _BISECTIONS = 6, 3
 

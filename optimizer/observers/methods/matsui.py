@@ -8,13 +8,17 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.models.matsui_model import Matsui
-from dqforge.optimizer.observers.parts import Arithmetic, Dq, Member, ObserverState, Pair, limited
-from dqforge.optimizer.observers.sampled_gains import (
-    SampledGains,
-    matrix_entries,
-    next_currents,
+from dqforge.optimizer.observers.parts import (
+    USUAL_WIDTH,
+    Arithmetic,
+    Dq,
+    Member,
+    ObserverState,
+    ObserverTuning,
+    Pair,
+    limited,
 )
-from dqforge.optimizer.observers.tuning_numbers import USUAL_WIDTH, ObserverTuning
+from dqforge.optimizer.observers.sampled_machine import SampledGains, matrix_entries, next_currents
 
 
 def usual_matsui(_: LinearMachine, t_s: float, omega_max: float) -> ObserverTuning:

@@ -10,7 +10,6 @@ import numpy as np
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.methods.matsui import (
     ShownGains,
     shown_errors,
@@ -23,17 +22,14 @@ from dqforge.optimizer.observers.parts import (
     Arithmetic,
     Dq,
     Member,
+    ObserverMethod,
     ObserverState,
+    ObserverTuning,
     Pair,
     StateMembers,
     limited,
 )
-from dqforge.optimizer.observers.sampled_gains import (
-    SampledGains,
-    model_scale,
-    sampled_gains,
-)
-from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
+from dqforge.optimizer.observers.sampled_machine import SampledGains, model_scale, sampled_gains
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.methods.matsui import (
     ShownGains,
     shown_errors,
@@ -24,17 +23,14 @@ from dqforge.optimizer.observers.parts import (
     Arithmetic,
     Dq,
     Member,
+    ObserverMethod,
     ObserverState,
+    ObserverTuning,
     Pair,
     StateMembers,
     limited,
 )
-from dqforge.optimizer.observers.sampled_gains import (
-    SampledGains,
-    model_scale,
-    sampled_gains,
-)
-from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
+from dqforge.optimizer.observers.sampled_machine import SampledGains, model_scale, sampled_gains
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,6 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.observers.method import ObserverMethod, flux_in_words, loop_scale
 from dqforge.optimizer.observers.methods.flux import (
     flux_error,
     flux_of_current,
@@ -47,13 +46,16 @@ from dqforge.optimizer.observers.parts import (
     AlphaBeta,
     Arithmetic,
     Member,
+    ObserverMethod,
     ObserverState,
+    ObserverTuning,
     Pair,
     StateMembers,
     at_least,
+    flux_in_words,
+    loop_scale,
 )
 from dqforge.optimizer.observers.pll import PllGains, corrected, pll_bandwidth, pll_gains, predicted
-from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from dqforge.machines.names import (
     ObserverMethodName,
 )
 from dqforge.optimizer.observers import methods
-from dqforge.optimizer.observers.method import ObserverMethod
+from dqforge.optimizer.observers.parts import ObserverMethod
 
 # Rooms of the optimizer in which methods live that do not live here.
 _ROOMS: dict[str, str] = dict.fromkeys(LEARNED_OBSERVERS, "learned_correction")

@@ -44,12 +44,12 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.sampled_machine import (
     SampledMachine,
+    Trial,
     applied,
     sampled_machine,
     turned,
     wrapped,
 )
-from dqforge.optimizer.observers.trials import Trial
 
 _PSI_LEAST = 1e-9
 

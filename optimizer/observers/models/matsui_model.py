@@ -66,12 +66,12 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.sampled_machine import (
     SampledMachine,
+    Trial,
     applied,
     sampled_machine,
     turned,
     wrapped,
 )
-from dqforge.optimizer.observers.trials import Trial
 
 MatsuiModel = Literal["voltage", "current"]
 

@@ -14,18 +14,19 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.operating_points.local_terms import loss_terms, voltage_terms
-from dqforge.optimizer.operating_points.point_problem import (
+from dqforge.optimizer.operating_points.local_terms import (
+    Intervals,
+    bracketed_roots,
+    intervals_of,
+    loss_terms,
+    voltage_terms,
+)
+from dqforge.optimizer.operating_points.mtpa_locus import (
     Active,
     BoolArray,
     IndexArray,
     Problem,
     State,
-)
-from dqforge.optimizer.operating_points.region_edges import (
-    Intervals,
-    bracketed_roots,
-    intervals_of,
 )
 
 _TOGETHER = 2048

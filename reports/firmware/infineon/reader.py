@@ -11,13 +11,29 @@ from pathlib import PurePath
 from dqforge.machines.errors import InputError
 from dqforge.machines.wording import shown
 from dqforge.optimizer.firmware.configuration import Configuration, Number, Origin, OwnValue
-from dqforge.optimizer.firmware.infineon_format.infineon_configuration import configuration
-from dqforge.optimizer.firmware.infineon_format.infineon_keys import TABLE, TABLE_KEYS, TABLE_POINTS
-from dqforge.reports.firmware.c_arithmetic import NotArithmeticError, Unknown, evaluated, tokens_of
-from dqforge.reports.firmware.c_macros import Definition, Macros, read_assignments
-from dqforge.reports.firmware.infineon.branches import kept_by_build
-from dqforge.reports.firmware.infineon.names import CONSTANTS, FUNCTIONS, KINDS, member
-from dqforge.reports.firmware.text_file import IN_RANGE, in_range, no_number, plain_number
+from dqforge.optimizer.firmware.infineon_format import (
+    TABLE,
+    TABLE_KEYS,
+    TABLE_POINTS,
+    configuration,
+)
+from dqforge.reports.firmware.c_macros import (
+    Definition,
+    Macros,
+    NotArithmeticError,
+    Unknown,
+    evaluated,
+    read_assignments,
+    tokens_of,
+)
+from dqforge.reports.firmware.infineon.names import (
+    CONSTANTS,
+    FUNCTIONS,
+    KINDS,
+    kept_by_build,
+    member,
+)
+from dqforge.reports.firmware.target import IN_RANGE, in_range, no_number, plain_number
 
 ROTOR_FRAME = ("CTRL_METHOD_RFO",)
 

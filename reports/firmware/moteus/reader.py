@@ -18,7 +18,7 @@ from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
     configuration,
 )
 from dqforge.reports.firmware.moteus.config_lines import ConfigLine, config_lines
-from dqforge.reports.firmware.text_file import no_number, plain_number
+from dqforge.reports.firmware.target import no_number, plain_number
 
 ENDING = ".moteus.cfg"
 _MARK = re.compile(r"^\s*(?:conf\s+set\s+)?(?:motor|servo)\.[A-Za-z_]\w*(?:\.\w+)*[ \t]+\S", re.M)

@@ -8,17 +8,19 @@ from pathlib import PurePath
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, Origin, OwnValue
-from dqforge.optimizer.firmware.nxp_mcat.mcat_file import McatFile
+from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import McatFile
 from dqforge.reports.firmware.c_macros import Macros, read_macros
 from dqforge.reports.firmware.nxp.comments import (
+    BY_HAND,
+    KNOWN,
     json_inputs,
     line_inputs,
     motor_name,
+    motor_of,
     objects,
     with_inputs,
 )
-from dqforge.reports.firmware.nxp.names import BY_HAND, KNOWN, motor_of
-from dqforge.reports.firmware.text_file import plain_number
+from dqforge.reports.firmware.target import plain_number
 
 FRACTIONS = ("FRAC16", "FRAC32", "ACC32")
 MOST_DIGITS = 7  # Significant digits beyond which a header is one of the older age.

@@ -6,8 +6,7 @@ import math
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
-from dqforge.optimizer.firmware.simplefoc_format.simplefoc_configuration import configuration
-from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import V_DC
+from dqforge.optimizer.firmware.simplefoc_format import V_DC, configuration
 from dqforge.optimizer.firmware.targets.simplefoc import voltage_limit
 from dqforge.reports.firmware.simplefoc import script, sketch
 

@@ -14,14 +14,9 @@ from typing import TYPE_CHECKING
 from dqforge.machines.errors import InputError
 from dqforge.machines.wording import shown
 from dqforge.optimizer.firmware.configuration import Number, Origin, OwnValue
-from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import (
-    LOOP_PERIOD,
-    MEMBERS,
-    SIGNIFICANT,
-    V_DC,
-)
-from dqforge.reports.firmware.simplefoc.names import COMMANDS
-from dqforge.reports.firmware.text_file import number_text, plain_number
+from dqforge.optimizer.firmware.simplefoc_format import LOOP_PERIOD, MEMBERS, SIGNIFICANT, V_DC
+from dqforge.reports.firmware.simplefoc.sketch import COMMANDS
+from dqforge.reports.firmware.target import number_text, plain_number
 
 if TYPE_CHECKING:
     from dqforge.reports.firmware.target import FileTitle

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, Origin, OwnValue
 from dqforge.optimizer.firmware.own_values import number
-from dqforge.optimizer.firmware.st_format.st_configuration import st_configuration
 from dqforge.optimizer.firmware.st_format.st_keys import WHOLE
-from dqforge.optimizer.firmware.st_format.st_scales import printed
-from dqforge.reports.firmware.safe_xml import elements, parsed_xml, with_attribute
+from dqforge.optimizer.firmware.st_format.st_scales import printed, st_configuration
+from dqforge.reports.firmware.c_macros import elements, parsed_xml, with_attribute
 from dqforge.reports.firmware.st.names import (
     BEYOND,
     BY_HAND,
@@ -25,7 +24,7 @@ from dqforge.reports.firmware.st.names import (
     TOPOLOGY,
     VARIABLES,
 )
-from dqforge.reports.firmware.text_file import plain_number
+from dqforge.reports.firmware.target import plain_number
 
 if TYPE_CHECKING:
     from dqforge.machines.files.positioned_xml import Element

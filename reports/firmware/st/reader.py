@@ -11,11 +11,6 @@ from typing import NoReturn
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, Origin, OwnValue
 from dqforge.optimizer.firmware.own_values import number
-from dqforge.optimizer.firmware.st_format.st_configuration import (
-    CONVENTIONS,
-    joined,
-    st_configuration,
-)
 from dqforge.optimizer.firmware.st_format.st_keys import (
     COUNTED,
     HEADERS,
@@ -26,7 +21,13 @@ from dqforge.optimizer.firmware.st_format.st_keys import (
     VERSION,
     WHOLE,
 )
-from dqforge.optimizer.firmware.st_format.st_scales import integers, printed
+from dqforge.optimizer.firmware.st_format.st_scales import (
+    CONVENTIONS,
+    integers,
+    joined,
+    printed,
+    st_configuration,
+)
 from dqforge.reports.firmware.c_macros import Definition, Macros, read_macros
 from dqforge.reports.firmware.json_text import JsonText, parsed_json
 from dqforge.reports.firmware.st.names import BEYOND, FIELDS, POSSIBLE

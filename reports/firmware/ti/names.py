@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from dqforge.optimizer.firmware.ti_format.ti_keys import BOARD_PREFIX, KEYS, MOTOR_PREFIX, READ_ONLY
+from dqforge.optimizer.firmware.ti_format import BOARD_PREFIX, KEYS, MOTOR_PREFIX, READ_ONLY
 
 READ = (*KEYS, *READ_ONLY)  # Macros that are read; all others of a file are kept and not looked at.
 

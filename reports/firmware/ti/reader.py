@@ -7,13 +7,13 @@ from pathlib import PurePath
 from dqforge.machines.errors import InputError
 from dqforge.machines.wording import shown
 from dqforge.optimizer.firmware.configuration import Configuration, Origin, OwnValue
-from dqforge.optimizer.firmware.ti_format.ti_configuration import configuration
-from dqforge.optimizer.firmware.ti_format.ti_keys import (
+from dqforge.optimizer.firmware.ti_format import (
     INSTASPIN,
     KEYS,
     OLDER_LAB,
     READ_ONLY,
     VERSION,
+    configuration,
 )
 from dqforge.reports.firmware.c_macros import Macros, read_macros
 from dqforge.reports.firmware.ti.names import CHOICE, READ, candidates, prefixes_of

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dqforge.optimizer.firmware.vesc_format.vesc_keys import KEYS, LOOP_DEFAULTS
+from dqforge.optimizer.firmware.vesc_format import KEYS, LOOP_DEFAULTS
 
 _OTHERWISE = {
     "motor_type": "MCCONF_DEFAULT_MOTOR_TYPE",

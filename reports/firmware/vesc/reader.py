@@ -8,11 +8,9 @@ from pathlib import PurePath
 from dqforge.machines.errors import InputError
 from dqforge.machines.wording import shown
 from dqforge.optimizer.firmware.configuration import Configuration, Number, Origin
-from dqforge.optimizer.firmware.vesc_format.vesc_configuration import configuration
-from dqforge.optimizer.firmware.vesc_format.vesc_keys import version_of
-from dqforge.reports.firmware.c_macros import read_macros
-from dqforge.reports.firmware.safe_xml import parsed_xml
-from dqforge.reports.firmware.text_file import no_number, plain_number
+from dqforge.optimizer.firmware.vesc_format import configuration, version_of
+from dqforge.reports.firmware.c_macros import parsed_xml, read_macros
+from dqforge.reports.firmware.target import no_number, plain_number
 from dqforge.reports.firmware.vesc.names import FORMER, READ, WHOLE, WORDS, define
 
 ROOT = "MCConfiguration"  # Root element of the XML of a motor configuration.

@@ -4,28 +4,54 @@ simulated: the circuit of the thesis beside circuits that can carry its neutral 
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design import catalogue
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.settings import SpeedLoopSettings
 from dqforge.machines.errors import NoSolutionError
-from dqforge.machines.phase_machines.frame_transforms import to_frame
+from dqforge.machines.names import CurrentFrame, Feedforward, Topology
+from dqforge.machines.phase_machines.frame_transforms import thesis_shapes, to_frame
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import Profile, Scenario, constant
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.waveforms.phase_currents import spectrum
-from dqforge.reports.papers.paper002_definitions.bench_currents import BENCH_TORQUE, bench_machine
-from dqforge.reports.papers.paper002_loops.loop_cases import (
-    CASES,
-    LoopCase,
-    case_design,
-    controller_files,
+from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.optimizer.current_reference.solve import solve_fit
+from dqforge.optimizer.loops.loop_gains import LoopGains, tune_current_loop, tune_speed_loop
+from dqforge.optimizer.operating_points.solve import solve_curves
+from dqforge.optimizer.phase_control.phase_controller import (
+    AxisGains,
+    HarmonicGains,
+    MidpointGains,
+    PhaseControl,
+    PhaseShape,
 )
-from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
+from dqforge.optimizer.solution import Solution
+from dqforge.optimizer.waveforms.constraint_rows import spectrum, unit_currents
+from dqforge.reports.c_code.harness import title
+from dqforge.reports.main_header.header import header_files
+from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.templating import render
+from dqforge.reports.papers.paper002_definitions.bench_currents import (
+    BENCH_TORQUE,
+    DESIGN_NAME,
+    bench_machine,
+)
+from dqforge.reports.papers.paper002_definitions.compensation import TRAPEZOID_FLUX
+from dqforge.reports.phase_control.header import (
+    Surroundings,
+    header_context,
+    plain_phase_control,
+    preamble,
+)
 from dqforge.reports.simulation.plant_input import Drive
-from dqforge.reports.simulation.recorded_run import Simulation
+from dqforge.reports.simulation.recorded_run import Simulation, Simulator, simulate, simulator
 
 RPM = np.pi / 30.0
 BENCH_SPEED = 750.0 * RPM  # rad/s, section 6.2.
@@ -225,3 +251,414 @@ def run_loops() -> ClosedLoops:
     # The work is that of other processes: compilers and simulations.
     with ThreadPoolExecutor(_WORKERS) as pool:
         return ClosedLoops(tuple(pool.map(run_case, CASES)))
+
+
+# The closed loops of Figures 6.9 to 6.18 of paper 002: circuits and controllers, with the C
+# that is emitted for each.
+#
+# Here the controllers of the thesis run where no design lets them: dqy on a neutral between diodes.
+# Its three phases are then modulated each for itself against half the link, as the thesis says of
+# that circuit ("each phase works by itself"); the emitted C is that of a split link whose midpoint
+# does not move, on the plant with the diodes.
+
+# Of the current loops in Hz, kp = omega_c L and ki = kp omega_c/10 on every axis; chosen, the
+# thesis prints no gains.
+BANDWIDTH = 500.0
+
+# Of the speed loop in rad/s, kp = J omega_c and ki = kp omega_c/4; chosen likewise.
+SPEED_BANDWIDTH = 50.0
+
+# Orders in alpha and beta, and of the zero sequence, where phases are alike and where not.
+_EQUAL = ((-5, 7, -11, 13), (3, 9))
+_UNEQUAL = ((-1, 3, -3, -5, 7, -11, 13), (1, 3, 9))
+_RATE, _ERROR_MAX = 60.0, 1.0  # 1/s; A
+
+
+@dataclass(frozen=True, slots=True)
+class LoopCase:
+    """A controller on a circuit.
+
+    ``plant`` is the circuit that is simulated, ``firmware`` the one that the C is emitted for.
+    ``shown`` says what of the thesis it is, empty where it is none of it.
+    """
+
+    name: str
+    circuit: str
+    controller: str
+    plant: Topology
+    firmware: Topology
+    frame: CurrentFrame
+    feedforward: Feedforward
+    harmonics: bool = False
+    shown: str = ""
+
+
+_DIODES, _LEGS = "diodes (5.4)", "four legs (5.2)"
+
+# What is run, the thesis's own circuit and controllers first.
+CASES = (
+    LoopCase(
+        "diodes_pi", _DIODES, "dqy, PI", "diode-neutral", "split-capacitor", "dqy", "none",
+        shown="4.2, the bench",
+    ),
+    LoopCase(
+        "diodes_decoupled", _DIODES, "dqy, decoupled", "diode-neutral", "split-capacitor", "dqy",
+        "measured", shown="4.3",
+    ),
+    LoopCase(
+        "diodes_dqx", _DIODES, "dqx, references", "diode-neutral", "diode-neutral", "dqx",
+        "references",
+    ),
+    LoopCase(
+        "legs_pi", _LEGS, "dqy, PI", "four-leg", "four-leg", "dqy", "none",
+        shown="4.2",
+    ),
+    LoopCase(
+        "legs_decoupled", _LEGS, "dqy, decoupled", "four-leg", "four-leg", "dqy", "measured",
+        shown="4.3",
+    ),
+    LoopCase(
+        "legs_table", _LEGS, "table, harmonics", "four-leg", "four-leg", "table", "references",
+        harmonics=True,
+    ),
+    LoopCase(
+        "star_table", "star", "dqx table, harmonics", "three-wire", "three-wire", "table",
+        "references", harmonics=True,
+    ),
+)  # fmt: skip
+
+
+def _axis(inductance: float) -> AxisGains:
+    omega_c = 2.0 * math.pi * BANDWIDTH
+    return AxisGains(omega_c * inductance, 0.1 * omega_c * omega_c * inductance)
+
+
+def _harmonics(neutral: bool, alike: bool, t_s: float) -> HarmonicGains:
+    orders, zero_orders = _EQUAL if alike else _UNEQUAL
+    frequency_max = 1.0 / (6.0 * t_s)
+    return HarmonicGains(orders, zero_orders if neutral else (), _RATE, frequency_max, _ERROR_MAX)
+
+
+def phase_control(case: LoopCase, machine: PhaseMachine, t_s: float) -> PhaseControl:
+    """Current control of a case, sampled every ``t_s`` in s."""
+    neutral = TOPOLOGIES[case.firmware].neutral
+    plane, zero = machine.l_s - machine.m_s, machine.l_s + 2.0 * machine.m_s
+    alike = machine.symmetry != "none"
+    whole = machine.flux[:1] if alike else machine.flux
+    return PhaseControl(
+        frame=case.frame,
+        feedforward=case.feedforward,
+        topology=case.firmware,
+        shape=PhaseShape(whole),
+        pole_pairs=machine.pole_pairs,
+        r_s=machine.r_s,
+        psi_pm=machine.psi_pm,
+        inductances=(plane, plane, zero),
+        gains=(_axis(plane), _axis(plane), _axis(zero) if neutral else AxisGains(0.0, 0.0)),
+        harmonics=_harmonics(neutral, alike, t_s) if case.harmonics else None,
+        t_s=t_s,
+        torque_max=1.5 * machine.pole_pairs * machine.psi_pm * machine.i_max,
+        # The midpoint is half of a link that does not move: nothing is balanced, nothing fades.
+        midpoint=MidpointGains(0.0, 0.0) if TOPOLOGIES[case.firmware].midpoint else None,
+    )
+
+
+def case_design(case: LoopCase) -> Design:
+    """The shipped design on the circuit of a case, with a speed loop."""
+    design = catalogue.load(DESIGN_NAME)
+    inertia = design.machine.inertia
+    assert inertia is not None
+    kp = inertia * SPEED_BANDWIDTH
+    speed = SpeedLoopSettings(method="given", kp=kp, ki=0.25 * kp * SPEED_BANDWIDTH)
+    control = replace(design.control, speed_loop=speed)
+    inverter = replace(design.inverter, topology=case.plant)
+    return replace(design, control=control, inverter=inverter)
+
+
+def _speed_loop(design: Design) -> LoopGains:
+    machine, control = design.machine, design.control
+    q_axis = tune_current_loop(machine.r_s, machine.l_q, control.t_s, control.current_loop)
+    return tune_speed_loop(machine, q_axis, control)
+
+
+def _main_header(design: Design) -> dict[str, bytes]:
+    """The header that the control includes, of nothing but the current reference."""
+    fit = solve_fit(design).fit
+    return header_files(Solution(design, solve_curves(design), fit, (), None, None))
+
+
+def controller_files(case: LoopCase, design: Design, machine: PhaseMachine) -> dict[str, bytes]:
+    """Names and bytes of the headers of a case."""
+    settings = design.control.speed_loop
+    assert settings is not None
+    around = Surroundings(
+        design.operation.modulation, speed=_speed_loop(design), ratio=settings.ratio
+    )
+    plain = plain_phase_control(phase_control(case, machine, design.control.t_s), around)
+    context = {**title(design), **header_context(plain), "preamble": preamble(plain)}
+    text = render("phase_control/phase_control.h.j2", context)
+    name = f"{design.export.prefix}_control.h"
+    return {**_main_header(design), name: text.encode("ascii")}
+
+
+# The closed loops of paper 002 in tables: the circuit of the thesis beside others.
+
+_TITLE = "Paper 002, Figures 6.9 to 6.17 with the emitted C in the loop: 750 rpm, 1 N m"
+
+
+def _row(run: LoopRun) -> tuple[str, ...]:
+    _, least, largest = run.i_qy
+    return (
+        run.case.circuit,
+        run.case.controller,
+        run.case.shown or "-",
+        f"{run.torque:.3f}",
+        f"{100.0 * run.ripple_averaged:.2f}",
+        f"{100.0 * run.ripple_means:.2f}",
+        f"{100.0 * run.ripple:.0f}",
+        f"{least:.2f} to {largest:.2f}",
+        f"{run.neutral_rms:.3f}",
+        f"{run.zero_third:.3f}",
+        f"{run.phase_rms:.3f}",
+    )
+
+
+def _currents(runs: tuple[LoopRun, ...]) -> Table:
+    return Table(
+        _TITLE,
+        (
+            "circuit",
+            "controller",
+            "Figure",
+            "T N m",
+            "p-p %, averaged",
+            "p-p %, per PWM period",
+            "p-p %, with PWM",
+            "i_qy A",
+            "i_n A r.m.s.",
+            "i_0, order 3 A",
+            "i_a A r.m.s.",
+        ),
+        tuple(_row(run) for run in runs),
+        (
+            "dqy runs on diodes on purpose: designs refuse it there. Averaged: no dead time.",
+            "Torque ripple p-p of 1 N m: averaged inverter; means of PWM periods; every instant.",
+            f"Dead time 1 us (inferred); {BANDWIDTH:.0f} Hz per axis (chosen: none are printed).",
+        ),
+    )
+
+
+def _path(path: DiodePath, runs: tuple[LoopRun, ...]) -> Table:
+    rows = tuple(
+        (
+            f"{run.case.circuit}, {run.case.controller}",
+            f"{run.neutral_rms:.3f}",
+            _requested(run.asked),
+        )
+        for run in runs
+        if run.case.frame != "dqx" and run.case.plant != "three-wire"
+    )
+    return Table(
+        "Paper 002, Figures 6.13 and 6.15: the neutral current, and why Figure 5.4 cannot carry it",
+        ("", "i_n A r.m.s.", "v_0 asked for, mean of a period, V: at 0.3 s, at 1.2 s"),
+        (("by dqy at 1 N m, 750 rpm", f"{path.neutral_rms:.3f}", "-"), *rows),
+        (
+            "A current out of the neutral takes the upper diode: no phase voltage above 0.",
+            (
+                "Into it: none below 0. What dqy needs keeps that in "
+                f"{100.0 * path.share:.0f} % of the period, {path.short:.0f} V beyond or more."
+            ),
+            "What flows is left over by the PWM; what the controller asks for grows without end.",
+        ),
+    )
+
+
+def _requested(asked: tuple[float, float]) -> str:
+    return f"{asked[0]:+.2f}, {asked[1]:+.2f}" if np.isfinite(asked[0]) else "-"
+
+
+def _step(runs: tuple[LoopRun, ...]) -> Table:
+    return Table(
+        "Paper 002, Figure 6.18: load step from 0 to 1 N m at 750 rpm",
+        ("circuit", "controller", "slowed by rpm", "after ms"),
+        tuple(
+            (
+                run.case.circuit,
+                run.case.controller,
+                f"{run.dip / RPM:.1f}",
+                f"{1e3 * run.dip_after:.0f}",
+            )
+            for run in runs
+        ),
+        (
+            f"Inertia (inferred) and speed loop ({SPEED_BANDWIDTH:.0f} rad/s, chosen) decide it,",
+            "alike with every controller: the curve of the thesis tells nothing of dqy.",
+        ),
+    )
+
+
+def _ratios(ratios: tuple[LoopRatio, ...], closed: dict[str, float]) -> Table:
+    return Table(
+        "Paper 002, section 3.4: copper loss of dqx over dqy at the same constant torque",
+        ("back-EMF", "closed form", "emitted C on four legs, averaged", "torques N m"),
+        tuple(
+            (
+                row.shape,
+                f"{closed[row.shape]:.4f}",
+                f"{row.ratio:.4f}",
+                ", ".join(f"{torque:.4f}" for torque in row.torques),
+            )
+            for row in ratios
+        ),
+    )
+
+
+def loop_tables(
+    runs: tuple[LoopRun, ...],
+    path: DiodePath,
+    ratios: tuple[LoopRatio, ...],
+    closed: dict[str, float],
+) -> list[Table]:
+    """Tables of the closed loops; ``closed`` are the loss ratios by closed form."""
+    return [_currents(runs), _path(path, runs), _step(runs), _ratios(ratios, closed)]
+
+
+def left_out_table(reason: str) -> Table:
+    """What stands in their place where nothing could be run."""
+    return Table(
+        _TITLE,
+        notes=(f"Missing: {reason}.", "Figures 6.9 to 6.18 are then those of the definitions."),
+    )
+
+
+# Copper loss of dqx over dqy with the emitted C in the loop, for the shapes of Table 3.1.
+
+_FRAMES: tuple[CurrentFrame, ...] = ("dqx", "dqy")
+
+
+_NODES = 360  # as the shipped machine, with the trapezoid's corners among them
+
+
+_ENOUGH = 50.0  # A
+
+
+SHIPPED = "shipped drive"
+
+
+@dataclass(frozen=True, slots=True)
+class LoopRatio:
+    """Copper loss of dqx over that of dqy of one shape on a circuit, in the loop, and the mean
+    torques in N m (dqx, dqy) that were made.
+    """
+
+    shape: str
+    circuit: Topology
+    ratio: float
+    torques: tuple[float, float]
+
+
+def shaped_machines() -> dict[str, PhaseMachine]:
+    """The shapes of the thesis that differ from a sine, and the shipped one, with the shipped
+    windings.
+    """
+    # What the shapes make of the torque must not meet the current limit.
+    shipped = replace(bench_machine(), i_max=_ENOUGH)
+    shapes = thesis_shapes(_NODES)
+    made = {
+        name: replace(shipped, flux=TRAPEZOID_FLUX * shape)
+        for name, shape in shapes.items()
+        if name != "balanced sine"
+    }
+    return {**made, SHIPPED: shipped}
+
+
+def _shape_bytes(flux: FloatArray) -> bytes:
+    """The C structure of a back-EMF of three rows, filled up to whole doubles."""
+    content = np.concatenate([flux, flux[:, :1]], axis=1).astype(np.float32).tobytes()
+    return content + bytes(-len(content) % 8)
+
+
+def _found(program: Simulator, scenario: Scenario, drive: Drive) -> tuple[float, float]:
+    """Copper loss in W and mean torque in N m."""
+    assert isinstance(drive.phases, PhaseMachine)
+    run = simulate(
+        program, drive, scenario, stride=1000, tail=TAIL, shape=_shape_bytes(drive.phases.flux)
+    )
+    figures = run.figures
+    copper = figures.tail_copper_a + figures.tail_copper_b + figures.tail_copper_c
+    return float(copper[0]), float(figures.tail_torque[0])
+
+
+def _of_circuit(
+    topology: Topology, scenario: Scenario, frame: CurrentFrame
+) -> list[tuple[float, float]]:
+    """Copper loss and torque of every machine with a frame on a circuit."""
+    machines = shaped_machines()
+    case = LoopCase("", "", "", topology, topology, frame, "references", harmonics=True)
+    design = case_design(case)
+    # Its phases differ: three rows, into which every other back-EMF fits.
+    headers = controller_files(case, design, machines["one phase missing"])
+    with simulator(headers, design.export.prefix, topology=topology) as program:
+        return [
+            _found(
+                program,
+                scenario,
+                Drive(design.machine, design.inverter, design.control.t_s, 1, machine),
+            )
+            for machine in machines.values()
+        ]
+
+
+def loop_ratios(
+    circuit: Topology = "four-leg", scenario: Scenario = AVERAGED
+) -> tuple[LoopRatio, ...]:
+    """All shapes on a circuit, by default an averaged inverter without dead time, 750 rpm, 1 N m.
+
+    Raises:
+        VerificationError: There is no compiler.
+    """
+    with ThreadPoolExecutor(len(_FRAMES)) as pool:
+        of_x, of_y = pool.map(partial(_of_circuit, circuit, scenario), _FRAMES)
+    return tuple(
+        LoopRatio(name, circuit, x[0] / y[0], (x[1], y[1]))
+        for name, x, y in zip(shaped_machines(), of_x, of_y, strict=True)
+    )
+
+
+# Why the zero-sequence current of Figures 6.13 and 6.15 of paper 002 cannot come from the circuit
+# of its Figure 5.4, whose neutral returns through two diodes alone.
+#
+# A current out of the neutral (i_n = i_a + i_b + i_c > 0) flows through the upper diode: the
+# neutral lies at the positive rail, and no leg lies above it, so that no phase voltage is above 0.
+# A current into the neutral needs the lower diode, and no phase voltage below 0. Constant torque at
+# least copper loss has i along the back-EMF and i_n along its sum: where i_n > 0 some phase must
+# have a voltage above 0 to drive its current.
+
+
+@dataclass(frozen=True, slots=True)
+class DiodePath:
+    """What dqy asks of a neutral at constant torque, and when two diodes could give it.
+
+    ``neutral_rms`` in A (sum of the phases); ``share`` of the period in which the phase voltages
+    that dqy needs let its neutral current flow through a diode; ``short`` in V the least by which
+    the phase voltage farthest from that misses it.
+    """
+
+    neutral_rms: float
+    share: float
+    short: float
+
+
+def diode_path(machine: PhaseMachine, torque: float, omega_m: float) -> DiodePath:
+    """The path for a torque in N m and a mechanical speed in rad/s."""
+    currents = torque * unit_currents(machine, "dqy")
+    voltages = machine.voltage(currents, machine.pole_pairs * omega_m)
+    neutral = np.sum(currents, axis=0)
+    # The voltages are half a step behind the angles; so is this.
+    way = np.sign(0.5 * (neutral + np.roll(neutral, -1)))
+    farthest = np.max(voltages * way, axis=0)
+    return DiodePath(
+        float(np.sqrt(np.mean(neutral**2))),
+        float(np.mean(farthest <= 0.0)),
+        float(np.min(farthest)),
+    )

@@ -20,8 +20,7 @@ from dqforge.machines.back_emf.capture import analyse, analyse_period
 from dqforge.machines.back_emf.checks import Origin, check_certain
 from dqforge.machines.back_emf.columns import BemfCapture, CaptureOptions, capture_from_tables
 from dqforge.machines.errors import InputError
-from dqforge.machines.files.number_table import read_table
-from dqforge.machines.files.text_table import TextTable
+from dqforge.machines.files.text_table import TextTable, read_table
 
 AnyArray = NDArray[Any]
 

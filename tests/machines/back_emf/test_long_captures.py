@@ -19,11 +19,10 @@ from dqforge import cli
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.back_emf import columns as bemf_columns
 from dqforge.machines.back_emf import harmonics as bemf_harmonics
-from dqforge.machines.back_emf import motion as bemf_motion
+from dqforge.machines.back_emf import harmonics as bemf_motion
 from dqforge.machines.back_emf.capture import analyse
-from dqforge.machines.back_emf.columns import BemfCapture
-from dqforge.machines.back_emf.result import BemfResult
-from dqforge.machines.design.loader import load_design
+from dqforge.machines.back_emf.columns import BemfCapture, BemfResult
+from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.errors import InputError
 
 PSI = 10e-3
@@ -190,7 +189,7 @@ def test_two_hundred_megabytes_take_less_than_a_gibibyte(tmp_path: Path) -> None
     program = (
         "import sys\n"
         "from pathlib import Path\n"
-        "from dqforge.reports.back_emf.capture import CaptureRequest, read_capture\n"
+        "from dqforge.reports.back_emf import CaptureRequest, read_capture\n"
         "found = read_capture([Path(sys.argv[1])], CaptureRequest())\n"
         "print(found.result.psi_pm, found.result.periods)\n"
     )

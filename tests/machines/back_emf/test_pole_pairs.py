@@ -10,9 +10,9 @@ import pytest
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.back_emf.capture import analyse
 from dqforge.machines.back_emf.columns import BemfCapture
-from dqforge.machines.back_emf.pole_pairs import PolePairs
+from dqforge.machines.back_emf.harmonics import PolePairs
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, grid
-from dqforge.reports.session.waveforms import read_back_emf
+from dqforge.reports.session.losses import read_back_emf
 
 MACHINE = PhaseMachine.from_harmonics(
     [1.0, 3.0, 0.8, 1.2],

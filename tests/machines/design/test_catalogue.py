@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
-from dqforge.machines.dq_machines.torque_limit import largest_torque
+from dqforge.machines.dq_machines.synchronous import largest_torque
 from dqforge.machines.errors import InputError
 from dqforge.machines.units.quantities import format_quantity
 

@@ -7,10 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from dqforge.machines.design import datasheet
-from dqforge.machines.design.datasheet import FluxStatement
-from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.dq_machines.torque_limit import largest_torque
+from dqforge.machines.design import design as datasheet
+from dqforge.machines.design.design import FluxStatement
+from dqforge.machines.dq_machines.synchronous import LinearMachine, largest_torque
 from dqforge.machines.errors import InputError
 
 # One machine in all conventions: p = 3, psi = 0.06 Wb. Phase back-EMF 3 * 0.06 = 0.18 V s/rad peak,

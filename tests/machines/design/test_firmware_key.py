@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_design
+from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.design.settings import FirmwareSettings
 from dqforge.machines.errors import InputError
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_design, load_text
+from dqforge.machines.design.catalogue import load_design, load_text
 from dqforge.machines.design.settings import CurrentLoopSettings, SpeedLoopSettings, Tolerances
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import SwitchDevice
 from dqforge.machines.errors import InputError
 
 

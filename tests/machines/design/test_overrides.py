@@ -11,11 +11,10 @@ import pytest
 from design_changes import Change, permitted, wrong
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import SOURCE, load_design, load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_design, load_text
-from dqforge.machines.design.overrides import SOURCE
 from dqforge.machines.errors import DqforgeError, InputError
-from dqforge.machines.files.yaml_edit import written
+from dqforge.machines.files.positioned_yaml import written
 
 TEMPLATE = catalogue.template()
 

@@ -20,10 +20,16 @@ from dqforge.machines.design.settings import (
     StartUpSettings,
     Tolerances,
 )
-from dqforge.machines.devices.switch import SwitchDevice
-from dqforge.machines.entries.c_names import KEYWORDS, check_prefix
+from dqforge.machines.devices.inverter import SwitchDevice
 from dqforge.machines.entries.kinds import Section
-from dqforge.machines.entries.rules import CountRule, EntryError, QuantityRule, plain_text
+from dqforge.machines.entries.rules import (
+    KEYWORDS,
+    CountRule,
+    EntryError,
+    QuantityRule,
+    check_prefix,
+    plain_text,
+)
 from dqforge.machines.units.kind_words import words_pattern
 
 

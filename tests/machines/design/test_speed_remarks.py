@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from dqforge.cli import main
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.schema import DesignFile
-from dqforge.machines.design.speed_remarks import speed_keys
+from dqforge.machines.design.settings import speed_keys
 from dqforge.machines.errors import InputError
 from dqforge.machines.units.quantities import parse_option
 

@@ -8,7 +8,7 @@ import pytest
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.devices import catalogue as device_catalogue
-from dqforge.machines.devices.library_format import device_values, read_device_yaml
+from dqforge.machines.devices.catalogue import device_values, read_device_yaml
 from dqforge.machines.errors import InputError
 
 NAMES = [

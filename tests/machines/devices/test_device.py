@@ -8,10 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from dqforge.machines.devices.curves import Curve, Family, Lookup, line
-from dqforge.machines.devices.device import DeviceModel
-from dqforge.machines.devices.energies import EnergyTable
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import (
+    Curve,
+    DeviceModel,
+    EnergyTable,
+    Family,
+    Lookup,
+    SwitchDevice,
+    line,
+)
 from dqforge.machines.errors import InputError
 
 COLD = Curve((0.0, 10.0, 100.0), (0.7, 1.0, 2.0))

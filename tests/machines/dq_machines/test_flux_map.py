@@ -14,8 +14,13 @@ from saturated import ArctanMachine
 from scipy.interpolate import CubicSpline, RectBivariateSpline
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import FluxMap, _spline, complete_by_symmetry
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine, inductances
+from dqforge.machines.dq_machines.flux_map import (
+    FluxMap,
+    SaturatedMachine,
+    _spline,
+    complete_by_symmetry,
+    inductances,
+)
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus

@@ -11,8 +11,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.dq_machines.machine_batch import MachineBatch, faults
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
-from dqforge.machines.losses.machine_budget import WindingHeat
-from dqforge.machines.losses.machine_loss import MachineLoss
+from dqforge.machines.losses.machine_budget import MachineLoss, WindingHeat
 from dqforge.machines.names import OvermodulationName
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, DriveBudget, drive_budget
 

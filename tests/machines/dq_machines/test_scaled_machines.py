@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
-from dqforge.machines.dq_machines.scaled_machines import ScaledMachines
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine, ScaledMachines
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.losses.drive_budget import DriveBudget, drive_budget
 

@@ -7,7 +7,7 @@ from itertools import combinations
 
 import pytest
 
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError
 
 LINES = {

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_design, load_text
+from dqforge.machines.design.catalogue import load_design, load_text
 from dqforge.machines.design.schema import DesignFile, json_schema
 from dqforge.machines.entries.former_keys import (
     former_keys,

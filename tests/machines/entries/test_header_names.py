@@ -10,10 +10,8 @@ from pathlib import Path
 import pytest
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_text
-from dqforge.machines.entries.c_names import check_prefix
-from dqforge.machines.entries.header_names import SUFFIXES, taken_header
-from dqforge.machines.entries.rules import EntryError
+from dqforge.machines.design.catalogue import load_text
+from dqforge.machines.entries.rules import SUFFIXES, EntryError, check_prefix, taken_header
 from dqforge.machines.errors import InputError
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import header_kinds

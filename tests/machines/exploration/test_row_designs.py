@@ -11,8 +11,8 @@ import pytest
 from broken_studies import BASE, changed
 
 from dqforge.machines.design import catalogue as designs
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.sections.machine import flux_map, model
 from dqforge.machines.devices import catalogue as devices
 from dqforge.machines.errors import InputError
@@ -22,7 +22,7 @@ from dqforge.machines.exploration.row_designs import (
     maker_of,
 )
 from dqforge.machines.exploration.study import Study
-from dqforge.machines.exploration.study_reader import read_study, study_of_text
+from dqforge.machines.exploration.study_checks import read_study, study_of_text
 from dqforge.machines.files.positioned_yaml import YamlValue
 
 CASES: tuple[tuple[str, dict[str, YamlValue]], ...] = (

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from broken_studies import BASE, changed
 
-from dqforge.machines.exploration.study_digest import asked_of
-from dqforge.machines.exploration.study_reader import study_of_text
+from dqforge.machines.exploration.row_designs import asked_of
+from dqforge.machines.exploration.study_checks import study_of_text
 
 
 def digest(text: str) -> str:

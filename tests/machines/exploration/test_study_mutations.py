@@ -14,11 +14,10 @@ from design_changes import key_paths
 
 from dqforge.machines.design import catalogue as designs
 from dqforge.machines.errors import InputError
-from dqforge.machines.exploration import catalogue
+from dqforge.machines.exploration import study_checks as catalogue
 from dqforge.machines.exploration.row_designs import design_of
 from dqforge.machines.exploration.study import Study
-from dqforge.machines.exploration.study_checks import row_count
-from dqforge.machines.exploration.study_reader import study_of_text
+from dqforge.machines.exploration.study_checks import row_count, study_of_text
 
 WRONG: tuple[Any, ...] = (
     None,

@@ -11,10 +11,14 @@ from broken_studies import BASE, BROKEN, changed
 
 from dqforge.machines.design import catalogue as designs
 from dqforge.machines.errors import InputError
-from dqforge.machines.exploration import catalogue
+from dqforge.machines.exploration import study_checks as catalogue
 from dqforge.machines.exploration.study import Study
-from dqforge.machines.exploration.study_checks import grid_rows, row_count
-from dqforge.machines.exploration.study_reader import read_study, study_of_text
+from dqforge.machines.exploration.study_checks import (
+    grid_rows,
+    read_study,
+    row_count,
+    study_of_text,
+)
 
 
 def read(text: str, folder: Path | None = None) -> Study:

@@ -7,8 +7,8 @@ import json
 import yaml
 from broken_studies import BASE
 
-from dqforge.machines.exploration import catalogue
-from dqforge.machines.exploration.study_schema import STUDY_SCHEMA_ID, StudyFile, study_json_schema
+from dqforge.machines.exploration import study_checks as catalogue
+from dqforge.machines.exploration.study import STUDY_SCHEMA_ID, StudyFile, study_json_schema
 
 
 def test_every_key_is_described() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
 

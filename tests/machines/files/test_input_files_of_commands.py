@@ -15,12 +15,13 @@ from typing import Any
 import pytest
 
 from dqforge import cli
-from dqforge.machines.back_emf import files as bemf_files
-from dqforge.machines.design import catalogue, reading
+from dqforge.machines.back_emf import columns as bemf_files
+from dqforge.machines.design import catalogue
+from dqforge.machines.design import design as reading
 from dqforge.machines.devices import files as device_files
 from dqforge.machines.files import positioned_yaml as yaml_source
-from dqforge.machines.losses import mission
-from dqforge.reports.pages import files
+from dqforge.machines.losses import machine_budget as mission
+from dqforge.reports.pages import answer as files
 
 DRIVE = "paper000-ipmsm-100kw"  # A library drive, for options that need a design beside their file.
 
@@ -250,7 +251,7 @@ def test_a_file_in_order_is_refused_beyond_the_limit_and_never_cut(
     for module, constant in (
         ("machines.files.positioned_yaml", "MAX_BYTES"),
         ("reports.losses.question", "MOST_BYTES"),
-        ("reports.back_emf.capture", "MOST_BYTES"),
+        ("reports.back_emf", "MOST_BYTES"),
     ):
         monkeypatch.setattr(f"dqforge.{module}.{constant}", limit)
     (tmp_path / entry.file).write_bytes(LONG[name](limit))

@@ -10,11 +10,11 @@ import pytest
 import yaml
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_design
+from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.design.schema import json_schema
 from dqforge.machines.errors import InputError
-from dqforge.machines.exploration import catalogue as studies
-from dqforge.machines.exploration.study_schema import study_json_schema
+from dqforge.machines.exploration import study_checks as studies
+from dqforge.machines.exploration.study import study_json_schema
 from dqforge.machines.files.library_files import (
     DESIGN_SCHEMA,
     STUDY_SCHEMA,

@@ -15,8 +15,7 @@ import pytest
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.machines.files.number_table import read_table
-from dqforge.machines.files.text_table import TextTable
+from dqforge.machines.files.text_table import TextTable, read_table
 
 ROWS = np.array([[0.0, 1.5, -2.25e-3], [0.5, -1.5, 4.0], [1.0, 0.125, 1e6]])
 
@@ -302,7 +301,7 @@ def test_large_tables_are_read_in_blocks_without_looking_at_cells(
     rows = np.random.default_rng(2).normal(size=(200_000, 4))
     stream = io.StringIO()
     np.savetxt(stream, rows, fmt="%.17g", delimiter=";", header="t_s;u1_V;u2_V;u3_V", comments="")
-    monkeypatch.setattr("dqforge.machines.files.text_cells._cell_by_cell", None)
+    monkeypatch.setattr("dqforge.machines.files.text_table._cell_by_cell", None)
     table = read(stream.getvalue().replace(".", ","))
     np.testing.assert_array_equal(table.values, rows)
     assert table.lines[-1] == 200_001

@@ -14,7 +14,7 @@ import scope_files
 from scope_files import LAYOUTS, PSI, STEP, VOLTS, Files, rows
 
 from dqforge import cli
-from dqforge.machines.design.loader import load_design
+from dqforge.machines.design.catalogue import load_design
 
 DESIGN = """dqforge: 1
 name: Capture
@@ -157,7 +157,7 @@ def test_compressed_captures_are_bounded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("dqforge.machines.back_emf.files.MOST_BYTES", 1_000_000)
+    monkeypatch.setattr("dqforge.machines.back_emf.columns.MOST_BYTES", 1_000_000)
     (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(b"1,2,3,4\n" * 500_000, mtime=0))
     assert "more than 1 MB once unpacked" in refusal(capsys, "bomb.csv.gz")
     whole = gzip.compress(next(iter(scope_files.keysight().values())), mtime=0)

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.files import text_blocks
-from dqforge.machines.files.number_table import read_table
-from dqforge.machines.files.text_table import TextTable
+from dqforge.machines.files import text_table as text_blocks
+from dqforge.machines.files.text_table import TextTable, read_table
 
 
 @pytest.fixture
@@ -22,7 +21,7 @@ def in_blocks(monkeypatch: pytest.MonkeyPatch) -> Callable[[bytes], TextTable]:
             small.setattr(text_blocks, "_HEAD", 900)
             small.setattr(text_blocks, "_BLOCK", 300)
             small.setattr(text_blocks, "_FIRST_ROWS", 10)
-            small.setattr("dqforge.machines.files.number_table.LARGE", 1000)
+            small.setattr("dqforge.machines.files.text_table.LARGE", 1000)
             return read_table(content, "scope.csv")
 
     return read
@@ -129,7 +128,7 @@ def test_too_many_numbers_are_refused_before_they_are_parsed(
 
 
 def test_the_share_that_is_read_ascends_to_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dqforge.machines.files.number_table.LARGE", 1000)
+    monkeypatch.setattr("dqforge.machines.files.text_table.LARGE", 1000)
     monkeypatch.setattr(text_blocks, "_HEAD", 900)
     monkeypatch.setattr(text_blocks, "_BLOCK", 300)
     told: list[float] = []

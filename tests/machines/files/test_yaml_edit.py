@@ -8,8 +8,13 @@ from typing import Any
 import pytest
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.files.positioned_yaml import YamlValue, parse_value, parse_yaml
-from dqforge.machines.files.yaml_edit import edited, written
+from dqforge.machines.files.positioned_yaml import (
+    YamlValue,
+    edited,
+    parse_value,
+    parse_yaml,
+    written,
+)
 
 TEXT = """\
 # a comment

@@ -16,8 +16,8 @@ from peak_memory import run_and_measure
 from saturated import ArctanMachine
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.files.number_table import read_table
-from dqforge.machines.files.plain_numbers import read_numeric_table
+from dqforge.machines.files.positioned_xml import read_numeric_table
+from dqforge.machines.files.text_table import read_table
 from dqforge.machines.flux_map_files import files as flux_map_files
 from dqforge.machines.flux_map_files.files import read_flux_points
 from dqforge.machines.flux_maps import building

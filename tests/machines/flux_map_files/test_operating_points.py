@@ -15,8 +15,8 @@ from operating_tables import VENDOR, OperatingTable, operating_table
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
+from dqforge.machines.flux_map_files.coordinates import Declared
 from dqforge.machines.flux_map_files.files import read_flux_points
-from dqforge.machines.flux_map_files.operating_points import Declared
 from dqforge.machines.flux_maps.building import build_flux_map
 from dqforge.machines.flux_maps.flux_points import FluxPoints
 

@@ -13,7 +13,7 @@ from flux_map_writers import Arrays, case_table, hdf5, mat, npz, text
 from operating_tables import VENDOR
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.loader import load_design
+from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.errors import InputError
 from dqforge.machines.flux_map_files.files import read_flux_points
 from dqforge.machines.flux_maps.building import build_flux_map

@@ -12,13 +12,16 @@ from noisy import grid_points, mapped_design
 from saturated import PM_SYRM
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.loader import load_design
-from dqforge.machines.dq_machines.flux_map import FluxMap, mirrored
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+from dqforge.machines.design.catalogue import load_design
+from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine, mirrored
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, torque_from_flux
 from dqforge.machines.errors import InputError
-from dqforge.machines.flux_maps.asymmetry import asymmetry_of, frame_angle
-from dqforge.machines.flux_maps.building import FluxTreatment, build_flux_map
+from dqforge.machines.flux_maps.building import (
+    FluxTreatment,
+    asymmetry_of,
+    build_flux_map,
+    frame_angle,
+)
 from dqforge.machines.flux_maps.flux_points import FluxPoints
 
 CURVED = SaturatedMachine(2, 0.63, PM_SYRM.flux_map(18.7 * 1.3), 18.7)

@@ -13,11 +13,14 @@ from saturated import ArctanMachine
 from scipy.interpolate import RBFInterpolator
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import FluxMap
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.errors import InputError
-from dqforge.machines.flux_maps.building import FluxMapReading, FluxTreatment, build_flux_map
-from dqforge.machines.flux_maps.conversion import converted
+from dqforge.machines.flux_maps.building import (
+    FluxMapReading,
+    FluxTreatment,
+    build_flux_map,
+    converted,
+)
 from dqforge.machines.flux_maps.flux_points import FluxPoints
 from dqforge.machines.names import FluxAxes, FluxScaling
 

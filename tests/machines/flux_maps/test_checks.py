@@ -17,8 +17,8 @@ from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.errors import InputError
 from dqforge.machines.flux_maps.building import build_flux_map
 from dqforge.machines.flux_maps.checks import check_map, check_points, energy_misfit
+from dqforge.machines.flux_maps.fit import flux_map_of_maps
 from dqforge.machines.flux_maps.flux_points import FluxPoints
-from dqforge.machines.flux_maps.magnet_temperatures import flux_map_of_maps
 from dqforge.machines.names import FluxAxes
 
 AXIS_D = np.linspace(-150.0, 60.0, 22)

@@ -16,9 +16,9 @@ from noisy import NOISE, grid_points, mapped_design, noisy, scattered_points
 from dqforge import cli
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_design
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.units.quantities import format_quantity

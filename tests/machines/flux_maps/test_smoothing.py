@@ -11,9 +11,7 @@ from saturated import PM_SYRM, ArctanMachine
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.flux_maps.checks import energy_misfit
-from dqforge.machines.flux_maps.co_energy import CoEnergy
-from dqforge.machines.flux_maps.fit import FluxData, fit_flux
-from dqforge.machines.flux_maps.noise import (
+from dqforge.machines.flux_maps.evidence import (
     FluxNoise,
     inductance_noise,
     noise_of_grid,
@@ -21,7 +19,13 @@ from dqforge.machines.flux_maps.noise import (
     noise_of_repeats,
     noise_of_symmetry,
 )
-from dqforge.machines.flux_maps.smoothing import LEAST_SHARE, smooth_co_energy
+from dqforge.machines.flux_maps.fit import (
+    LEAST_SHARE,
+    CoEnergy,
+    FluxData,
+    fit_flux,
+    smooth_co_energy,
+)
 
 TRUTH = ArctanMachine()
 AXIS_D, AXIS_Q = np.linspace(-120.0, 120.0, 21), np.linspace(-120.0, 120.0, 25)

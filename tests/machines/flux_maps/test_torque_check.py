@@ -16,8 +16,8 @@ import pytest
 from numpy.typing import NDArray
 from saturated import ArctanMachine
 
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.errors import InputError
 from dqforge.machines.flux_map_files.files import read_flux_points
 from dqforge.machines.flux_maps.building import build_flux_map

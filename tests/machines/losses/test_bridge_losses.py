@@ -15,13 +15,15 @@ from scipy.optimize import brentq
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices import catalogue as device_catalogue
-from dqforge.machines.devices.device import DeviceModel
-from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import DeviceModel, Inverter, SwitchDevice
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.losses.bridge_heat import junction_balance
-from dqforge.machines.losses.bridge_losses import BridgeAverages, bridge_averages
-from dqforge.machines.losses.bridge_tables import BridgeTables, bridge_tables
+from dqforge.machines.losses.bridge_tables import (
+    BridgeAverages,
+    BridgeTables,
+    bridge_averages,
+    bridge_tables,
+    junction_balance,
+)
 from dqforge.machines.modulation.modulators import MODULATORS, modulate
 from dqforge.machines.names import ModulationName
 from dqforge.machines.plants.switched_drive import simulate_period

@@ -16,8 +16,7 @@ from modulators import CONTINUOUS, duties, rest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.errors import InputError
 from dqforge.machines.losses.constant_device import (
     BridgeLoad,

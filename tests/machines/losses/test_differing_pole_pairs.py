@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from dqforge.machines.losses.machine_loss import MachineLoss
+from dqforge.machines.losses.machine_budget import MachineLoss
 from dqforge.machines.losses.phase_terminals import phase_terminals
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.flashing_choice.loop_residuals import residual_currents
+from dqforge.optimizer.flashing_choice import residual_currents
 from dqforge.optimizer.phase_control.phase_controller import (
     AxisGains,
     HarmonicGains,
     PhaseControl,
     PhaseShape,
 )
-from dqforge.optimizer.waveforms.phase_currents import unit_currents
+from dqforge.optimizer.waveforms.constraint_rows import unit_currents
 
 ONE = PhaseMachine.from_harmonics(
     [1, 3, 5],

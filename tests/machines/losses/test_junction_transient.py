@@ -12,12 +12,12 @@ from scipy.integrate import solve_ivp
 from scipy.signal import StateSpace, lsim
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.devices.thermal_network import FosterNetwork
-from dqforge.machines.losses.bridge_tables import BridgeTables, bridge_tables
-from dqforge.machines.losses.junction_transient import (
+from dqforge.machines.losses.bridge_tables import (
+    BridgeTables,
     JunctionNetworks,
+    bridge_tables,
     junction_history,
     junction_networks,
 )
@@ -104,7 +104,7 @@ def test_long_intervals_reach_the_steady_state_and_runaway_is_said() -> None:
 
 def test_networks_come_from_the_device_and_keep_its_total() -> None:
     inverter = Inverter(600.0, 10e3, DEVICE, 65.0)
-    from dqforge.machines.devices.device import DeviceModel
+    from dqforge.machines.devices.inverter import DeviceModel
 
     model = replace(
         DeviceModel.from_switch_device(DEVICE), thermal=FosterNetwork((0.05, 0.1), (1e-3, 0.1))

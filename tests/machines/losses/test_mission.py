@@ -7,7 +7,7 @@ import math
 import pytest
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.losses.mission import read_mission
+from dqforge.machines.losses.machine_budget import read_mission
 
 RPM = math.pi / 30.0
 

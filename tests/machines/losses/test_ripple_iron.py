@@ -10,12 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
-from dqforge.machines.losses.machine_loss import MachineLoss
-from dqforge.machines.losses.ripple_iron import (
+from dqforge.machines.losses.machine_budget import MachineLoss
+from dqforge.machines.losses.phase_terminals import (
     harmonic_voltage_square,
     ripple_iron_loss,
     sheet_factor,

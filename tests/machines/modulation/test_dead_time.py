@@ -10,12 +10,11 @@ import pytest
 from modulators import duties, phases_at
 from numpy.typing import NDArray
 
-from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.modulation.clamping import DISCONTINUOUS
 from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.modulation.modulators import MODULATORS
+from dqforge.machines.modulation.registry import DISCONTINUOUS
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.losses.drive_budget import drive_budget
 from dqforge.optimizer.losses.drive_comparison import Alternatives, compare_drives

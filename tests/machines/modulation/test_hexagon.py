@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.modulation.hexagon import (
+from dqforge.machines.modulation.modulators import MODULATORS, modulate
+from dqforge.machines.modulation.registry import (
     HEXAGON,
     INSCRIBED,
     METHODS,
@@ -18,8 +19,7 @@ from dqforge.machines.modulation.hexagon import (
     follows_hexagon,
     overmodulated,
 )
-from dqforge.machines.modulation.modulators import MODULATORS, modulate
-from dqforge.machines.modulation.overmodulation import fundamental, reference_for
+from dqforge.machines.modulation.switched_period import fundamental, reference_for
 from dqforge.machines.names import ModulationName, OvermodulationName
 from dqforge.machines.transforms import Pair
 

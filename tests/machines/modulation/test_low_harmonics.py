@@ -9,14 +9,14 @@ import pytest
 from scipy.integrate import quad
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.modulation.hexagon import HEXAGON, METHODS, SIX_STEP
-from dqforge.machines.modulation.low_harmonics import (
+from dqforge.machines.modulation.dead_time import (
     ORDERS,
     LowHarmonics,
     low_harmonics,
     voltage_harmonics,
     waveform,
 )
+from dqforge.machines.modulation.registry import HEXAGON, METHODS, SIX_STEP
 from dqforge.machines.names import OvermodulationName
 
 ROUND = LinearMachine(pole_pairs=4, r_s=0.0, l_d=1e-3, l_q=1e-3, psi_pm=0.05, i_max=50.0)

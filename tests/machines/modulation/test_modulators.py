@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.modulation.clamping import DISCONTINUOUS
 from dqforge.machines.modulation.modulators import (
     MODULATORS,
     clamped_phases,
@@ -22,6 +21,7 @@ from dqforge.machines.modulation.modulators import (
     sector_waveforms,
     zero_sequence,
 )
+from dqforge.machines.modulation.registry import DISCONTINUOUS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import dq_to_phases
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from modulators import duties
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.modulation.clamping import DISCONTINUOUS
 from dqforge.machines.modulation.modulators import MODULATORS, modulate
-from dqforge.machines.modulation.overmodulation import fundamental, reference_for, saturate
+from dqforge.machines.modulation.registry import DISCONTINUOUS
+from dqforge.machines.modulation.switched_period import fundamental, reference_for, saturate
 from dqforge.machines.names import ModulationName
 
 SIX_STEP = 2.0 / math.pi

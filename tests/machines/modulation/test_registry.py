@@ -12,7 +12,6 @@ from worked_examples import module_of, text_of
 
 from dqforge.machines.design.sections.losses import LossSection
 from dqforge.machines.design.sections.modulation_choice import ChoiceSection
-from dqforge.machines.modulation.clamping import switching_loss_factor
 from dqforge.machines.modulation.modulator import Modulator
 from dqforge.machines.modulation.modulators import (
     SIX_STEP_AMPLITUDE,
@@ -20,9 +19,9 @@ from dqforge.machines.modulation.modulators import (
     period_waveforms,
     sector_waveforms,
 )
-from dqforge.machines.modulation.overmodulation import fundamental, saturate
-from dqforge.machines.modulation.registry import MODULATORS, registered
+from dqforge.machines.modulation.registry import MODULATORS, registered, switching_loss_factor
 from dqforge.machines.modulation.ripple import flux_moments, harmonic_distortion_factor
+from dqforge.machines.modulation.switched_period import fundamental, saturate
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import dq_to_phases
 

@@ -12,12 +12,12 @@ from saturated import ArctanMachine
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.modulation.clamping import DISCONTINUOUS
 from dqforge.machines.modulation.modulators import (
     MODULATORS,
     SIX_STEP_AMPLITUDE,
     sector_waveforms,
 )
+from dqforge.machines.modulation.registry import DISCONTINUOUS
 from dqforge.machines.modulation.ripple import (
     flux_moments,
     harmonic_distortion_factor,

@@ -11,9 +11,8 @@ import pytest
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.modulators import MODULATORS, SIX_STEP_AMPLITUDE
-from dqforge.machines.modulation.overmodulation import fundamental, reference_for
 from dqforge.machines.modulation.ripple import harmonic_distortion_factor
-from dqforge.machines.modulation.switched_period import switched_period
+from dqforge.machines.modulation.switched_period import fundamental, reference_for, switched_period
 from dqforge.machines.names import ModulationName
 
 

@@ -13,19 +13,21 @@ import pytest
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.frame_transforms import (
+    dynamic_model,
+    frame_rms,
+    loss_ratio_x_over_y,
     spectral_derivative,
     spectral_frame_angles,
     to_frame,
 )
-from dqforge.machines.phase_machines.frames import dynamic_model, frame_rms, loss_ratio_x_over_y
 from dqforge.machines.phase_machines.phase_machine import (
     PhaseMachine,
+    SalientPhaseMachine,
     between,
     derivative,
     grid,
     shift_of,
 )
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 
 # Orders of the electrical angle; every machine here has its fraction of it.
 ORDERS = [1.0, 3.0, 5.0]

@@ -12,14 +12,15 @@ import pytest
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.machines.phase_machines.frame_models import frame_model
 from dqforge.machines.phase_machines.frame_transforms import (
+    Frame,
     amplitude_factor,
+    dynamic_model,
+    frame_model,
     from_frame,
     spectral_derivative,
     to_frame,
 )
-from dqforge.machines.phase_machines.frames import Frame, dynamic_model
 
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 L_S, M_S = 2.3e-3, -0.7e-3

@@ -11,23 +11,21 @@ import pytest
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.machines.phase_machines import frames as dq_frames
+from dqforge.machines.phase_machines import frame_transforms as dq_frames
 from dqforge.machines.phase_machines.frame_transforms import (
-    amplitude_factor,
-    frame_rates,
-    from_frame,
-    spectral_derivative,
-    spectral_frame_angles,
-    to_frame,
-    transform_rate,
-)
-from dqforge.machines.phase_machines.frames import (
     Frame,
     FrameAngles,
+    amplitude_factor,
+    frame_rates,
     frame_rms,
+    from_frame,
     loss_ratio_x_over_y,
+    spectral_derivative,
+    spectral_frame_angles,
     thesis_shapes,
+    to_frame,
     transform,
+    transform_rate,
 )
 from dqforge.machines.transforms import clarke_matrix
 

@@ -13,7 +13,7 @@ import pytest
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.machines.phase_machines.frames import (
+from dqforge.machines.phase_machines.frame_transforms import (
     AMPLITUDE_INVARIANT,
     CLARKE,
     Frame,

@@ -26,8 +26,7 @@ from dqforge.machines.plants.current_feedback import (
     simulate_currents,
     slope_ratio,
 )
-from dqforge.machines.plants.current_trace import CurrentTrace
-from dqforge.machines.plants.fed_machine import I_D, I_Q, BridgeDrive, build_plant
+from dqforge.machines.plants.fed_machine import I_D, I_Q, BridgeDrive, CurrentTrace, build_plant
 
 SALIENT = LinearMachine(pole_pairs=3, r_s=2.35, l_d=1.2e-3, l_q=2.4e-3, psi_pm=0.06, i_max=6.4)
 EQUAL = LinearMachine(pole_pairs=3, r_s=2.35, l_d=1.7e-3, l_q=1.7e-3, psi_pm=0.06, i_max=6.4)

@@ -14,30 +14,28 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import SampledRuleName
 from dqforge.machines.plants.current_feedback import best_states, simulate_currents
-from dqforge.machines.plants.current_regulators.circle import times_within
-from dqforge.machines.plants.current_regulators.pulse_patterns import (
-    LEAST_WIDTH,
-    amplitudes,
-    distortion,
-    optimal_pattern,
-)
 from dqforge.machines.plants.current_regulators.sampled_rules import (
+    ACTIVE,
+    LEGS,
     RuleConstants,
     RuleInputs,
     SampledRule,
-)
-from dqforge.machines.plants.current_regulators.schemes import Circle, Sampled, Trajectory
-from dqforge.machines.plants.current_regulators.state_table import (
-    ACTIVE,
-    LEGS,
     codes_of,
     switching_table,
     unit_vectors,
 )
-from dqforge.machines.plants.current_regulators.trajectory import (
+from dqforge.machines.plants.current_regulators.schemes import (
+    LEAST_WIDTH,
+    Circle,
+    Sampled,
+    Trajectory,
     TrajectoryController,
+    amplitudes,
+    distortion,
+    optimal_pattern,
     patterns_of,
     steady_trajectory,
+    times_within,
 )
 from dqforge.machines.plants.fed_machine import I_D, I_Q, BridgeDrive, build_plant
 

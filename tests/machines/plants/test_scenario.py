@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError
 from dqforge.machines.plants.scenario import Profile, Scenario, constant
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.datasheet import back_emf_warning
-from dqforge.machines.design.design import Design
+from dqforge.machines.design.design import Design, back_emf_warning
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.modulators import linear_limit
@@ -24,7 +23,7 @@ from dqforge.machines.topologies.linear_range import (
     linear_share,
 )
 from dqforge.optimizer.losses.drive_comparison import usable_limit
-from dqforge.optimizer.operating_points.drive_points import limited_drive, points_within
+from dqforge.optimizer.operating_points.characteristics import limited_drive, points_within
 from dqforge.optimizer.waveforms.comparison import operating_point
 
 SHARES: dict[Topology, float] = {

@@ -13,7 +13,7 @@ from dqforge.machines.modulation.ripple import flux_moments, switching_instants
 from dqforge.machines.names import Topology
 from dqforge.machines.topologies.duties import duty_cycles, phase_voltages
 from dqforge.machines.topologies.neutral_ripple import neutral_ripple
-from dqforge.optimizer.waveforms.phase_currents import unit_currents
+from dqforge.optimizer.waveforms.constraint_rows import unit_currents
 
 V_DC, T_S, L_0 = 220.0, 1e-4, 5e-3
 WITH_NEUTRAL: tuple[Topology, ...] = ("four-leg", "split-capacitor", "six-leg")

@@ -23,7 +23,7 @@ from dqforge.machines.topologies.regions import (
 )
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import clarke_matrix
-from dqforge.optimizer.waveforms.phase_currents import figures, unit_currents
+from dqforge.optimizer.waveforms.constraint_rows import figures, unit_currents
 
 V_DC = 220.0
 NAMES: tuple[Topology, ...] = get_args(Topology)

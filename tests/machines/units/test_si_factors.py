@@ -11,8 +11,15 @@ import pint
 import pytest
 
 from dqforge.machines.units.quantities import parse_quantity
-from dqforge.machines.units.registry import COMPOUNDS, DIMENSIONS, FORCES, SYMBOLS
-from dqforge.machines.units.si_factors import dimension_of, factor_between, powers_of
+from dqforge.machines.units.registry import (
+    COMPOUNDS,
+    DIMENSIONS,
+    FORCES,
+    SYMBOLS,
+    dimension_of,
+    factor_between,
+    powers_of,
+)
 
 NAMES = sorted({*SYMBOLS.values(), *FORCES.values(), *itertools.chain(*COMPOUNDS.values())})
 BASES = sorted({dimension.base for dimension in DIMENSIONS.values()} - {"degree_Celsius"})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from flint import fmpq
 
-from dqforge.optimizer.axis_margins.box_cells import AxisBox, Cell, Interval, rational
+from dqforge.optimizer.axis_margins import AxisBox, Cell, Interval, rational
 
 BOX = AxisBox(
     rho=fmpq(1, 20),

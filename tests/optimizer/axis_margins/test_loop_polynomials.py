@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from flint import fmpq
 
-from dqforge.optimizer.axis_margins.box_cells import rational
-from dqforge.optimizer.axis_margins.loop_polynomials import AxisGains, Terms, bases, tabled
+from dqforge.optimizer.axis_margins import AxisGains, Terms, bases, rational, tabled
 
 
 def value(terms: Terms, c: float, a: float, gamma: float) -> float:

@@ -13,12 +13,14 @@ from flint import fmpq
 from random_loops import WIDE, AxisDrive, axis_drive, random_axis_drive
 
 from dqforge.machines.design.settings import Tolerances
-from dqforge.optimizer.axis_margins.margin_claims import decide, phase_claim, sensitivity_claim
-from dqforge.optimizer.axis_margins.margin_proof import (
+from dqforge.optimizer.axis_margins import (
     axis_box,
     axis_gains,
+    decide,
     nominal_is_stable,
+    phase_claim,
     prove_margins,
+    sensitivity_claim,
 )
 from dqforge.optimizer.loops.tolerance_box import box_points
 

@@ -14,15 +14,18 @@ from dqforge.optimizer.box_proofs.both_axes_sensitivity import (
     bound_sensitivity,
     sensitivities,
 )
-from dqforge.optimizer.box_proofs.current_loop_checker import confirm_sensitivity
-from dqforge.optimizer.box_proofs.current_loop_model import (
+from dqforge.optimizer.box_proofs.cell_queue import (
     BoxDrive,
     CurrentLoopBox,
+    find_certificate,
     loop_matrices,
     parameters_of,
 )
-from dqforge.optimizer.box_proofs.current_loop_search import find_certificate
-from dqforge.optimizer.box_proofs.plain_certificate import plain_certificate, plain_inputs
+from dqforge.optimizer.box_proofs.current_loop_proof import (
+    confirm_sensitivity,
+    plain_certificate,
+    plain_inputs,
+)
 from dqforge.optimizer.loops.plants import current_loop
 from dqforge.optimizer.sampled_systems import loop_margins
 

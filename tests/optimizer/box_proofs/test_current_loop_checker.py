@@ -12,11 +12,9 @@ import numpy as np
 import pytest
 from random_current_loops import limit, random_boxes, times
 
-import dqforge.optimizer.box_proofs.current_loop_search as finder
-from dqforge.optimizer.box_proofs.current_loop_checker import confirm
-from dqforge.optimizer.box_proofs.current_loop_model import CurrentLoopBox, loop_matrices
-from dqforge.optimizer.box_proofs.current_loop_search import find_certificate
-from dqforge.optimizer.box_proofs.plain_certificate import plain_certificate, plain_inputs
+import dqforge.optimizer.box_proofs.cell_queue as finder
+from dqforge.optimizer.box_proofs.cell_queue import CurrentLoopBox, find_certificate, loop_matrices
+from dqforge.optimizer.box_proofs.current_loop_proof import confirm, plain_certificate, plain_inputs
 
 Certificate = dict[str, Any]
 

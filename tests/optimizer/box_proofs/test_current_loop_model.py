@@ -10,9 +10,9 @@ import pytest
 from random_current_loops import drives_inside, radii, random_boxes
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.box_proofs.cell_queue import Cell
-from dqforge.optimizer.box_proofs.current_loop_model import (
+from dqforge.optimizer.box_proofs.cell_queue import (
     BoxDrive,
+    Cell,
     CurrentLoopBox,
     corner_points,
     drive_at,

@@ -19,17 +19,24 @@ from zero_exclusion import excludes_zero
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.box_proofs import interior_point
-from dqforge.optimizer.box_proofs.current_loop_checker import confirm
-from dqforge.optimizer.box_proofs.current_loop_model import CurrentLoopBox, drive_at, parameters_of
+from dqforge.optimizer.box_proofs.cell_queue import (
+    CELL_WORK,
+    WORK,
+    CurrentLoopBox,
+    drive_at,
+    find_certificate,
+    parameters_of,
+)
 from dqforge.optimizer.box_proofs.current_loop_proof import (
     CurrentLoopProof,
+    confirm,
+    plain_certificate,
+    plain_inputs,
     prove_current_loops,
     prove_sensitivity,
     random_parameters,
 )
-from dqforge.optimizer.box_proofs.current_loop_search import CELL_WORK, WORK, find_certificate
 from dqforge.optimizer.box_proofs.interior_point import Budget
-from dqforge.optimizer.box_proofs.plain_certificate import plain_certificate, plain_inputs
 
 
 def sampled_radius(box: CurrentLoopBox, count: int, seed: int = 9) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dqforge.optimizer.box_proofs.contraction import (
+from dqforge.optimizer.box_proofs.cell_queue import (
     Remainder,
     common_lyapunov,
     contracts,

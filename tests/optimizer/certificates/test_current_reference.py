@@ -27,17 +27,16 @@ from saturated import ArctanMachine
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.optimizer.certificates.ball import ORDER
+from dqforge.optimizer.certificates.ball import ORDER, Task
 from dqforge.optimizer.certificates.current_reference import Certificate, certify, interval_bounds
-from dqforge.optimizer.certificates.exact_conditions import Task
 from dqforge.optimizer.current_reference.fit import ReferenceFit, fit_reference
 from dqforge.optimizer.current_reference.forms import (
     CurrentReference,
+    FixedReference,
     ReferenceErrors,
     TorqueExact,
     reference_errors,
 )
-from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint
 
 # Random torques per case, to which an eighth of log-spaced ones and the neighbours of the edges

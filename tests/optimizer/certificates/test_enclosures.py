@@ -17,11 +17,19 @@ from flint import arb, ctx
 from saturated import ArctanMachine
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import FluxJet, LinearMachine
-from dqforge.optimizer.certificates.ball import ORDER, Expansion, as_ball, hull, upper
-from dqforge.optimizer.certificates.enclosures import jets
-from dqforge.optimizer.certificates.exact_conditions import Condition, Task, conditions_over_box
+from dqforge.optimizer.certificates.ball import (
+    ORDER,
+    Condition,
+    Expansion,
+    Task,
+    as_ball,
+    conditions_over_box,
+    hull,
+    jets,
+    upper,
+)
 from dqforge.optimizer.current_reference.forms import CurrentReference, Proportional
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint
 

@@ -15,17 +15,15 @@ from flint import arb, ctx
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.optimizer.certificates.ball import ORDER
-from dqforge.optimizer.certificates.exact_conditions import Task
-from dqforge.optimizer.certificates.interval_newton import (
+from dqforge.optimizer.certificates.ball import ORDER, Task, pieces
+from dqforge.optimizer.certificates.current_reference import (
     UNKNOWN,
     Bounds,
     Interval,
+    bounds_near_zero_torque,
     errors_without_currents,
     newton,
 )
-from dqforge.optimizer.certificates.near_zero_torque import bounds_near_zero_torque
-from dqforge.optimizer.certificates.rounding import pieces
 from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.forms import CurrentReference
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint

@@ -14,10 +14,9 @@ import pytest
 from flint import arb, arb_series, ctx
 from lemma_cases import MACHINE, close, interval, local, plain, task_of
 
-from dqforge.optimizer.certificates import interval_newton
-from dqforge.optimizer.certificates.ball import ORDER, Value
-from dqforge.optimizer.certificates.enclosures import jets
-from dqforge.optimizer.certificates.interval_newton import UNKNOWN, Bounds, Interval, newton
+from dqforge.optimizer.certificates import current_reference as interval_newton
+from dqforge.optimizer.certificates.ball import ORDER, Value, jets
+from dqforge.optimizer.certificates.current_reference import UNKNOWN, Bounds, Interval, newton
 from dqforge.optimizer.operating_points.current_choice import SpeedPoint
 
 

@@ -15,9 +15,8 @@ from flint import arb, ctx
 from lemma_cases import MACHINE, close, interval, local, task_of
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.optimizer.certificates import near_zero_torque as near_rest
-from dqforge.optimizer.certificates.ball import ORDER
-from dqforge.optimizer.certificates.exact_conditions import Task
+from dqforge.optimizer.certificates import current_reference as near_rest
+from dqforge.optimizer.certificates.ball import ORDER, Task
 
 SCALE = 1.5 * MACHINE.r_s
 

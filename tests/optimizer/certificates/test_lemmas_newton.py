@@ -17,12 +17,10 @@ from lemma_cases import LINE, MACHINE, close, interval, local, plain, task_of
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.certificates import current_reference as certificate
-from dqforge.optimizer.certificates import interval_newton
-from dqforge.optimizer.certificates import near_zero_torque as near_rest
-from dqforge.optimizer.certificates.ball import ORDER
-from dqforge.optimizer.certificates.exact_conditions import Condition, Task
-from dqforge.optimizer.certificates.interval_newton import UNKNOWN, Bounds, Interval, newton
-from dqforge.optimizer.certificates.rounding import pieces
+from dqforge.optimizer.certificates import current_reference as interval_newton
+from dqforge.optimizer.certificates import current_reference as near_rest
+from dqforge.optimizer.certificates.ball import ORDER, Condition, Task, pieces
+from dqforge.optimizer.certificates.current_reference import UNKNOWN, Bounds, Interval, newton
 from dqforge.optimizer.current_reference.forms import (
     CurrentReference,
     Polynomials,

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from flint import arb, ctx
 
-from dqforge.optimizer.certificates import rounding
-from dqforge.optimizer.certificates.ball import ORDER
-from dqforge.optimizer.certificates.rounding import (
+from dqforge.optimizer.certificates import ball as rounding
+from dqforge.optimizer.certificates.ball import (
+    ORDER,
     Rounded,
     exact,
     horner,
@@ -30,12 +30,12 @@ from dqforge.optimizer.certificates.rounding import (
 from dqforge.optimizer.current_reference.forms import (
     ClosedForm,
     CurrentReference,
+    FixedReference,
     Polynomials,
     Proportional,
     ReluctanceClosedForm,
     TorqueExact,
 )
-from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.curves.integer_polynomial import FixedPolynomial, FixedSegment
 from dqforge.optimizer.curves.single_precision import SinglePolynomial
 

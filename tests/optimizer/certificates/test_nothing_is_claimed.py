@@ -13,18 +13,17 @@ from drives import IPM, RELUCTANCE
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import FitSettings, WeakeningSettings
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.certificates import current_reference, interval_newton
+from dqforge.optimizer.certificates import current_reference
+from dqforge.optimizer.certificates import current_reference as interval_newton
+from dqforge.optimizer.certificates.ball import Task, pieces
 from dqforge.optimizer.certificates.ball_arrays import Balls
-from dqforge.optimizer.certificates.current_reference import certify
-from dqforge.optimizer.certificates.exact_conditions import Task
-from dqforge.optimizer.certificates.interval_newton import UNKNOWN, Interval
-from dqforge.optimizer.certificates.rounding import pieces
+from dqforge.optimizer.certificates.current_reference import UNKNOWN, Interval, certify
 from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.field_weakening import certificate as surface
 from dqforge.optimizer.field_weakening import largest_torque as dual
 from dqforge.optimizer.field_weakening.certificate import certify_surface
 from dqforge.optimizer.field_weakening.fit import WeakeningFit, fit_weakening
-from dqforge.optimizer.field_weakening.voltage_bounds import TORQUE_SHARE
+from dqforge.optimizer.field_weakening.voltage_region import TORQUE_SHARE
 from dqforge.optimizer.observers.methods.lpv_certificate import common_lyapunov
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 

@@ -13,18 +13,17 @@ import numpy as np
 import pytest
 from flint import arb, ctx
 
-from dqforge.optimizer.certificates.ball import ORDER
-from dqforge.optimizer.certificates.rounding import Piece, pieces
+from dqforge.optimizer.certificates.ball import ORDER, Piece, pieces
 from dqforge.optimizer.current_reference.forms import (
     ClosedForm,
     CurrentReference,
+    FixedReference,
     Form,
     Polynomials,
     Proportional,
     ReluctanceClosedForm,
     TorqueExact,
 )
-from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.curves.integer_polynomial import FixedPolynomial, FixedSegment
 from dqforge.optimizer.curves.single_precision import SinglePolynomial
 

@@ -14,20 +14,19 @@ import pytest
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import CurrentLoopSettings, Tolerances
-from dqforge.optimizer.changing_loops.changing_steps import (
+from dqforge.optimizer.changing_loops import (
+    ChangingAxis,
     LoopRange,
-    falls_exactly,
-    parallel_step,
-    velocity_step,
-)
-from dqforge.optimizer.changing_loops.common_function import (
     common_matrix_of,
+    falls_exactly,
     fastest_growth,
     neighbours_fall,
+    parallel_step,
+    prove_changing_currents,
+    velocity_step,
 )
-from dqforge.optimizer.changing_loops.current_range import ChangingAxis, prove_changing_currents
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.loops.inductances import inductance_range
+from dqforge.optimizer.loops.integer_gains import inductance_range
 from dqforge.optimizer.loops.pi_methods import current_pi
 from dqforge.optimizer.loops.tolerance_box import drive_box
 

@@ -17,12 +17,12 @@ from dqforge.machines.design.settings import (
 )
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.control_design import loop_proofs
+from dqforge.optimizer.control_design import gain_set as loop_proofs
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.loops.inductances import inductance_range
-from dqforge.optimizer.loops.loop_batch import close_loops
+from dqforge.optimizer.loops.integer_gains import inductance_range
+from dqforge.optimizer.loops.pi_methods import close_loops
 from dqforge.optimizer.loops.tolerance_box import DriveBox, drive_box
-from dqforge.optimizer.speed_box.speed_proof import prove_speed_loop, speed_box, speed_numbers
+from dqforge.optimizer.speed_box import prove_speed_loop, speed_box, speed_numbers
 
 TOLERANCES = Tolerances(
     r_s=0.3,

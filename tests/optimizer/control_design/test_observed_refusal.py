@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.control_design.observed_refusal import require_observed

@@ -13,8 +13,8 @@ from scipy.linalg import expm
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.plants.scenario import Profile, Scenario, Sensorless
@@ -24,13 +24,12 @@ from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.pll import pll_gains
 from dqforge.optimizer.sampled_systems import SampledSystem, lift, loop_margins
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.loops.constants import margin_text
-from dqforge.reports.loops.plain import plain_gains
-from dqforge.reports.loops.tables import gains_tables
+from dqforge.reports.loops.figures import margin_text
+from dqforge.reports.loops.proven_text import gains_tables, plain_gains
 from dqforge.reports.observers.speed_loop_text import loop_words, observed_notes
-from dqforge.reports.pages.envelope import to_text
-from dqforge.reports.simulation.compiled_plant import simulate, simulator
+from dqforge.reports.pages.templating import to_text
 from dqforge.reports.simulation.design_run import controller_files, drive_of, observers_of
+from dqforge.reports.simulation.recorded_run import simulate, simulator
 
 
 def template(method: ObserverMethodName, spread: float = 3.0, drive: str = "template") -> Design:

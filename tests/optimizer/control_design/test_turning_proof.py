@@ -13,14 +13,18 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import CurrentLoopSettings, Tolerances
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.box_proofs.current_loop_model import (
+from dqforge.optimizer.box_proofs.cell_queue import (
     BoxDrive,
     largest_moduli,
     loop_matrices,
     parameters_of,
 )
-from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.control_design.turning_proof import current_loop_box, turning_proof
+from dqforge.optimizer.control_design.gain_set import (
+    GainSet,
+    current_loop_box,
+    solve_gains,
+    turning_proof,
+)
 from dqforge.optimizer.loops.tolerance_box import DriveBox, drive_box
 
 MACHINE = LinearMachine(
@@ -59,7 +63,7 @@ def loops(made: Design) -> GainSet:
 
 def test_the_box_is_that_of_the_tolerances_and_its_model_that_of_the_corners() -> None:
     """Every corner that `turning_machines` tries lies in the box and has the same poles."""
-    from dqforge.optimizer.loops.coupled_loops import CurrentControl, largest_pole
+    from dqforge.optimizer.loops.integer_gains import CurrentControl, largest_pole
 
     made = design()
     box, gains = box_of(made), loops(made)

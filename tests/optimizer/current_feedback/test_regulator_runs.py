@@ -9,10 +9,11 @@ import pytest
 from current_feedback_design import feedback_design
 
 from dqforge.machines.names import FeedbackMethod
-from dqforge.optimizer.current_feedback.regulator_numbers import METHODS, regulator_plan
 from dqforge.optimizer.current_feedback.regulator_runs import (
+    METHODS,
     WorkingPoints,
     modulators_beside,
+    regulator_plan,
     run_regulator,
 )
 from dqforge.optimizer.current_feedback.solve import load_points

@@ -15,8 +15,11 @@ from dqforge.machines.plants.current_feedback import (
     slope_ratio,
 )
 from dqforge.optimizer.control_design.gain_set import gains_or_reason, solve_gains
-from dqforge.optimizer.current_feedback.regulator_numbers import bridge_of, regulator_plan
-from dqforge.optimizer.current_feedback.regulator_runs import run_regulator
+from dqforge.optimizer.current_feedback.regulator_runs import (
+    bridge_of,
+    regulator_plan,
+    run_regulator,
+)
 from dqforge.optimizer.current_feedback.solve import load_points, speed_loop, speed_points
 
 

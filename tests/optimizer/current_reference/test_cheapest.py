@@ -12,18 +12,20 @@ import pytest
 from drives import IPM, RELUCTANCE, SURFACE, make_design
 from saturated import ArctanMachine
 
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.settings import FitBudget, FitSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Core, FitMethod
-from dqforge.optimizer.current_reference.cheapest import QuickFits, choose_fit, is_hopeless
-from dqforge.optimizer.current_reference.cost_model import (
+from dqforge.optimizer.current_reference.fit import (
     constant_bytes,
     estimated_cycles,
+    fit_reference,
+    least_degree,
+    possible_forms,
     reference_bytes,
 )
-from dqforge.optimizer.current_reference.fit import fit_reference, least_degree, possible_forms
+from dqforge.optimizer.current_reference.solve import QuickFits, choose_fit, is_hopeless
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.solution import solve
 from dqforge.reports.main_header.header import header_files

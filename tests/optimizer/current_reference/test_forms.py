@@ -18,8 +18,7 @@ from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import FitForm
-from dqforge.optimizer.current_reference.alternatives import alternatives
-from dqforge.optimizer.current_reference.fit import ReferenceFit, fit_reference
+from dqforge.optimizer.current_reference.fit import ReferenceFit, alternatives, fit_reference
 from dqforge.optimizer.current_reference.forms import error_curves
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 

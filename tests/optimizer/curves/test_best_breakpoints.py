@@ -15,12 +15,15 @@ from saturated import ArctanMachine
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import FitSettings
-from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
-from dqforge.machines.dq_machines.torque_limit import largest_torque
+from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, largest_torque
 from dqforge.machines.names import FitForm, FitMethod
 from dqforge.optimizer.current_reference.fit import find_edges, fit_reference
-from dqforge.optimizer.curves.breakpoints import round_significant, search, segment_errors
-from dqforge.optimizer.curves.edge_levelling import level_edges
+from dqforge.optimizer.curves.breakpoints import (
+    level_edges,
+    round_significant,
+    search,
+    segment_errors,
+)
 from dqforge.optimizer.curves.fitting import (
     Curve,
     SideConditions,

@@ -24,8 +24,8 @@ from dqforge.optimizer.curves.fitting import (
     largest_error,
     squared_error_integral,
 )
-from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
-from dqforge.optimizer.operating_points.mtpa import mtpa_per_unit
+from dqforge.optimizer.curves.single_precision import PiecewisePolynomial
+from dqforge.optimizer.operating_points.mtpa_locus import mtpa_per_unit
 
 FREE = SideConditions(exact_at_zero=False, continuous=False)
 TIED = SideConditions(exact_at_zero=True, continuous=True)

@@ -17,10 +17,15 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import NumberFormat
 from dqforge.optimizer.current_reference.fit import ReferenceFit, fit_reference
-from dqforge.optimizer.current_reference.integer_form import FixedReference
+from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.curves.fitting import SideConditions, fit_curve
-from dqforge.optimizer.curves.integer_fit import CodeScale, fit_fixed
-from dqforge.optimizer.curves.integer_polynomial import FixedPolynomial, FixedSegment, overflows
+from dqforge.optimizer.curves.integer_polynomial import (
+    CodeScale,
+    FixedPolynomial,
+    FixedSegment,
+    fit_fixed,
+    overflows,
+)
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 SCALES = (215.0, 283.0)

@@ -9,8 +9,8 @@ import pytest
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.curves.fitting import SideConditions, fit_curve
-from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
 from dqforge.optimizer.curves.single_precision import (
+    PiecewisePolynomial,
     SinglePolynomial,
     fused_multiply_add,
     multiply_add,

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
 from dqforge.optimizer.curves.single_precision import (
+    PiecewisePolynomial,
     SinglePolynomial,
     fused_multiply_add,
     multiply_add,

@@ -31,8 +31,7 @@ from dqforge.optimizer.dynamic_references.voltage_feedback import (
     require_feedback,
     voltage_feedback,
 )
-from dqforge.optimizer.loops.coupled_loops import CurrentControl, TurningMachines
-from dqforge.optimizer.loops.inductances import inductance_range
+from dqforge.optimizer.loops.integer_gains import CurrentControl, TurningMachines, inductance_range
 from dqforge.optimizer.loops.tolerance_box import drive_box
 
 T_S = 1e-4

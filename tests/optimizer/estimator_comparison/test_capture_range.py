@@ -22,8 +22,8 @@ from dqforge.optimizer.estimator_comparison.capture_range import (
     START_SPEEDS,
     CaptureMap,
     capture_map,
+    capture_of,
 )
-from dqforge.optimizer.estimator_comparison.own_observer import capture_of
 from dqforge.optimizer.observers.conditions import loads_at
 from dqforge.optimizer.observers.solve import solve_observer
 from dqforge.optimizer.observers.tuning import PositionObserver

@@ -10,10 +10,9 @@ import pytest
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import ObserverMethodName
-from dqforge.optimizer.estimator_comparison.sensitivity import Slopes, slopes_of
-from dqforge.optimizer.observers.steady_states import closed_form_error
+from dqforge.optimizer.estimator_comparison.candidate import Slopes, slopes_of
+from dqforge.optimizer.observers.parts import Load, closed_form_error
 from dqforge.optimizer.observers.tuning import tune_position_observer
-from dqforge.optimizer.observers.tuning_numbers import Load
 
 T_S = 2e-5  # fine, as the closed forms know no sampling
 MACHINE = LinearMachine(

@@ -17,33 +17,35 @@ from dqforge.machines.plants.drive_motion import drive_motion
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.estimator_comparison.candidate import (
     Candidate,
+    ClosedLoop,
     EstimatorFigures,
     Question,
     StartCandidate,
     StartFigures,
     TriedStarts,
+    closed_loop,
+    tuned_observer,
 )
-from dqforge.optimizer.estimator_comparison.closed_loop import ClosedLoop, closed_loop
-from dqforge.optimizer.estimator_comparison.compared import ComparedEstimator, ComparedStart
-from dqforge.optimizer.estimator_comparison.flashed_pair import (
-    FlashedPair,
-    chosen_pair,
-    estimator_at_speed,
+from dqforge.optimizer.estimator_comparison.compared import (
+    ComparedEstimator,
+    ComparedStart,
+    estimators,
 )
-from dqforge.optimizer.estimator_comparison.observer_candidates import tuned_observer
-from dqforge.optimizer.estimator_comparison.registry import estimators
 from dqforge.optimizer.estimator_comparison.solve import (
     NOBODY,
     SPEED_SHARES,
     UNREACHED,
     EstimatorComparison,
+    FlashedPair,
     ask,
+    chosen_pair,
     compare_estimators,
+    estimator_at_speed,
     winners,
 )
 from dqforge.optimizer.estimators.registry import TRACKERS
-from dqforge.optimizer.observers.method import observe
 from dqforge.optimizer.observers.methods.registry import METHODS
+from dqforge.optimizer.observers.parts import observe
 
 BENCH = "paper001-pmsm-bench"
 QUICK = ("reduced-order", "extended-emf", "flux")

@@ -9,12 +9,12 @@ import pytest
 from dqforge.machines.design import catalogue
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.optimizer.estimator_comparison.candidate import Question, StartCandidate
-from dqforge.optimizer.estimator_comparison.solve import ask
-from dqforge.optimizer.estimator_comparison.start_candidates import (
+from dqforge.optimizer.estimator_comparison.compared import (
     planned_time,
     start_candidates,
     started_design,
 )
+from dqforge.optimizer.estimator_comparison.solve import ask
 from dqforge.optimizer.start_up.plan import start_up_plan
 
 ABB = "abb-ipmsm-2k2"

@@ -17,17 +17,18 @@ from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.optimizer.estimator_comparison.candidate import EstimatorFigures
 from dqforge.optimizer.estimator_comparison.capture_range import HALF_TURN, LOCKED
-from dqforge.optimizer.estimator_comparison.registry import estimators
+from dqforge.optimizer.estimator_comparison.compared import (
+    SteadyDrives,
+    estimators,
+    tracked,
+    tracker_candidates,
+)
 from dqforge.optimizer.estimator_comparison.solve import ask, compare_estimators
-from dqforge.optimizer.estimator_comparison.tracker_candidates import tracker_candidates
-from dqforge.optimizer.estimator_comparison.tracker_trials import SteadyDrives, tracked
 from dqforge.optimizer.estimators.solve import tune_tracker
-from dqforge.optimizer.harmonic_trackers.third_harmonic import ThirdHarmonic
-from dqforge.optimizer.harmonic_trackers.third_harmonic import angle_noise as harmonic_noise
+from dqforge.optimizer.harmonic_trackers import ThirdHarmonic
+from dqforge.optimizer.harmonic_trackers import angle_noise as harmonic_noise
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
-from dqforge.optimizer.saliency.saliency_map import along_locus
-from dqforge.optimizer.saliency.wave_loop import angle_noise
-from dqforge.optimizer.saliency.wave_steps import POINTS
+from dqforge.optimizer.saliency.injection import POINTS, along_locus, angle_noise
 
 ABB, SATURATED, ROUND = "abb-ipmsm-2k2", "baldor-pmsyrm-5k6", "paper001-pmsm-bench"
 

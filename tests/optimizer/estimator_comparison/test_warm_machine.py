@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.names import ObserverMethodName
-from dqforge.optimizer.estimator_comparison.own_observer import observer_evidence
-from dqforge.optimizer.estimator_comparison.warm_machine import (
+from dqforge.optimizer.estimator_comparison.capture_range import (
     LOAD_SHARES,
+    observer_evidence,
     warm_errors,
     warm_states,
 )
 from dqforge.optimizer.observers.conditions import loads_at, loads_of
+from dqforge.optimizer.observers.parts import closed_form_error
 from dqforge.optimizer.observers.solve import solve_observer
-from dqforge.optimizer.observers.steady_states import closed_form_error
 
 ABB = "abb-ipmsm-2k2"
 

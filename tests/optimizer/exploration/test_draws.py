@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dqforge.machines.exploration.study import Draw, Sampling, Tolerance
-from dqforge.optimizer.exploration.draws import draw_shares, draw_values, values_at
+from dqforge.optimizer.exploration.row_block import draw_shares, draw_values, values_at
 
 KEYS = ["inverter.v_dc", "machine.inductance_d", "machine.inductance_q", "machine.resistance"]
 PAIRS = (("machine.inductance_d", "machine.inductance_q", 0.7),)

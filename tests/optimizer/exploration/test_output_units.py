@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dqforge.machines.exploration.asked_outputs import dimension_of
+from dqforge.machines.exploration.study_checks import dimension_of
 from dqforge.machines.units.registry import DIMENSIONS
 from dqforge.optimizer.variant_steps.outputs import LOSS_QUANTITIES, known_names, output_named
 

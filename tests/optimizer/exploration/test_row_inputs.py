@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from broken_studies import BASE, changed
 
-from dqforge.machines.exploration import catalogue
+from dqforge.machines.exploration import study_checks as catalogue
 from dqforge.machines.exploration.row_designs import design_of
 from dqforge.machines.exploration.study import Study
-from dqforge.machines.exploration.study_checks import row_count
-from dqforge.machines.exploration.study_reader import study_of_text
-from dqforge.optimizer.exploration.row_inputs import (
+from dqforge.machines.exploration.study_checks import row_count, study_of_text
+from dqforge.optimizer.exploration.row_block import (
     chosen_inputs,
     input_columns,
     input_keys,

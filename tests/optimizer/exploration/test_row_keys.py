@@ -7,13 +7,10 @@ import pytest
 from broken_studies import BASE, changed
 from numpy.typing import NDArray
 
-from dqforge.machines.exploration import catalogue
+from dqforge.machines.exploration import study_checks as catalogue
 from dqforge.machines.exploration.study import Study
-from dqforge.machines.exploration.study_checks import row_count
-from dqforge.machines.exploration.study_reader import study_of_text
-from dqforge.optimizer.exploration.row_block import KEY_BYTES
-from dqforge.optimizer.exploration.row_inputs import row_inputs
-from dqforge.optimizer.exploration.row_keys import RowKeys, row_keys
+from dqforge.machines.exploration.study_checks import row_count, study_of_text
+from dqforge.optimizer.exploration.row_block import KEY_BYTES, RowKeys, row_inputs, row_keys
 
 OUTPUTS = ("losses.total", "gains.phase_margin")
 

@@ -9,7 +9,7 @@ import pytest
 from study_commands import linear_study
 from study_trials import POINTS, Rows, loop_names, outputs, plan_of
 
-from dqforge.machines.exploration.study_reader import study_of_text
+from dqforge.machines.exploration.study_checks import study_of_text
 from dqforge.optimizer.exploration.study_plan import StudyPlan
 from dqforge.optimizer.variant_steps.step_cache import Work
 

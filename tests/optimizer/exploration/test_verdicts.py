@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dqforge.optimizer.exploration.verdicts import VERDICT_MARGIN, within
+from dqforge.optimizer.exploration.row_block import VERDICT_MARGIN, within
 
 
 def test_bounds_leave_room_for_rounding_and_nothing_for_what_is_no_number() -> None:

@@ -15,10 +15,9 @@ from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE
 from saturated import ArctanMachine
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.loader import load_design
+from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.design.settings import WeakeningSettings
-from dqforge.machines.dq_machines.flux_map import FluxMap
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.optimizer.certificates.ball_arrays import Balls
 from dqforge.optimizer.curves.single_precision import SingleArray, fused_multiply_add, multiply_add
@@ -27,14 +26,20 @@ from dqforge.optimizer.field_weakening.certificate import (
     certify_step,
     certify_surface,
 )
-from dqforge.optimizer.field_weakening.certified_domain import CertifiedDomain
 from dqforge.optimizer.field_weakening.enclosures import Bend, Boxes, rounding
-from dqforge.optimizer.field_weakening.error_bounds import enclose
-from dqforge.optimizer.field_weakening.exact import weakening_region
+from dqforge.optimizer.field_weakening.error_bounds import (
+    CertifiedDomain,
+    enclose,
+    limit_decrease,
+    limit_range,
+)
 from dqforge.optimizer.field_weakening.fit import WeakeningFit, fit_weakening
-from dqforge.optimizer.field_weakening.form import SingleSurface, WeakeningReference
+from dqforge.optimizer.field_weakening.form import (
+    SingleSurface,
+    WeakeningReference,
+    weakening_region,
+)
 from dqforge.optimizer.field_weakening.largest_torque import largest_torque
-from dqforge.optimizer.field_weakening.limit_bounds import limit_decrease, limit_range
 
 LIBRARY = Path(__file__).resolve().parents[3] / "machines" / "library"
 SLOW = pytest.mark.slow

@@ -13,11 +13,10 @@ import pytest
 from dqforge.machines.design.settings import WeakeningSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.field_weakening import voltage_bounds as surface_voltage
+from dqforge.optimizer.field_weakening import voltage_region as surface_voltage
 from dqforge.optimizer.field_weakening.certificate import certify_step
-from dqforge.optimizer.field_weakening.drop_reference import STEPS
 from dqforge.optimizer.field_weakening.fit import WeakeningFit, fit_weakening
-from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE
+from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE, STEPS
 from dqforge.optimizer.operating_points.points import optimal_points
 
 RPM = np.pi / 30.0

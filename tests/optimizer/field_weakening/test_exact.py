@@ -12,17 +12,21 @@ from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE
 from saturated import ArctanMachine, saturated_reluctance, with_drop
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.loader import load_design
+from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.design.settings import WeakeningSettings
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.field_weakening.border_curves import fit_limit, fit_mtpa, in_double
-from dqforge.optimizer.field_weakening.exact import weakening_region
 from dqforge.optimizer.field_weakening.fit import WeakeningFit, fit_weakening, monomials
-from dqforge.optimizer.field_weakening.form import surface_samples
+from dqforge.optimizer.field_weakening.form import (
+    fit_limit,
+    fit_mtpa,
+    in_double,
+    surface_samples,
+    weakening_region,
+)
 from dqforge.optimizer.field_weakening.voltage_region import voltage_region
-from dqforge.optimizer.operating_points.mtpa import mtpa_currents
+from dqforge.optimizer.operating_points.mtpa_locus import mtpa_currents
 
 LIBRARY = Path(__file__).resolve().parents[3] / "machines" / "library"
 BUDGET = 0.005

@@ -14,7 +14,7 @@ from saturated import ArctanMachine
 from scipy.optimize import brentq, minimize_scalar
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.optimizer.firmware.current_prices import linear_rule, price_of
+from dqforge.optimizer.firmware.firmware_method import linear_rule, price_of
 from dqforge.optimizer.firmware.targets.vesc import configure, shortfalls
 
 

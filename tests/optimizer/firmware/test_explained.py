@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from firmware_asked import scooter
 
-from dqforge.optimizer.firmware.explained import explain
+from dqforge.optimizer.firmware.solve import explain
 from dqforge.optimizer.firmware.targets.vesc import VESC
 
 

@@ -12,14 +12,13 @@ from functools import cache
 import pytest
 from toy_firmware import rounded, toy_method
 
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.settings import FirmwareSettings
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.firmware.firmware_loops import FirmwareLoop, FirmwareLoops, firmware_loops
-from dqforge.optimizer.firmware.firmware_method import FirmwareMethod, FreeGains
-from dqforge.optimizer.firmware.judge import judge
-from dqforge.optimizer.loops.inductances import inductance_range
+from dqforge.optimizer.firmware.firmware_method import FirmwareMethod, FreeGains, judge
+from dqforge.optimizer.loops.integer_gains import inductance_range
 from dqforge.optimizer.loops.tolerance_box import drive_box
 
 DRIVE = """\

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from dqforge.optimizer.firmware.configuration import DriveValues
-from dqforge.optimizer.firmware.judge import judge, least_damping
-from dqforge.optimizer.firmware.profile import (
+from dqforge.optimizer.firmware.configuration import (
     CurrentLoops,
+    DriveValues,
     FluxObserver,
     LoopProfile,
     PiController,
@@ -21,7 +20,8 @@ from dqforge.optimizer.firmware.profile import (
     SpeedController,
     SpeedEstimate,
 )
-from dqforge.optimizer.loops.analysis import analyse_current_loop
+from dqforge.optimizer.firmware.firmware_method import judge, least_damping
+from dqforge.optimizer.loops.loop_gains import analyse_current_loop
 
 # 48 V, 60 rpm/V (line to line, peak), 100 mOhm and 200 uH line to line, 15 pole pairs, 40 A rms.
 PAIRS, R, L = 15, 0.05, 1e-4

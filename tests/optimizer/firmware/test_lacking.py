@@ -9,14 +9,12 @@ from itertools import combinations
 import pytest
 from firmware_files import SCOOTER, scooter_fit
 
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Firmware
-from dqforge.optimizer.firmware.asked import drive_values
-from dqforge.optimizer.firmware.firmware_method import FirmwareMethod
-from dqforge.optimizer.firmware.lacking import check_drivable
-from dqforge.optimizer.firmware.registry import METHODS
+from dqforge.optimizer.firmware.firmware_method import FirmwareMethod, drive_values
+from dqforge.optimizer.firmware.own_values import METHODS, check_drivable
 from dqforge.optimizer.firmware.solve import solve_firmware
 
 REMOVABLE = ("  max_speed", "  inertia", "  current_sensing")

@@ -12,12 +12,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dqforge.optimizer.firmware.configuration import DriveValues
-from dqforge.optimizer.firmware.judge import judge
-from dqforge.optimizer.firmware.profile import CurrentLoops, LoopProfile, PiController
-from dqforge.optimizer.firmware.sampled_structure import Winding, current_loop
-from dqforge.optimizer.firmware.turning_axes import turning_axes, turning_matrix
-from dqforge.optimizer.loops.coupled_loops import CurrentControl, TurningMachines, closed_matrices
+from dqforge.optimizer.firmware.configuration import (
+    CurrentLoops,
+    DriveValues,
+    LoopProfile,
+    PiController,
+)
+from dqforge.optimizer.firmware.firmware_method import judge
+from dqforge.optimizer.firmware.sampled_structure import (
+    Winding,
+    current_loop,
+    turning_axes,
+    turning_matrix,
+)
+from dqforge.optimizer.loops.integer_gains import CurrentControl, TurningMachines, closed_matrices
 
 R, L_D, L_Q, T = 0.05, 8e-5, 1.4e-4, 5e-5
 KP, KI = (0.35, 0.6), (300.0, 320.0)

@@ -14,8 +14,8 @@ import pytest
 
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.transforms import Pair
-from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
 from dqforge.optimizer.curves.single_precision import (
+    PiecewisePolynomial,
     SinglePolynomial,
     _monic_chebyshev,
     fused_multiply_add,
@@ -23,8 +23,7 @@ from dqforge.optimizer.curves.single_precision import (
 )
 from dqforge.optimizer.fixed_control import arithmetic as fixed
 from dqforge.optimizer.fixed_control import ranges as fixed_ranges
-from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges, Reach
-from dqforge.optimizer.fixed_control.gains import scaled
+from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges, Reach, scaled
 from dqforge.optimizer.fixed_control.ranges import (
     DeadBand,
     codes,
@@ -35,7 +34,7 @@ from dqforge.optimizer.fixed_control.ranges import (
     require,
     with_fraction,
 )
-from dqforge.optimizer.fixed_control.step import (
+from dqforge.optimizer.fixed_control.transforms import (
     FixedObserver,
     FixedPi,
     ObserverState,

@@ -18,9 +18,8 @@ from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges
+from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges, scaled
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
-from dqforge.optimizer.fixed_control.gains import scaled
 from dqforge.optimizer.fixed_control.ranges import (
     control_ranges,
     dead_band,
@@ -29,8 +28,7 @@ from dqforge.optimizer.fixed_control.ranges import (
     require,
     with_fraction,
 )
-from dqforge.optimizer.fixed_control.step import FixedPi, pi_step
-from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS
+from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS, FixedPi, pi_step
 from dqforge.optimizer.loops.integer_gains import FixedGain, given, quantise
 from dqforge.reports.control.fixed_model import row_inputs, row_results
 
@@ -191,7 +189,7 @@ def test_a_gain_that_is_too_large_is_refused_by_name() -> None:
 
 
 def test_a_design_with_too_large_a_gain_is_refused_with_exit_code_1() -> None:
-    from dqforge.optimizer.loops.analysis import analyse_current_loop
+    from dqforge.optimizer.loops.loop_gains import analyse_current_loop
 
     design = with_gain(20_000.0, (0, 6))
     assert design.control.current_loop.kp is not None

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.transforms import Pair
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
-from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
-from dqforge.optimizer.fixed_control.shortening import (
+from dqforge.optimizer.fixed_control.arithmetic import (
+    CodeArray,
+    Integers,
     inverse_root,
     longest,
     reciprocal,
     shortened,
 )
-from dqforge.optimizer.fixed_control.step import SpeedState, speed_loop
-from dqforge.optimizer.fixed_control.transforms import integer_load_turn
+from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
+from dqforge.optimizer.fixed_control.transforms import SpeedState, integer_load_turn, speed_loop
 
 WIDTHS = (16, 32)
 

@@ -17,8 +17,8 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import CurrentLoopSettings, PerUnitBases
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.modulation.clamping import DISCONTINUOUS
 from dqforge.machines.modulation.modulators import MODULATORS, modulate
+from dqforge.machines.modulation.registry import DISCONTINUOUS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import (
     Pair,
@@ -32,18 +32,21 @@ from dqforge.machines.transforms import (
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
-from dqforge.optimizer.fixed_control.step import (
+from dqforge.optimizer.fixed_control.transforms import (
+    FIXED_MODULATORS,
+    Codes,
     FixedPi,
     Measured,
     ObserverState,
     VelocityState,
     current_control,
     decouple,
+    duties,
     observe,
     pi_step,
     pi_velocity,
+    rotation,
 )
-from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS, Codes, duties, rotation
 from dqforge.optimizer.loops.integer_gains import given, quantise
 from dqforge.optimizer.observers.reduced_order import estimate_speed, simulate_observer
 

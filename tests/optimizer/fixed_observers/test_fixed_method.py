@@ -19,7 +19,7 @@ from dqforge.machines.names import (
     TRACKER_NAMES,
 )
 from dqforge.machines.plants.drive_motion import DriveMotion
-from dqforge.optimizer.fixed_observers.fixed_registry import FIXED_METHODS
+from dqforge.optimizer.fixed_observers.fixed_observer_fit import FIXED_METHODS
 
 EVERY = pytest.mark.parametrize("name", list(FIXED_METHODS))
 

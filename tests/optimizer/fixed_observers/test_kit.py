@@ -8,8 +8,15 @@ import pytest
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.transforms import Pair
 from dqforge.optimizer.fixed_control.arithmetic import Integers
-from dqforge.optimizer.fixed_observers.kit import ONE, TOP, quotient, sine_of_angle
-from dqforge.optimizer.fixed_observers.polynomials import common_scale, odd_value_of, value_of
+from dqforge.optimizer.fixed_observers.kit import (
+    ONE,
+    TOP,
+    common_scale,
+    odd_value_of,
+    quotient,
+    sine_of_angle,
+    value_of,
+)
 
 NUMBERS = Integers()
 RNG = np.random.default_rng(20_261_122)

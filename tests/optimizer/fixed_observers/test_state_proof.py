@@ -10,9 +10,8 @@ from fixed_drives import fitted
 
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.fixed_control.arithmetic import Integers, Range
-from dqforge.optimizer.fixed_observers.fixed_registry import FIXED_METHODS
+from dqforge.optimizer.fixed_observers.fixed_observer_fit import FIXED_METHODS, observer_reaches
 from dqforge.optimizer.fixed_observers.kit import TOP
-from dqforge.optimizer.fixed_observers.state_proof import observer_reaches
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.reports.fixed_observers.fixed_observer_model import row_inputs, row_results
 

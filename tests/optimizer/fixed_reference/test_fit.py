@@ -12,11 +12,17 @@ from dqforge.machines.design.settings import WeakeningSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.fixed_control.design import dc_link
-from dqforge.optimizer.fixed_reference.fit import fit_line, fit_mesh
-from dqforge.optimizer.fixed_reference.mesh_errors import weakened_errors, weakened_targets
-from dqforge.optimizer.fixed_reference.nodes import line_nodes, mesh_nodes, row_ways
-from dqforge.optimizer.fixed_reference.quantised import in_integers
-from dqforge.optimizer.fixed_reference.solve import solve_fixed_references
+from dqforge.optimizer.fixed_reference.fit import (
+    fit_line,
+    fit_mesh,
+    in_integers,
+    line_nodes,
+    mesh_nodes,
+    row_ways,
+    solve_fixed_references,
+    weakened_errors,
+    weakened_targets,
+)
 from dqforge.optimizer.operating_points.solve import current_choice
 
 

@@ -11,8 +11,8 @@ from weakened_drives import CASES, SATURATED, line_fit, weakened_design, weakene
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges
 from dqforge.optimizer.fixed_control.design import dc_link
+from dqforge.optimizer.fixed_reference.fit import CodePoints, mesh_currents
 from dqforge.optimizer.fixed_reference.mesh import CurrentMesh
-from dqforge.optimizer.fixed_reference.mesh_errors import CodePoints, mesh_currents
 from dqforge.optimizer.operating_points.points import optimal_points
 
 FAST = ("interior", "small ipm", "reluctance")

@@ -11,7 +11,7 @@ from phase_shapes import paper_machine
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.topologies.topology import TOPOLOGIES
-from dqforge.optimizer.flashing_choice.loop_residuals import (
+from dqforge.optimizer.flashing_choice import (
     followed_offsets,
     noise_gain,
     phases_of,

@@ -10,12 +10,10 @@ from phase_shapes import paper_machine, trapezoid_machine
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import SwitchDevice
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.flashing_choice.advice import advise
-from dqforge.optimizer.flashing_choice.choices import DEVIATIONS
-from dqforge.optimizer.flashing_choice.solve import compare_flashing
+from dqforge.optimizer.flashing_choice import DEVIATIONS, advise, compare_flashing
 
 P = catalogue.load("paper002-phase-waveforms")
 

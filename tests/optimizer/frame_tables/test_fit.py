@@ -9,7 +9,7 @@ import pytest
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.frame_transforms import (
     resampled,
@@ -18,9 +18,10 @@ from dqforge.machines.phase_machines.frame_transforms import (
 )
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, grid
 from dqforge.optimizer.curves.single_precision import fused_multiply_add
-from dqforge.optimizer.frame_tables.exact_frames import COLUMNS, exact_frames
-from dqforge.optimizer.frame_tables.fit import (
+from dqforge.optimizer.frame_tables import (
+    COLUMNS,
     errors_of,
+    exact_frames,
     fit_frames,
     solve_frame_tables,
     table_of,

@@ -11,17 +11,16 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.control_design.observed_refusal import require_observed
 from dqforge.optimizer.estimators.solve import tune_tracker
-from dqforge.optimizer.harmonic_trackers.sum_voltage import (
+from dqforge.optimizer.harmonic_trackers import (
     TRACKER,
     current_angle,
     design_third_harmonic,
+    third_flux,
 )
-from dqforge.optimizer.harmonic_trackers.third_harmonic import third_flux
 from dqforge.optimizer.observers.parts import EXACT
 
 WIRED = ("inverter.topology=three-wire", "control.observer={method: third-harmonic}")

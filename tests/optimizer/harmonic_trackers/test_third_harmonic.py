@@ -12,7 +12,7 @@ from scipy.integrate import quad
 
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.harmonic_trackers.third_harmonic import (
+from dqforge.optimizer.harmonic_trackers import (
     ThirdHarmonic,
     angle_noise,
     other_harmonics,

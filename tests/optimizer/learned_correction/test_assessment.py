@@ -13,8 +13,9 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import ObserverSettings, Tolerances
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import LEARNED_OBSERVERS, ObserverMethodName
-from dqforge.optimizer.learned_correction import assessment, neural, neuro_fuzzy
-from dqforge.optimizer.learned_correction.assessment import (
+from dqforge.optimizer.learned_correction import correction_frame as assessment
+from dqforge.optimizer.learned_correction import neural, neuro_fuzzy
+from dqforge.optimizer.learned_correction.correction_frame import (
     ALONE,
     ANSWERED,
     CORRECTED,
@@ -23,8 +24,8 @@ from dqforge.optimizer.learned_correction.assessment import (
 )
 from dqforge.optimizer.observers.conditions import training_box
 from dqforge.optimizer.observers.methods import flux
+from dqforge.optimizer.observers.reduced_order import usual_training_box
 from dqforge.optimizer.observers.solve import solve_observer
-from dqforge.optimizer.observers.training import usual_training_box
 from dqforge.optimizer.observers.tuning import tune_position_observer
 
 # Angle errors in deg r.m.s. from 3, 6, 12 and 30 % speed, by a model of its own: observer alone,

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from learned_drives import learned_observer
 
-from dqforge.optimizer.learned_correction.fuzzy_rules import (
+from dqforge.optimizer.learned_correction.correction_frame import (
     CURRENT_KNOTS,
     KNOTS,
     SPEED_KNOTS,
     TERMS,
     answered,
     largest_rule,
+    least_squares,
     trained_rules,
 )
-from dqforge.optimizer.learned_correction.least_squares import least_squares
 from dqforge.optimizer.observers.parts import EXACT, cast
-from dqforge.reports.c_code.float32_functions import SINGLE
+from dqforge.reports.c_code.harness import SINGLE
 
 
 def test_least_squares_are_those_of_numpy() -> None:

@@ -10,8 +10,7 @@ import pytest
 from learned_drives import learned_observer
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.learned_correction.correction_frame import TOLD
-from dqforge.optimizer.learned_correction.network import (
+from dqforge.optimizer.learned_correction.corrected_flux import (
     TANH_ERROR,
     Network,
     answered,
@@ -19,8 +18,9 @@ from dqforge.optimizer.learned_correction.network import (
     mean_square,
     trained_network,
 )
+from dqforge.optimizer.learned_correction.correction_frame import TOLD
 from dqforge.optimizer.observers.parts import EXACT, cast
-from dqforge.reports.c_code.float32_functions import SINGLE
+from dqforge.reports.c_code.harness import SINGLE
 
 
 def test_the_tangent_is_bounded_and_as_near_as_stated() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from drives import IPM
 
 from dqforge.machines.plants.drive_motion import ComplexArray, Plants
-from dqforge.optimizer.learned_correction.steady_errors import (
+from dqforge.optimizer.learned_correction.correction_frame import (
     LARGEST_ERROR,
     SOFT,
     drawn,
@@ -16,8 +16,8 @@ from dqforge.optimizer.learned_correction.steady_errors import (
     volts_of,
 )
 from dqforge.optimizer.observers.methods import flux
-from dqforge.optimizer.observers.steady_states import steady_observer
-from dqforge.optimizer.observers.training import usual_training_box
+from dqforge.optimizer.observers.parts import steady_observer
+from dqforge.optimizer.observers.reduced_order import usual_training_box
 
 T_S, OMEGA_MAX = 1e-4, 3000.0
 GAINS = flux.design(IPM, flux.usual_flux(IPM, T_S, OMEGA_MAX), T_S, 1.2 * OMEGA_MAX)

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.loops.analysis import analyse_current_loop
-from dqforge.optimizer.loops.closed_margins import (
+from dqforge.optimizer.loops.loop_gains import analyse_current_loop
+from dqforge.optimizer.loops.observed_margins import (
     CurrentMargins,
     current_loops,
     current_margins,
     has_closed_margins,
 )
-from dqforge.optimizer.loops.loop_batch import batch_margins, close_loops, current_plants
+from dqforge.optimizer.loops.pi_methods import batch_margins, close_loops, current_plants
 from dqforge.optimizer.loops.plants import current_loop
 from dqforge.optimizer.sampled_systems import LEAST_SHARE, LoopMargins, loop_margins
 

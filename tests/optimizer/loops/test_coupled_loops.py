@@ -15,7 +15,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import Tolerances
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.loops.coupled_loops import (
+from dqforge.optimizer.loops.integer_gains import (
     CurrentControl,
     TurningMachines,
     closed_matrices,

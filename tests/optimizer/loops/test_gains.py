@@ -24,15 +24,19 @@ from dqforge.machines.design.settings import (
 )
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.optimizer.loops.analysis import (
+from dqforge.optimizer.loops.integer_gains import to_q
+from dqforge.optimizer.loops.loop_gains import (
+    LoopGains,
     analyse_current_loop,
     analyse_speed_loop,
     current_step_response,
+    decoupling,
+    per_unit,
+    speed_delay,
     speed_step_response,
+    tune_current_loop,
+    tune_speed_loop,
 )
-from dqforge.optimizer.loops.gains import speed_delay, tune_current_loop, tune_speed_loop
-from dqforge.optimizer.loops.integer_gains import to_q
-from dqforge.optimizer.loops.loop_gains import LoopGains, decoupling, per_unit
 from dqforge.optimizer.loops.pi_methods import current_pi, speed_pi
 from dqforge.optimizer.loops.plants import (
     DisturbanceResponse,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from dqforge.optimizer.loops.loop_batch import (
+from dqforge.optimizer.loops.pi_methods import (
     DriveVariants,
     LoopBatch,
     PlantBatch,

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from dqforge.cli import main
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.settings import ToleranceName, Tolerances
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import solve_gains

@@ -18,15 +18,18 @@ from dqforge.machines.design.settings import (
 )
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.loops.analysis import current_step_response
-from dqforge.optimizer.loops.gains import tune_current_loop, tune_speed_loop
-from dqforge.optimizer.loops.loop_batch import (
+from dqforge.optimizer.loops.loop_gains import (
+    current_step_response,
+    tune_current_loop,
+    tune_speed_loop,
+)
+from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
+from dqforge.optimizer.loops.pi_methods import (
     PlantBatch,
     close_loops,
     current_plants,
     peak_sensitivities,
 )
-from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
 
 T_S = 1e-4
 

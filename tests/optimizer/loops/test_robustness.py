@@ -19,12 +19,11 @@ from dqforge.machines.design.settings import CurrentLoopSettings, SpeedLoopSetti
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.loops.analysis import analyse_current_loop
-from dqforge.optimizer.loops.gains import tune_current_loop
-from dqforge.optimizer.loops.inductances import inductance_range
+from dqforge.optimizer.loops.integer_gains import inductance_range
+from dqforge.optimizer.loops.loop_gains import analyse_current_loop, tune_current_loop
 from dqforge.optimizer.loops.robustness import RobustSet
 from dqforge.optimizer.loops.tolerance_box import SAMPLES, box_points, drive_box
-from dqforge.optimizer.operating_points.mtpa import mtpa_at_current
+from dqforge.optimizer.operating_points.mtpa_locus import mtpa_at_current
 
 BENCH = LinearMachine(
     pole_pairs=3,

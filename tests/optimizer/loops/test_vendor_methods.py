@@ -10,12 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.settings import CurrentLoopSettings, SpeedLoopSettings
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.loops.pi_methods import current_pi, speed_pi
-from dqforge.optimizer.loops.vendor_methods import vendor_inductance
+from dqforge.optimizer.loops.pi_methods import current_pi, speed_pi, vendor_inductance
 
 TURN = 2.0 * math.pi
 

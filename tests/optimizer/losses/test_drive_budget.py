@@ -16,13 +16,11 @@ from simple_losses import loss_budget
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.devices import catalogue as device_catalogue
-from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.losses.bridge_tables import bridge_tables
-from dqforge.machines.losses.machine_budget import WindingHeat, machine_budget
-from dqforge.machines.losses.machine_loss import MachineLoss
+from dqforge.machines.losses.machine_budget import MachineLoss, WindingHeat, machine_budget
 from dqforge.machines.modulation.modulators import MODULATORS
 from dqforge.machines.modulation.ripple import ripple
 from dqforge.machines.names import ModulationName, Strategy

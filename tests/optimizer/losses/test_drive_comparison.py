@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 
 from dqforge.machines.devices import catalogue as device_catalogue
-from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.machines.losses.machine_budget import WindingHeat
-from dqforge.machines.losses.machine_loss import MachineLoss
-from dqforge.machines.losses.mission import read_mission
+from dqforge.machines.losses.machine_budget import MachineLoss, WindingHeat, read_mission
 from dqforge.machines.modulation.modulators import MODULATORS
 from dqforge.optimizer.losses.drive_budget import BudgetOptions
-from dqforge.optimizer.losses.drive_comparison import Alternatives, compare_drives, least
-from dqforge.optimizer.losses.mission_budget import compare_mission
+from dqforge.optimizer.losses.drive_comparison import (
+    Alternatives,
+    compare_drives,
+    compare_mission,
+    least,
+)
 
 MACHINE = LinearMachine(pole_pairs=4, r_s=2e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0)
 DEVICE = SwitchDevice("mosfet", 9.5e-3, 0.86e-3, 0.86e-3, 206.5, 500.0, 0.306)

@@ -13,22 +13,19 @@ import pytest
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import LoadPoint, LossSettings
-from dqforge.machines.devices.device import DeviceModel
-from dqforge.machines.devices.energies import EnergyTable
-from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.devices.inverter import DeviceModel, EnergyTable, Inverter
 from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.losses.bridge_tables import energy_factors
-from dqforge.machines.losses.machine_budget import WindingHeat
-from dqforge.machines.losses.machine_loss import MachineLoss
+from dqforge.machines.losses.machine_budget import MachineLoss, WindingHeat
 from dqforge.machines.names import ModulationName, Strategy
 from dqforge.optimizer.losses import drive_budget, machine_axis
-from dqforge.optimizer.losses.axis_currents import axis_currents
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, DriveBudget
 from dqforge.optimizer.losses.machine_axis import (
     AxisBudgets,
     DriveAxis,
+    axis_currents,
     budgets_over_machines,
     drive_axis,
 )

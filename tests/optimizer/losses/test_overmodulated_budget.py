@@ -10,9 +10,9 @@ import pytest
 from dqforge.machines.design import catalogue
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
-from dqforge.machines.modulation.hexagon import METHODS, SIX_STEP, follows_hexagon
-from dqforge.machines.modulation.low_harmonics import low_harmonics
+from dqforge.machines.modulation.dead_time import low_harmonics
 from dqforge.machines.modulation.modulators import MODULATORS
+from dqforge.machines.modulation.registry import METHODS, SIX_STEP, follows_hexagon
 from dqforge.machines.names import OvermodulationName
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, drive_budget
 

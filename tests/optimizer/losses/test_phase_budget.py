@@ -14,19 +14,15 @@ from phase_shapes import FUNDAMENTAL_P, paper_machine, trapezoid_machine
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.design import catalogue
-from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.losses.machine_budget import WindingHeat
-from dqforge.machines.losses.machine_loss import MachineLoss
+from dqforge.machines.losses.machine_budget import MachineLoss, WindingHeat
 from dqforge.machines.modulation.modulators import MODULATORS
 from dqforge.machines.names import ModulationName, Topology
-from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine
 from dqforge.optimizer.losses.drive_budget import PARTS, BudgetOptions, drive_budget
-from dqforge.optimizer.losses.leg_budgets import PhaseBudget
-from dqforge.optimizer.losses.phase_budget import phase_budget
-from dqforge.optimizer.waveforms.phase_currents import CurrentRule, dq_waveform, unit_currents
+from dqforge.optimizer.losses.phase_comparison import PhaseBudget, phase_budget
+from dqforge.optimizer.waveforms.constraint_rows import CurrentRule, dq_waveform, unit_currents
 
 OMEGA_M = 750.0 * np.pi / 30.0
 RATED = 3.98

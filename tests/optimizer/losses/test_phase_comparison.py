@@ -13,8 +13,7 @@ from phase_shapes import paper_machine
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import LoadPoint, LossSettings
-from dqforge.machines.losses.machine_budget import WindingHeat
-from dqforge.machines.losses.mission import Mission, read_mission
+from dqforge.machines.losses.machine_budget import Mission, WindingHeat, read_mission
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.losses.drive_budget import PARTS
@@ -22,8 +21,7 @@ from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import solve_map
 from dqforge.optimizer.losses.point_comparison import LossComparison
 from dqforge.optimizer.losses.solve import mission_comparison, require_losses
-from dqforge.reports.losses.plain import plain_losses
-from dqforge.reports.losses.tables import losses_tables
+from dqforge.reports.losses.map_tables import losses_tables, plain_losses
 
 LIBRARY = catalogue.load("paper002-phase-waveforms")
 

@@ -13,23 +13,20 @@ from drives import IPM, MOSFET, RELUCTANCE, make_design
 from scipy.optimize import minimize_scalar
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.settings import LoadPoint, LossSettings, LossStrategy
-from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
-from dqforge.machines.losses.machine_loss import MachineLoss
+from dqforge.machines.losses.machine_budget import MachineLoss
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.losses.drive_budget import PARTS, BudgetOptions, drive_budget
 from dqforge.optimizer.losses.drive_comparison import least
+from dqforge.optimizer.losses.machine_axis import calibrate_switching
 from dqforge.optimizer.losses.point_comparison import LossComparison, compare_points
 from dqforge.optimizer.losses.solve import solve_losses
-from dqforge.optimizer.losses.switching_calibration import calibrate_switching
-from dqforge.optimizer.operating_points.mtpa import mtpa_currents
-from dqforge.reports.losses.figures import plot_losses
-from dqforge.reports.losses.html import loss_tables
-from dqforge.reports.losses.plain import plain_losses
-from dqforge.reports.losses.tables import losses_tables
+from dqforge.optimizer.operating_points.mtpa_locus import mtpa_currents
+from dqforge.reports.losses.map_figures import loss_tables, plot_losses
+from dqforge.reports.losses.map_tables import losses_tables, plain_losses
 from dqforge.reports.operating_points.question import Request, answer
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.pages.labels import WITHOUT_BRIDGE, part_label, shown_parts

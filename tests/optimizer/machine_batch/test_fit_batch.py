@@ -22,7 +22,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import FitForm, FitMethod
 from dqforge.optimizer.current_reference.fit import ReferenceFit, fit_reference
-from dqforge.optimizer.machine_batch.fit_batch import (
+from dqforge.optimizer.machine_batch.batch_currents import (
     ReferenceBatch,
     fit_references,
     why_not_in_batch,
@@ -215,7 +215,7 @@ import numpy as np
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.optimizer.machine_batch.fit_batch import fit_references
+from dqforge.optimizer.machine_batch.batch_currents import fit_references
 base = LinearMachine(4, 2e-3, 350e-6, 592e-6, 0.1049, 283.0)
 scale = 1.0 + 0.3 * np.linspace(-1.0, 1.0, 37)
 batch = MachineBatch.varied(base, 37, {"l_q": base.l_q * scale, "psi_pm": base.psi_pm / scale})

@@ -9,14 +9,9 @@ import pytest
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
-from dqforge.machines.dq_machines.scaled_machines import ScaledMachines
-from dqforge.optimizer.machine_batch import scaled_loci as module
-from dqforge.optimizer.machine_batch.scaled_loci import (
-    ScaledLoci,
-    currents_on_loci,
-    scaled_loci,
-)
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine, ScaledMachines
+from dqforge.optimizer.machine_batch import local_series as module
+from dqforge.optimizer.machine_batch.local_series import ScaledLoci, currents_on_loci, scaled_loci
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 DRIVES = ("baldor-pmsyrm-5k6", "abb-syrm-6k7-saturated")

@@ -17,16 +17,22 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, DriveBudget, drive_budget
-from dqforge.optimizer.modulation_choice.best import (
+from dqforge.optimizer.modulation_choice.rule import (
+    ChoiceLimits,
+    ChoicePoints,
+    SimplifiedChoice,
+    decide,
+    leaves,
+    simplify,
+)
+from dqforge.optimizer.modulation_choice.solve import (
     BestChoice,
     best_choice,
     listed_frequencies,
     permitted_losses,
     rule_quantities,
 )
-from dqforge.optimizer.modulation_choice.limits import ChoiceLimits, ChoicePoints
-from dqforge.optimizer.modulation_choice.rule import SimplifiedChoice, decide, leaves, simplify
-from dqforge.optimizer.operating_points.mtpa import mtpa_currents
+from dqforge.optimizer.operating_points.mtpa_locus import mtpa_currents
 
 MACHINE = LinearMachine(pole_pairs=4, r_s=20e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0)
 NAMES: tuple[ModulationName, ...] = ("svpwm", "dpwm1", "gdpwm", "spwm")

@@ -25,8 +25,8 @@ from dqforge.optimizer.observed_drive.design_drive import (
 )
 from dqforge.optimizer.observed_drive.drive_cases import DriveCases, drive_cases
 from dqforge.optimizer.observed_drive.drive_model import ObservedDrive
-from dqforge.optimizer.observed_drive.fixed_points import SteadyDrives, steady_drives
-from dqforge.optimizer.observers.steady_states import steady_observer
+from dqforge.optimizer.observed_drive.speed_range import SteadyDrives, steady_drives
+from dqforge.optimizer.observers.parts import steady_observer
 
 ERRORS = {"r_s": [0.0, 0.3, -0.3], "psi_pm": [0.0, -0.04, 0.02], "inertia": [0.0, 0.2, -0.2]}
 

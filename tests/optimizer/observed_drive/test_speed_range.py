@@ -17,12 +17,13 @@ from dqforge.optimizer.observed_drive.design_drive import (
 from dqforge.optimizer.observed_drive.drive_model import ObservedDrive
 from dqforge.optimizer.observed_drive.speed_range import (
     LEAST_SHARE,
+    CornerBox,
     SpeedPi,
+    corner_box,
     judge_corners,
     speed_range,
     worst_corner,
 )
-from dqforge.optimizer.observed_drive.tolerance_corners import CornerBox, corner_box
 
 BOX = CornerBox(True, {"r_s": (-0.3, 0.3), "psi_pm": (-0.04, 0.0)}, (0.0, 0.5), ())
 

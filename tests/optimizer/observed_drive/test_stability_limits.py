@@ -23,27 +23,24 @@ from observed_runs import (
 )
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.settings import SpeedLoopSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.plants.scenario import PlantErrors
-from dqforge.optimizer.loops.gains import speed_delay
+from dqforge.optimizer.loops.loop_gains import speed_delay
 from dqforge.optimizer.loops.pi_methods import calmer, speed_pi
 from dqforge.optimizer.observed_drive.design_drive import (
+    largest_stable_factor,
+    least_pll_bandwidth,
     observed_drive,
     position_estimator,
     top_speed,
 )
 from dqforge.optimizer.observed_drive.drive_cases import drive_cases
-from dqforge.optimizer.observed_drive.fixed_points import steady_drives
-from dqforge.optimizer.observed_drive.limit_cycle import limit_cycle
-from dqforge.optimizer.observed_drive.speed_range import SpeedPi
-from dqforge.optimizer.observed_drive.stability_limits import (
-    largest_stable_factor,
-    least_pll_bandwidth,
-)
+from dqforge.optimizer.observed_drive.speed_range import SpeedPi, steady_drives
+from dqforge.optimizer.observed_drive.steps_borne import limit_cycle
 
 METHODS: list[ObserverMethodName] = [
     "flux", "extended-emf", "open-loop-flux", "matsui-voltage", "matsui-current", "ekf",

@@ -16,10 +16,8 @@ from dqforge.optimizer.observed_drive.design_drive import (
 )
 from dqforge.optimizer.observed_drive.drive_cases import DriveCases
 from dqforge.optimizer.observed_drive.drive_model import ObservedDrive
-from dqforge.optimizer.observed_drive.fixed_points import steady_drives
-from dqforge.optimizer.observed_drive.speed_range import SpeedPi
+from dqforge.optimizer.observed_drive.speed_range import CornerBox, SpeedPi, cases_of, steady_drives
 from dqforge.optimizer.observed_drive.steps_borne import steps_borne
-from dqforge.optimizer.observed_drive.tolerance_corners import CornerBox, cases_of
 
 BOX = CornerBox(True, {"psi_pm": (-0.1, 0.1)}, (0.0, 0.5), ())
 

@@ -24,8 +24,12 @@ from observed_runs import (
 from dqforge.machines.design.design import Design
 from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.plants.scenario import PlantErrors
-from dqforge.optimizer.observed_drive.design_drive import top_speed
-from dqforge.optimizer.observed_drive.tuning_rule import has_loop, speed_errors, speed_lag
+from dqforge.optimizer.observed_drive.design_drive import (
+    has_loop,
+    speed_errors,
+    speed_lag,
+    top_speed,
+)
 
 METHODS: list[ObserverMethodName] = [
     "flux", "extended-emf", "open-loop-flux", "matsui-voltage", "matsui-current",

@@ -15,20 +15,18 @@ from step_derivatives import derivative, evaluated
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.drive_motion import drive_motion, plants, steady_voltage
-from dqforge.optimizer.observers.method import ObserverMethod, observe
 from dqforge.optimizer.observers.methods.ekf import ekf_gains
 from dqforge.optimizer.observers.methods.ekf_tuning import first_guess, usual_noise
 from dqforge.optimizer.observers.methods.extended_emf import emf_part
 from dqforge.optimizer.observers.methods.flux import flux_error, flux_of_current
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.optimizer.observers.parts import EXACT
-from dqforge.optimizer.observers.sampled_gains import (
+from dqforge.optimizer.observers.parts import EXACT, ObserverMethod, observe, steady_observer
+from dqforge.optimizer.observers.sampled_machine import (
     entries_and_slopes,
     matrix_entries,
     sampled_gains,
+    sampled_machine,
 )
-from dqforge.optimizer.observers.sampled_machine import sampled_machine
-from dqforge.optimizer.observers.steady_states import steady_observer
 
 T_S, OMEGA_MAX = 1e-4, 3000.0
 READ = {name: method for name, method in METHODS.items() if method.members is not None}

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from observed_runs import random_design
 
+from dqforge.optimizer.observers.parts import newton_moves
 from dqforge.optimizer.observers.solve import solve_observer
-from dqforge.optimizer.observers.steady_states import newton_moves
 
 
 def test_a_singular_matrix_on_the_way_moves_its_own_drive_alone() -> None:

@@ -10,23 +10,20 @@ from drives import INVERSE_SALIENT, IPM, MOSFET, RELUCTANCE, SURFACE
 from saturated import ArctanMachine
 
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.losses.machine_loss import MachineLoss
+from dqforge.machines.losses.machine_budget import MachineLoss
 from dqforge.optimizer.operating_points.characteristics import (
     characteristics,
+    efficiency,
     envelope,
     envelope_speeds,
     limit_changes,
     limit_speed,
     loci,
-)
-from dqforge.optimizer.operating_points.loss_model import loss_coefficients
-from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
-from dqforge.optimizer.operating_points.operating_map import (
-    efficiency,
     operating_map,
     voltage_limit,
 )
-from dqforge.optimizer.operating_points.point_problem import Active
+from dqforge.optimizer.operating_points.mtpa_locus import Active, mtpa_locus
+from dqforge.optimizer.operating_points.points import loss_coefficients
 
 IDEAL_SURFACE = replace(SURFACE, r_s=0.0)
 IDEAL_IPM = replace(IPM, r_s=0.0)

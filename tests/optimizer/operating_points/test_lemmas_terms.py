@@ -15,11 +15,11 @@ from numpy.polynomial import polynomial
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import FluxJet, LinearMachine
-from dqforge.optimizer.certificates import enclosures, exact_conditions
-from dqforge.optimizer.certificates.ball import ORDER
-from dqforge.optimizer.certificates.exact_conditions import Condition, Local, Task
+from dqforge.optimizer.certificates import ball as enclosures
+from dqforge.optimizer.certificates import ball as exact_conditions
+from dqforge.optimizer.certificates.ball import ORDER, Condition, Local, Task
 from dqforge.optimizer.current_reference.forms import CurrentReference, Proportional
 from dqforge.optimizer.operating_points import local_terms
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint

@@ -13,15 +13,17 @@ from saturated import ArctanMachine
 from simple_losses import loss_budget
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError
-from dqforge.machines.losses.machine_loss import MachineLoss
+from dqforge.machines.losses.machine_budget import MachineLoss
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.operating_points.local_terms import LossCoefficients
-from dqforge.optimizer.operating_points.loss_model import drive_losses, loss_coefficients
-from dqforge.optimizer.operating_points.points import optimal_points
+from dqforge.optimizer.operating_points.points import (
+    drive_losses,
+    loss_coefficients,
+    optimal_points,
+)
 
 INVERTER = Inverter(500.0, 100e3, MOSFET, 64.0)
 EQUAL_IGBT = SwitchDevice(

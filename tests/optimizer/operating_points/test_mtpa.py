@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.optimizer.operating_points import mtpa
+from dqforge.optimizer.operating_points import mtpa_locus as mtpa
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 

@@ -17,10 +17,9 @@ from dqforge.machines.design.settings import FitBudget, FitSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import BreakpointMode, FitForm, FitMethod, NumberFormat
-from dqforge.optimizer.current_reference.alternatives import alternatives
-from dqforge.optimizer.current_reference.cheapest import choose_fit
-from dqforge.optimizer.current_reference.fit import ReferenceFit, fit_reference
-from dqforge.optimizer.current_reference.integer_form import FixedReference
+from dqforge.optimizer.current_reference.fit import ReferenceFit, alternatives, fit_reference
+from dqforge.optimizer.current_reference.forms import FixedReference
+from dqforge.optimizer.current_reference.solve import choose_fit
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 _MACHINES = (

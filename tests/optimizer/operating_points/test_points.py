@@ -16,8 +16,7 @@ from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE
 from saturated import PM_SYRM, ArctanMachine
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import FluxMap, complete_by_symmetry
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine, complete_by_symmetry
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, torque_from_flux
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.operating_points.local_terms import (
@@ -26,9 +25,7 @@ from dqforge.optimizer.operating_points.local_terms import (
     torque_terms,
     voltage_terms,
 )
-from dqforge.optimizer.operating_points.mtpa import mtpa_currents
-from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
-from dqforge.optimizer.operating_points.point_problem import Active
+from dqforge.optimizer.operating_points.mtpa_locus import Active, mtpa_currents, mtpa_locus
 from dqforge.optimizer.operating_points.points import OptimalPoints, copper_only, optimal_points
 
 BALDOR = SaturatedMachine(2, 0.63, PM_SYRM.flux_map(18.7), 18.7)

@@ -9,15 +9,15 @@ import pytest
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
-from dqforge.machines.modulation.hexagon import METHODS, SIX_STEP
+from dqforge.machines.modulation.registry import METHODS, SIX_STEP
 from dqforge.machines.names import OvermodulationName
-from dqforge.optimizer.operating_points.characteristics import characteristics
-from dqforge.optimizer.operating_points.drive_points import (
+from dqforge.optimizer.operating_points.characteristics import (
+    characteristics,
     limited_drive,
     map_within,
     points_within,
 )
-from dqforge.optimizer.overmodulation.solve import solve_overmodulation
+from dqforge.optimizer.overmodulation import solve_overmodulation
 
 
 def drive(method: OvermodulationName = "least-phase-error", **keys: str) -> Design:

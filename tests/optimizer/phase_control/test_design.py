@@ -6,17 +6,15 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.errors import DqforgeError, NoSolutionError
 from dqforge.machines.names import Topology
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.phase_control.design import PhaseLoops
-from dqforge.optimizer.phase_control.harmonic_orders import harmonic_orders
-from dqforge.optimizer.phase_control.midpoint_balance import midpoint_gains
-from dqforge.optimizer.phase_control.torque_limit import limit_at
-from dqforge.optimizer.waveforms.pointwise_currents import pointwise_currents
+from dqforge.optimizer.phase_control.design import PhaseLoops, harmonic_orders, midpoint_gains
+from dqforge.optimizer.phase_control.phase_controller import limit_at
+from dqforge.optimizer.waveforms.constraint_rows import pointwise_currents
 
 P = "paper002-phase-waveforms"
 

@@ -23,8 +23,14 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.loops.plants import current_loop
-from dqforge.optimizer.phase_control.floquet import OFF_NODES, STARTS, radius, whole_samples
-from dqforge.optimizer.phase_control.periodic_step import PhasePlants, loop_state
+from dqforge.optimizer.phase_control.judged_box import (
+    OFF_NODES,
+    STARTS,
+    PhasePlants,
+    loop_state,
+    radius,
+    whole_samples,
+)
 from dqforge.optimizer.phase_control.phase_controller import (
     HarmonicGains,
     MidpointGains,

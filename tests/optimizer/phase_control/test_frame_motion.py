@@ -15,7 +15,7 @@ from dqforge.machines.phase_machines.frame_transforms import (
     transform,
 )
 from dqforge.machines.transforms import clarke_matrix
-from dqforge.optimizer.phase_control.frame_motion import frame_motion, shape_at
+from dqforge.optimizer.phase_control.judged_box import frame_motion, shape_at
 from dqforge.optimizer.phase_control.phase_controller import PhaseShape
 
 Drawn = Literal["dqx", "dqy"]

@@ -13,9 +13,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import CurrentLoopSettings, Tolerances
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.phase_control.floquet import radius
-from dqforge.optimizer.phase_control.judged_box import JudgedLoops
-from dqforge.optimizer.phase_control.periodic_step import PhasePlants
+from dqforge.optimizer.phase_control.judged_box import JudgedLoops, PhasePlants, radius
 
 BOX = Tolerances(r_s=0.3, l_d=(-0.5, 0.1), l_q=(-0.3, 0.2))
 

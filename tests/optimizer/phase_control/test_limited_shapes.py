@@ -16,8 +16,11 @@ from dqforge.optimizer.phase_control.limited_shapes import (
     limited_deviation,
     limited_torques,
 )
-from dqforge.optimizer.phase_control.phase_controller import PhaseControl
-from dqforge.optimizer.phase_control.shape_vectors import flux_at, reference_currents
+from dqforge.optimizer.phase_control.phase_controller import (
+    PhaseControl,
+    flux_at,
+    reference_currents,
+)
 
 MACHINE = near_sinusoidal(360)
 MARGIN = 0.04

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.phase_control.phase_controller import PhaseShape
-from dqforge.optimizer.phase_control.shape_table import (
+from dqforge.optimizer.phase_control.design import (
     LARGEST_ERROR,
     RIPPLE,
     SHAPE_ERROR,
@@ -18,7 +17,7 @@ from dqforge.optimizer.phase_control.shape_table import (
     resampled,
     shape_error,
 )
-from dqforge.optimizer.phase_control.shape_vectors import _remainder
+from dqforge.optimizer.phase_control.phase_controller import PhaseShape, _remainder
 
 SHARES = ((1, 1.0), (3, 0.12), (5, 0.03), (7, 0.01))
 

@@ -10,8 +10,8 @@ import pytest
 from phase_drives import near_sinusoidal, plain_control, trapezoidal
 
 from dqforge.machines.names import Topology
-from dqforge.optimizer.phase_control.phase_controller import PhaseControl
-from dqforge.optimizer.phase_control.torque_limit import (
+from dqforge.optimizer.phase_control.phase_controller import (
+    PhaseControl,
     largest_torques,
     limit_at,
     no_load_speed,

@@ -18,16 +18,16 @@ from dqforge.machines.names import ObserverMethodName
 from dqforge.optimizer.estimators.registry import TRACKERS
 from dqforge.optimizer.estimators.solve import tune_tracker
 from dqforge.optimizer.observers.parts import EXACT
-from dqforge.optimizer.saliency.inform import sequence_noise, tracked_noise, usual_pulse
-from dqforge.optimizer.saliency.inform_steps import (
+from dqforge.optimizer.saliency.inform import (
     LAST,
     InformGains,
     inform_start,
     inform_step,
+    sequence_noise,
+    tracked_noise,
+    usual_pulse,
 )
-from dqforge.optimizer.saliency.injection import current_noise
-from dqforge.optimizer.saliency.saliency_map import along_locus
-from dqforge.optimizer.saliency.wave_steps import POINTS
+from dqforge.optimizer.saliency.injection import POINTS, along_locus, current_noise
 
 BALDOR = "baldor-pmsyrm-5k6"
 

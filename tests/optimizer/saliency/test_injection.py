@@ -16,23 +16,26 @@ from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import InjectionWave
 from dqforge.optimizer.estimators.solve import tune_tracker
-from dqforge.optimizer.estimators.tracker_columns import TrackerEstimator
+from dqforge.optimizer.estimators.tracker import TrackerEstimator
 from dqforge.optimizer.observers.parts import EXACT
 from dqforge.optimizer.saliency.injection import (
     NOISE_ANGLE,
+    POINTS,
     TRACKER,
-    current_noise,
-    notch,
-    usual_voltage,
-)
-from dqforge.optimizer.saliency.saliency_map import (
     LoadedSaliency,
+    WaveGains,
     along_locus,
+    angle_noise,
+    current_noise,
+    largest_pole,
+    notch,
     require_saliency,
+    usual_voltage,
+    wave_start,
+    wave_step,
+    wave_tracking,
 )
 from dqforge.optimizer.saliency.sampled_injection import cross_saturation_error
-from dqforge.optimizer.saliency.wave_loop import angle_noise, largest_pole, wave_tracking
-from dqforge.optimizer.saliency.wave_steps import POINTS, WaveGains, wave_start, wave_step
 
 WAVES: tuple[InjectionWave, ...] = ("square", "sine", "rotating")
 ABB, BALDOR = "abb-ipmsm-2k2", "baldor-pmsyrm-5k6"

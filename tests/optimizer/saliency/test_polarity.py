@@ -15,19 +15,17 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.observers.parts import EXACT, Arithmetic
-from dqforge.optimizer.saliency.polarity import (
+from dqforge.optimizer.saliency.inform import (
     WRONG,
+    PolarityGains,
     PolarityPlan,
     peak_difference,
     plan_polarity,
-    wrong_decision,
-)
-from dqforge.optimizer.saliency.polarity_steps import (
-    PolarityGains,
     polarity_start,
     polarity_step,
+    wrong_decision,
 )
-from dqforge.reports.c_code.float32_functions import SINGLE
+from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.pages.templating import render
 
 BALDOR = "baldor-pmsyrm-5k6"

@@ -14,8 +14,8 @@ from scipy.integrate import solve_ivp
 from dqforge.machines.design import catalogue
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.optimizer.observers.trials import CurrentSensor
-from dqforge.optimizer.saliency.injection_run import track
+from dqforge.optimizer.observers.sampled_machine import CurrentSensor
+from dqforge.optimizer.saliency.inform import track
 from dqforge.optimizer.saliency.sampled_injection import (
     admittance,
     angle_noise,

@@ -12,8 +12,8 @@ from scipy.optimize import brentq
 from dqforge.machines.design import catalogue
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.six_step.block_shape import block_shape, dq_inductances, phases_of
 from dqforge.optimizer.six_step.design import backwards
+from dqforge.optimizer.six_step.sectors import block_shape, dq_inductances, phases_of
 
 ORDERS = (1.0, 3.0, 5.0, 7.0)
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.six_step.estimator import BlockGains, seen_angle, start, step
-from dqforge.optimizer.six_step.sectors import middle
+from dqforge.optimizer.six_step.sectors import BlockGains, middle, seen_angle, start, step
 
 PSI, T_S = 0.1, 2e-5
 GAINS = BlockGains(

@@ -11,8 +11,8 @@ from scipy.linalg import expm
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.box_proofs.cell_queue import Cell
-from dqforge.optimizer.loops.loop_batch import DriveVariants, close_loops, speed_plants
-from dqforge.optimizer.speed_box.speed_loop_steps import cell_corners
+from dqforge.optimizer.loops.pi_methods import DriveVariants, close_loops, speed_plants
+from dqforge.optimizer.speed_box import cell_corners
 
 
 def modelled(drive: SpeedDrive, parameters: FloatArray, gain: float) -> FloatArray:

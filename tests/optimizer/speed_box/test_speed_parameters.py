@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dqforge.optimizer.box_proofs.cell_queue import Cell
-from dqforge.optimizer.speed_box.speed_parameters import SpeedBox
+from dqforge.optimizer.speed_box import SpeedBox
 
 BOX = SpeedBox(
     resistance=(0.7, 1.6),

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from random_speed_loops import SpeedDrive, random_speed_drive
 
-from dqforge.optimizer.box_proofs.cell_queue import Proven, Tree
-from dqforge.optimizer.box_proofs.contraction import contracts
-from dqforge.optimizer.speed_box.speed_loop_steps import SpeedLoopNumbers
-from dqforge.optimizer.speed_box.speed_search import Chain, Effort, SpeedSearch
+from dqforge.optimizer.box_proofs.cell_queue import Proven, Tree, contracts
+from dqforge.optimizer.speed_box import Chain, Effort, SpeedLoopNumbers, SpeedSearch
 
 
 def searched(drive: SpeedDrive, cells: int, **changed: float) -> Tree[Chain]:

@@ -9,7 +9,7 @@ from measured_speeds import METHODS, THESIS, edge_instants, settings
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import SpeedMeasurementSettings
 from dqforge.machines.names import SpeedMeasurementName
-from dqforge.optimizer.speed_measurement.edges import Edges
+from dqforge.optimizer.speed_measurement import Edges
 
 RPM = np.pi / 30.0
 PERIOD = 1e-3

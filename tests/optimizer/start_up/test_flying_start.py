@@ -13,9 +13,9 @@ from scipy.integrate import solve_ivp
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.machines.random_drives.random_drive import RandomDrive, random_drives
+from dqforge.machines.random_drives import RandomDrive, random_drives
 from dqforge.optimizer.sampled_systems import ComplexArray
-from dqforge.optimizer.start_up.flying_start import (
+from dqforge.optimizer.start_up.solve import (
     FlyingStart,
     angle_of_pulse,
     plan_flying_start,

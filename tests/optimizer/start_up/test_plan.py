@@ -7,7 +7,7 @@ import math
 import pytest
 from start_designs import INJECTION, start_design, start_text
 
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.start_up.plan import StartUpPlan, start_up_plan
 from dqforge.optimizer.start_up.solve import StartUp, solve_start_up

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from dqforge.optimizer.start_up.start_judgement import (
+from dqforge.optimizer.start_up.solve import (
     Failure,
     StartRate,
     StartRecord,

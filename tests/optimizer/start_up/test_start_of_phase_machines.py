@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from dqforge.machines.design.loader import load_design
+from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.estimators.solve import solve_tracker
 from dqforge.optimizer.start_up.plan import StartUpPlan, start_up_plan

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.study_results.fronts import Front, empty_front, front_of
+from dqforge.optimizer.study_results.acceptance import Front, empty_front, front_of
 
 
 def by_force(index: np.ndarray, goals: FloatArray) -> list[int]:
@@ -83,7 +83,7 @@ def test_a_hundred_thousand_rows_are_held_against_the_front_and_not_against_each
 ) -> None:
     """Comparisons are counted: by brute force they would be 1e10."""
     compared = []
-    from dqforge.optimizer.study_results import fronts
+    from dqforge.optimizer.study_results import acceptance as fronts
 
     plain = fronts._beaten
 

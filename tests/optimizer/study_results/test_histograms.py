@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.study_results.histograms import Histogram, empty_histogram
+from dqforge.optimizer.study_results.acceptance import Histogram, empty_histogram
 
 
 def spread(kind: str, count: int, random: np.random.Generator) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from dqforge.optimizer.study_results.intervals import Share, wilson
+from dqforge.optimizer.study_results.acceptance import Share, wilson
 
 
 @pytest.mark.parametrize(("met", "count"), [(0, 10), (3, 7), (10, 10), (79_470, 100_000)])

@@ -8,16 +8,13 @@ from scipy.stats import qmc
 from scipy.stats import sobol_indices as by_scipy
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.exploration.saltelli_design import saltelli_inputs, saltelli_places
+from dqforge.optimizer.exploration.row_block import saltelli_inputs, saltelli_places
+from dqforge.optimizer.study_results.acceptance import SaltelliSums, sobol_indices
 from dqforge.optimizer.study_results.sensitivities import (
     BINS,
     Sensitivities,
     binned_output,
     sensitivities,
-)
-from dqforge.optimizer.study_results.sobol_indices import (
-    SaltelliSums,
-    sobol_indices,
 )
 
 # Of Ishigami's function with a = 7, b = 0.1 (Saltelli and others 2008, section 4.6).

@@ -11,14 +11,16 @@ import pytest
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.exploration.row_block import STATES
-from dqforge.optimizer.study_results.acceptance import NAMED, AcceptanceTally, AcceptedRange
-from dqforge.optimizer.study_results.fronts import front_of
-from dqforge.optimizer.study_results.intervals import wilson
-from dqforge.optimizer.study_results.summary import (
+from dqforge.optimizer.study_results.acceptance import (
+    NAMED,
+    AcceptanceTally,
+    AcceptedRange,
     GoalColumn,
     StudyQuestion,
     StudySummary,
+    front_of,
     summarise,
+    wilson,
 )
 
 ACCEPT = (AcceptedRange("out.y", "y", below=1.0), AcceptedRange("out.z", "z", above=-1.0))

@@ -11,15 +11,14 @@ from search_problems import free, opened, ranges, searched, zdt1
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.exploration.study import Search
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.losses.drive_budget import drive_budget
 from dqforge.optimizer.losses.loss_map import budget_options
 from dqforge.optimizer.operating_points.solve import current_choice
-from dqforge.optimizer.study_results.fronts import Front, front_of
-from dqforge.optimizer.study_search.search_rows import Outcomes
-from dqforge.optimizer.study_search.search_space import SearchVariable
+from dqforge.optimizer.study_results.acceptance import Front, front_of
+from dqforge.optimizer.study_search.search_rows import Outcomes, SearchVariable
 
 
 def front_of_all(outcomes: list[Outcomes]) -> Front:

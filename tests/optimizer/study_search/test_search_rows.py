@@ -11,10 +11,8 @@ from search_problems import opened, ranges
 from dqforge.machines.errors import InputError
 from dqforge.machines.exploration.study import Search
 from dqforge.optimizer.exploration.row_block import STATES
-from dqforge.optimizer.study_results.acceptance import AcceptedRange
-from dqforge.optimizer.study_results.summary import GoalColumn
-from dqforge.optimizer.study_search.search_rows import generation_batch, outcomes_of
-from dqforge.optimizer.study_search.search_space import SearchVariable
+from dqforge.optimizer.study_results.acceptance import AcceptedRange, GoalColumn
+from dqforge.optimizer.study_search.search_rows import SearchVariable, generation_batch, outcomes_of
 
 
 def test_outcomes_are_small_where_rows_are_good() -> None:

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design.catalogue import load
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
-from dqforge.machines.dq_machines.scaled_machines import ScaledMachines
-from dqforge.optimizer.variant_steps.map_scales import SCALE_FIELDS, scale_between
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine, ScaledMachines
+from dqforge.optimizer.variant_steps.variation import SCALE_FIELDS, scale_between
 
 _LOADED = load("baldor-pmsyrm-5k6").machine
 assert isinstance(_LOADED, SaturatedMachine)

@@ -13,9 +13,8 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.waveforms.comparison import compare_waveforms, what_diodes_block
-from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
+from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits, unit_currents
 from dqforge.optimizer.waveforms.firmware_fit import fit_phases
-from dqforge.optimizer.waveforms.phase_currents import unit_currents
 from dqforge.optimizer.waveforms.solver import solve_waveforms
 
 

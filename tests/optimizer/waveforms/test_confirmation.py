@@ -15,8 +15,7 @@ import pytest
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.waveforms.confirmation import AGREEMENT, confirm_waveforms
-from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
-from dqforge.optimizer.waveforms.quadratic_problem import make_problem
+from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits, make_problem
 from dqforge.optimizer.waveforms.solver import solve_waveforms
 
 MACHINE = PhaseMachine.from_harmonics(

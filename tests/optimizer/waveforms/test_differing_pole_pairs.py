@@ -8,18 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.settings import WaveformSettings
 from dqforge.machines.errors import InputError
-from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
-from dqforge.optimizer.harmonic_trackers.third_harmonic import other_harmonics, third_flux
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine
+from dqforge.optimizer.harmonic_trackers import other_harmonics, third_flux
 from dqforge.optimizer.waveforms.comparison import compare_waveforms
 from dqforge.optimizer.waveforms.confirmation import confirm_waveforms
-from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
-from dqforge.optimizer.waveforms.firmware_fit import fit_phases
-from dqforge.optimizer.waveforms.firmware_form import PhaseTable
-from dqforge.optimizer.waveforms.phase_currents import dq_waveform, spectrum, unit_currents
+from dqforge.optimizer.waveforms.constraint_rows import (
+    WaveformLimits,
+    dq_waveform,
+    spectrum,
+    unit_currents,
+)
+from dqforge.optimizer.waveforms.firmware_fit import PhaseTable, fit_phases
 from dqforge.optimizer.waveforms.salient_reference import fit_salient_phases
 from dqforge.optimizer.waveforms.solver import solve_waveforms
 

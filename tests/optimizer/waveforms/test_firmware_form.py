@@ -14,8 +14,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import WaveformForm
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
-from dqforge.optimizer.waveforms.firmware_fit import fit_phases
-from dqforge.optimizer.waveforms.firmware_form import PhaseTable, sample_angles
+from dqforge.optimizer.waveforms.firmware_fit import PhaseTable, fit_phases, sample_angles
 
 ORDERS, SHARES = np.array([1.0, 3.0, 5.0, 7.0]), np.array([0.2, 0.03, -0.01, 0.006])
 MACHINE = PhaseMachine.from_harmonics(

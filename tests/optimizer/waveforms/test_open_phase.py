@@ -11,9 +11,8 @@ from phase_shapes import paper_machine, trapezoid_machine
 from dqforge.machines.design import catalogue
 from dqforge.machines.names import OpenPhase, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.waveforms.comparison import compare_waveforms
+from dqforge.optimizer.waveforms.comparison import compare_waveforms, open_phase_price
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
-from dqforge.optimizer.waveforms.open_phase import open_phase_price
 from dqforge.optimizer.waveforms.solver import solve_waveforms
 from dqforge.reports.waveforms.tables import plain_waveforms, waveform_tables
 

@@ -16,13 +16,17 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Topology
-from dqforge.machines.phase_machines.phase_machine import PhaseMachine, between
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
-from dqforge.optimizer.operating_points.mtpa import mtpa_currents
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine, between
+from dqforge.optimizer.operating_points.mtpa_locus import mtpa_currents
 from dqforge.optimizer.operating_points.points import optimal_points
-from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
-from dqforge.optimizer.waveforms.phase_currents import bus_demand, figures, spectrum, unit_currents
-from dqforge.optimizer.waveforms.salient_solver import solve_salient
+from dqforge.optimizer.waveforms.comparison import solve_salient
+from dqforge.optimizer.waveforms.constraint_rows import (
+    WaveformLimits,
+    bus_demand,
+    figures,
+    spectrum,
+    unit_currents,
+)
 from dqforge.optimizer.waveforms.solver import solve_waveforms
 
 ANGLES = 360

@@ -15,16 +15,18 @@ from dqforge.machines.design.settings import WaveformSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Topology
-from dqforge.machines.phase_machines.phase_machine import PhaseMachine, between
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
-from dqforge.optimizer.operating_points.mtpa import mtpa_at_current, mtpa_currents
-from dqforge.optimizer.waveforms.constraint_rows import OpenPhase, WaveformLimits
-from dqforge.optimizer.waveforms.firmware_fit import fit_phases
-from dqforge.optimizer.waveforms.firmware_form import PhasePolynomials
-from dqforge.optimizer.waveforms.phase_currents import bus_demand, dq_waveform
-from dqforge.optimizer.waveforms.pointwise_currents import pointwise_currents
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine, between
+from dqforge.optimizer.operating_points.mtpa_locus import mtpa_at_current, mtpa_currents
+from dqforge.optimizer.waveforms.comparison import solve_salient
+from dqforge.optimizer.waveforms.constraint_rows import (
+    OpenPhase,
+    WaveformLimits,
+    bus_demand,
+    dq_waveform,
+    pointwise_currents,
+)
+from dqforge.optimizer.waveforms.firmware_fit import PhasePolynomials, fit_phases
 from dqforge.optimizer.waveforms.salient_reference import fit_salient_phases
-from dqforge.optimizer.waveforms.salient_solver import solve_salient
 
 SETTINGS = WaveformSettings()
 HARMONICS = [(2, -2e-3, -2e-3), (4, 3e-4, -2e-4), (6, 1e-4, 5e-5)]

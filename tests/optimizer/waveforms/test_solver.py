@@ -15,8 +15,12 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.waveforms.constraint_rows import LIMITS, WaveformLimits
-from dqforge.optimizer.waveforms.phase_currents import bus_demand, unit_currents
+from dqforge.optimizer.waveforms.constraint_rows import (
+    LIMITS,
+    WaveformLimits,
+    bus_demand,
+    unit_currents,
+)
 from dqforge.optimizer.waveforms.solver import obstacle, require_solution, solve_waveforms
 
 MACHINE = PhaseMachine.from_harmonics(

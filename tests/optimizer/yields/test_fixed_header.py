@@ -13,7 +13,7 @@ from six_step_drives import bench
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.current_reference.solve import solve_fit
-from dqforge.optimizer.yields.fixed_header import FixedLoop, nominal_header
+from dqforge.optimizer.yields import FixedLoop, nominal_header
 
 
 def test_a_nominal_header_is_the_fit_and_the_gains_of_the_design_in_single_precision() -> None:

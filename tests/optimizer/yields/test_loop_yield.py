@@ -11,14 +11,16 @@ from drives import IPM, make_design
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.loops.analysis import analyse_current_loop
-from dqforge.optimizer.yields.fixed_header import FixedHeader, FixedLoop, nominal_header
-from dqforge.optimizer.yields.loop_yield import (
+from dqforge.optimizer.loops.loop_gains import analyse_current_loop
+from dqforge.optimizer.yields import (
     LOOPS,
     MARGINS,
+    FixedHeader,
+    FixedLoop,
     fixed_loop,
     least_phase_margin,
     loop_outputs,
+    nominal_header,
 )
 
 

@@ -15,8 +15,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.losses.drive_budget import drive_budget
 from dqforge.optimizer.losses.loss_map import budget_options
-from dqforge.optimizer.yields.fixed_header import nominal_header
-from dqforge.optimizer.yields.loss_yield import FixedDrive, header_budget
+from dqforge.optimizer.yields import FixedDrive, header_budget, nominal_header
 
 TORQUE, OMEGA = np.array([130.0, 40.0]), np.array([300.0, 450.0])
 

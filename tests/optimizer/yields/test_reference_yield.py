@@ -13,14 +13,14 @@ from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE, make_design
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.dq_machines.synchronous import LinearMachine, copper_loss
-from dqforge.optimizer.current_reference.forms import CurrentReference
-from dqforge.optimizer.current_reference.integer_form import FixedReference
-from dqforge.optimizer.operating_points.mtpa import mtpa_currents
-from dqforge.optimizer.yields.fixed_header import FixedHeader, nominal_header
-from dqforge.optimizer.yields.reference_yield import (
+from dqforge.optimizer.current_reference.forms import CurrentReference, FixedReference
+from dqforge.optimizer.operating_points.mtpa_locus import mtpa_currents
+from dqforge.optimizer.yields import (
     LEAST_SHARE,
     TORQUES,
+    FixedHeader,
     loss_penalties,
+    nominal_header,
     produced_torque,
     reference_points,
     torque_errors,

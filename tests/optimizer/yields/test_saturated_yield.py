@@ -9,19 +9,19 @@ import pytest
 from drawn_machines import factors
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
-from dqforge.machines.dq_machines.scaled_machines import ScaledMachines
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine, ScaledMachines
 from dqforge.machines.dq_machines.synchronous import copper_loss
-from dqforge.optimizer.loops.analysis import analyse_current_loop
+from dqforge.optimizer.loops.loop_gains import analyse_current_loop
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
-from dqforge.optimizer.yields.fixed_header import FixedHeader, nominal_header
-from dqforge.optimizer.yields.loop_yield import fixed_loop
-from dqforge.optimizer.yields.reference_yield import reference_points
-from dqforge.optimizer.yields.yield_outputs import (
+from dqforge.optimizer.yields import (
     LEAST_MARGIN,
     LOSS_PENALTY,
     TORQUE_ERROR,
     TORQUE_MADE,
+    FixedHeader,
+    fixed_loop,
+    nominal_header,
+    reference_points,
     yield_outputs,
 )
 

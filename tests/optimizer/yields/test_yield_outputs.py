@@ -15,17 +15,22 @@ from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.losses.loss_map import budget_options
-from dqforge.optimizer.study_results.acceptance import AcceptedRange
-from dqforge.optimizer.study_results.summary import StudyQuestion, StudySummary, summarise
-from dqforge.optimizer.yields.fixed_header import nominal_header
-from dqforge.optimizer.yields.loss_yield import FixedDrive, header_budget
-from dqforge.optimizer.yields.yield_outputs import (
+from dqforge.optimizer.study_results.acceptance import (
+    AcceptedRange,
+    StudyQuestion,
+    StudySummary,
+    summarise,
+)
+from dqforge.optimizer.yields import (
     LEAST_MARGIN,
     LOSS_PENALTY,
     TORQUE_ERROR,
     TORQUE_MADE,
     TORQUE_MAX,
+    FixedDrive,
     check_outputs,
+    header_budget,
+    nominal_header,
     output_names,
     yield_outputs,
 )
@@ -119,9 +124,9 @@ def test_only_what_is_asked_for_is_computed(monkeypatch: pytest.MonkeyPatch) -> 
     assert tuple(everything) == output_names(fixed.header)
     for name, values in everything.items():
         assert np.array_equal(yield_outputs(fixed.header, few, (name,))[name], values)
-    monkeypatch.setattr("dqforge.optimizer.yields.yield_outputs.loop_outputs", None)
+    monkeypatch.setattr("dqforge.optimizer.yields.loop_outputs", None)
     assert TORQUE_ERROR in yield_outputs(fixed.header, few, (TORQUE_ERROR,))
-    monkeypatch.setattr("dqforge.optimizer.yields.yield_outputs.reference_points", None)
+    monkeypatch.setattr("dqforge.optimizer.yields.reference_points", None)
     assert yield_outputs(fixed.header, few, ()) == {}
     assert yield_outputs(fixed.header, few, (TORQUE_MAX,))[TORQUE_MAX].tolist() == [200.0]
 

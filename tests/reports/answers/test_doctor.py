@@ -13,11 +13,10 @@ import pytest
 from hidden_compilers import hide_compilers
 
 from dqforge.reports.answers.doctor import answer_doctor
-from dqforge.reports.operating_system import host_compiler, packages, system, this_machine
+from dqforge.reports.operating_system import host_compiler, packages, system
+from dqforge.reports.operating_system import ways_to_get as this_machine
 from dqforge.reports.operating_system.packages import PACKAGES
-from dqforge.reports.operating_system.this_machine import PROGRAMS, look
-from dqforge.reports.operating_system.trial import try_compiler
-from dqforge.reports.operating_system.ways_to_get import WAYS
+from dqforge.reports.operating_system.ways_to_get import PROGRAMS, WAYS, look, try_compiler
 
 
 def test_what_is_here_is_found_and_tried() -> None:
@@ -98,7 +97,7 @@ def test_contraction_would_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
         source.write_text(changed, encoding="ascii")
         return compiled(*words)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("dqforge.reports.operating_system.trial.compile_program", fused)
+    monkeypatch.setattr("dqforge.reports.operating_system.ways_to_get.compile_program", fused)
     assert "other results than numpy" in try_compiler("c").failure
 
 

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.exploration.study_schema import study_json_schema
+from dqforge.machines.exploration.study import study_json_schema
 from dqforge.machines.files.library_files import DESIGN_SCHEMA, schema_bytes
 from dqforge.reports.answers.library import NewRequest, answer_new, answer_schema
 

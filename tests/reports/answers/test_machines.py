@@ -30,7 +30,7 @@ def test_one_drive_is_its_file() -> None:
 
 def test_a_list_needs_no_numbers() -> None:
     # Numerical libraries and the schema of designs take seconds to import.
-    heavy = "numpy", "scipy", "dqforge.machines.design.loader", "dqforge.optimizer"
+    heavy = "numpy", "scipy", "dqforge.machines.design.catalogue", "dqforge.optimizer"
     program = (
         "import sys\nfrom dqforge.cli import main\n"
         "try:\n    main(['machines'])\nexcept SystemExit:\n    pass\n"

@@ -34,7 +34,7 @@ from application_replay import (
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.application.application_plan import ApplicationPlan, application_plan
+from dqforge.optimizer.application import ApplicationPlan, application_plan
 from dqforge.reports.simulation.design_run import simulate_design
 from dqforge.reports.verification.cross_tools import build, emulate
 

@@ -12,7 +12,7 @@ import pytest
 
 from dqforge.machines.transforms import Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.reports.c_code import float32_functions as model
+from dqforge.reports.c_code import harness as model
 from dqforge.reports.operating_system.host_compiler import find_compiler
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.host import COMPILERS, WARNINGS, Compiler

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dqforge.reports.c_code import float32_functions as model
+from dqforge.reports.c_code import harness as model
 from dqforge.reports.pages.templating import render
 
 # Largest errors of rotation(theta), of small_rotation(theta) within 0.4 rad, and of a random pair

@@ -31,22 +31,22 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import ModulationName, OpenPhase, WaveformForm
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.field_weakening.solve import solve_weakening
+from dqforge.optimizer.field_weakening.fit import solve_weakening
 from dqforge.optimizer.fixed_control.design import fit_control
-from dqforge.optimizer.frame_tables.fit import fit_frames
+from dqforge.optimizer.frame_tables import fit_frames
 from dqforge.optimizer.modulation_choice.rule import Leaf, Question, Rule, SimplifiedChoice
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.optimizer.waveforms.solve import solve_phases
 from dqforge.reports.control.fixed_header import control_fixed_files
 from dqforge.reports.control.header import control_files
 from dqforge.reports.field_weakening.header import weakening_files
-from dqforge.reports.frame_tables.header import frame_files
-from dqforge.reports.loops.header import gains_files
+from dqforge.reports.frame_tables.capability import frame_files
+from dqforge.reports.loops.capability import gains_files
 from dqforge.reports.main_header.header import header_files
-from dqforge.reports.modulation_choice.header import rule_header
+from dqforge.reports.modulation_choice.figures import rule_header
 from dqforge.reports.modulation_choice.rule_model import Alternative
 from dqforge.reports.verification.host import WARNINGS
-from dqforge.reports.waveforms.header import waveform_files
+from dqforge.reports.waveforms.tables import waveform_files
 
 STRICT = [
     *WARNINGS,

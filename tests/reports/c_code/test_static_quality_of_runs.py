@@ -15,8 +15,8 @@ from application_replay import design as application_design
 from static_checks import DEVIATIONS, program
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_design
 from dqforge.machines.design.settings import ObserverSettings, SpeedMeasurementSettings
 from dqforge.machines.names import NumberFormat, ObserverMethodName, SpeedMeasurementName
 from dqforge.optimizer.solution import solve

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from dqforge.machines.design import catalogue as drives
-from dqforge.machines.exploration import catalogue as shipped_studies
-from dqforge.reports.command_line.completions import designs, studies
+from dqforge.machines.exploration import study_checks as shipped_studies
+from dqforge.reports.command_line.flags import designs, studies
 
 COMMAND = Path(sys.executable).with_name("dqforge")
 # Words typed so far, in the form in which each shell hands them on.

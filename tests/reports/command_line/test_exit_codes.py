@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from dqforge.reports.command_line import exit_codes
+from dqforge.reports.command_line import flags as exit_codes
 from dqforge.reports.operating_system import system
 
 

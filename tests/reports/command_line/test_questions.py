@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dqforge.machines.data_sheet.judged import checked_text
-from dqforge.reports.command_line.questions import Dialogue, asked_sheet
+from dqforge.reports.command_line.designs import Dialogue, asked_sheet
 
 PLAIN = {
     "name": "Hub motor",

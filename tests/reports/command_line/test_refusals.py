@@ -16,7 +16,7 @@ from rich.cells import cell_len
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.lately_read import remember
-from dqforge.reports.command_line.refusals import excerpt, tell
+from dqforge.reports.command_line.flags import excerpt, tell
 
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 COLOURED = {"TERM": "xterm-256color", "COLUMNS": "100", "NO_COLOR": ""}

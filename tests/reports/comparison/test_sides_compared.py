@@ -17,13 +17,19 @@ import pytest
 from drives import make_design
 
 from dqforge import cli
-from dqforge.machines.design import catalogue, loader
+from dqforge.machines.design import catalogue
+from dqforge.machines.design import catalogue as loader
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import LoadPoint, LossSettings
-from dqforge.reports.comparison.rows import Row
-from dqforge.reports.comparison.sides_compared import Comparison, LossRow, MacroRow, compare_sides
+from dqforge.reports.comparison.sides_compared import (
+    Comparison,
+    LossRow,
+    MacroRow,
+    Row,
+    compare_sides,
+    comparison_tables,
+)
 from dqforge.reports.comparison.sources import Side, header_code, header_macros, solved_side
-from dqforge.reports.comparison.tables import comparison_tables
 
 BENCH = "paper001-pmsm-bench"
 

@@ -19,13 +19,12 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import CurrentLoopMethod
 from dqforge.machines.plants.scenario import PlantErrors, Profile, Scenario, constant
-from dqforge.optimizer.loops.coupled_loops import CurrentControl, TurningMachines, largest_pole
+from dqforge.optimizer.loops.integer_gains import CurrentControl, TurningMachines, largest_pole
 from dqforge.optimizer.loops.pi_methods import current_pi
 from dqforge.reports.control.header import gain_bytes
 from dqforge.reports.papers.transients import Bench, bench
-from dqforge.reports.simulation.compiled_plant import simulate_many
 from dqforge.reports.simulation.plant_input import Drive
-from dqforge.reports.simulation.recorded_run import Summary
+from dqforge.reports.simulation.recorded_run import Summary, simulate_many
 
 V_DC = 400.0
 METHODS: tuple[CurrentLoopMethod, ...] = (

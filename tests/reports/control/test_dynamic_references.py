@@ -21,9 +21,8 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.scenario import PlantErrors, Profile, Scenario, constant
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control.header import control_files, gain_bytes, plain_control
-from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
 from dqforge.reports.simulation.design_run import controller_files, drive_of
-from dqforge.reports.simulation.recorded_run import Simulation
+from dqforge.reports.simulation.recorded_run import Simulation, Simulator, simulate, simulator
 
 RPM = math.pi / 30.0
 MOST = 2400.0 * RPM

@@ -16,8 +16,8 @@ import pytest
 from drives import IPM, RELUCTANCE, SURFACE, make_design
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.names import ModulationName

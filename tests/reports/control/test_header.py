@@ -17,14 +17,16 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import FitSettings, WeakeningSettings
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.machines.modulation.clamping import DISCONTINUOUS
 from dqforge.machines.modulation.modulators import MODULATORS, modulate
+from dqforge.machines.modulation.registry import DISCONTINUOUS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import Pair
 from dqforge.optimizer.loops.plants import current_loop, current_step
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.control.float32_model import ControlModel, ControlState, centred_duties
 from dqforge.reports.control.header import (
+    ControlModel,
+    ControlState,
+    centred_duties,
     control_files,
     control_from,
     control_inputs,
@@ -33,7 +35,7 @@ from dqforge.reports.control.header import (
     plain_control,
 )
 from dqforge.reports.main_header.header import header_files
-from dqforge.reports.pages.files import write_all
+from dqforge.reports.pages.answer import write_all
 from dqforge.reports.result import plain_solution
 from dqforge.reports.run import export_design
 from dqforge.reports.verification.host import verify_files

@@ -10,12 +10,12 @@ import pytest
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
-from dqforge.machines.modulation.hexagon import METHODS, SIX_STEP, follows_hexagon
 from dqforge.machines.modulation.modulators import MODULATORS
+from dqforge.machines.modulation.registry import METHODS, SIX_STEP, follows_hexagon
 from dqforge.machines.names import ModulationName, OvermodulationName
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.control.float32_model import ControlModel
 from dqforge.reports.control.header import (
+    ControlModel,
     control_files,
     control_from,
     control_inputs,

@@ -9,8 +9,7 @@ import pytest
 from chain_steps import COUNT, current_control, drive_rows, solution
 
 from dqforge.machines.transforms import Pair
-from dqforge.reports.control.float32_model import ControlState
-from dqforge.reports.control.header import control_from, plain_control
+from dqforge.reports.control.header import ControlState, control_from, plain_control
 from dqforge.reports.result import plain_solution
 
 

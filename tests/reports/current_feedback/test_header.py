@@ -15,9 +15,11 @@ from static_checks import DEVIATIONS, program
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.names import FeedbackMethod, SampledRuleName
-from dqforge.optimizer.current_feedback.patterns import design_patterns
-from dqforge.optimizer.current_feedback.regulator_numbers import regulator_plan
-from dqforge.optimizer.current_feedback.regulator_runs import run_regulator
+from dqforge.optimizer.current_feedback.regulator_runs import (
+    design_patterns,
+    regulator_plan,
+    run_regulator,
+)
 from dqforge.optimizer.current_feedback.solve import (
     CurrentFeedback,
     emitted_rule,
@@ -25,7 +27,7 @@ from dqforge.optimizer.current_feedback.solve import (
     speed_loop,
 )
 from dqforge.reports.c_code.numbers import float_literal
-from dqforge.reports.current_feedback.header import (
+from dqforge.reports.current_feedback.tables import (
     plain_rule,
     rule_files,
     rule_from,
@@ -34,8 +36,8 @@ from dqforge.reports.current_feedback.header import (
 )
 from dqforge.reports.pages.templating import render
 from dqforge.reports.run import export_design
+from dqforge.reports.verification.cortex_m import run_on_target
 from dqforge.reports.verification.host import WARNINGS
-from dqforge.reports.verification.target_programmes import run_on_target
 from dqforge.reports.written_headers import verify_folder
 
 RULES: tuple[SampledRuleName, ...] = ("predictive", "circle", "look-up-table")

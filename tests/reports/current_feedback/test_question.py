@@ -12,7 +12,7 @@ from dqforge.reports.answers.check import answer_check
 from dqforge.reports.answers.losses import LossRequest, answer_losses
 from dqforge.reports.answers.tune import answer_tune
 from dqforge.reports.current_feedback.question import answer_regulator
-from dqforge.reports.pages.envelope import to_text
+from dqforge.reports.pages.templating import to_text
 from dqforge.reports.run import run_design
 
 

@@ -18,8 +18,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.certificates.current_reference import Certificate
-from dqforge.optimizer.current_reference.forms import PENALTY_FROM
-from dqforge.optimizer.current_reference.integer_form import FixedReference
+from dqforge.optimizer.current_reference.forms import PENALTY_FROM, FixedReference
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.pages.templating import render

@@ -15,15 +15,13 @@ import numpy as np
 import pytest
 from drives import IPM, SURFACE, make_design
 
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.current_reference.integer_form import FixedReference
+from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.current_reference.evaluator import vector_codes
-from dqforge.reports.current_reference.plain import from_plain, to_plain
-from dqforge.reports.current_reference.programme import sweep_codes
+from dqforge.reports.current_reference.plain import from_plain, sweep_codes, to_plain, vector_codes
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.host import WARNINGS, verify_files

@@ -13,7 +13,7 @@ from saturated import ArctanMachine
 
 from dqforge import cli
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.loader import load_design
+from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.current_reference.forms import SignedReference
 from dqforge.optimizer.solution import Solution, solve

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.names import ObserverMethodName
-from dqforge.optimizer.estimator_comparison.own_observer import ObserverEvidence, observer_evidence
+from dqforge.optimizer.estimator_comparison.capture_range import ObserverEvidence, observer_evidence
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.reports.answers.tune import answer_tune
-from dqforge.reports.pages.envelope import to_text
-from dqforge.reports.session.control import tune
+from dqforge.reports.pages.templating import to_text
+from dqforge.reports.session.result import tune
 
 
 def design_with(method: ObserverMethodName) -> Design:

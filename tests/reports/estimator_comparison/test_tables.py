@@ -15,7 +15,7 @@ from drives import RELUCTANCE, make_design
 from dqforge.machines.design import catalogue
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import InputError, NoSolutionError, VerificationError
-from dqforge.optimizer.estimator_comparison.registry import estimators
+from dqforge.optimizer.estimator_comparison.compared import estimators
 from dqforge.optimizer.estimator_comparison.solve import (
     EstimatorComparison,
     compare_estimators,
@@ -24,16 +24,19 @@ from dqforge.optimizer.observers.methods import ekf as ekf_method
 from dqforge.optimizer.observers.methods.ekf import ekf_gains
 from dqforge.optimizer.observers.models.kalman_model import ekf
 from dqforge.reports.answers.estimators import answer_estimators
-from dqforge.reports.estimator_comparison import counted_cost
-from dqforge.reports.estimator_comparison.counted_cost import steady_rows, with_cost
+from dqforge.reports.estimator_comparison import observer_errors as counted_cost
+from dqforge.reports.estimator_comparison.observer_errors import (
+    estimator_tables,
+    pair_lines,
+    plain_comparison,
+    steady_rows,
+    with_cost,
+)
 from dqforge.reports.estimator_comparison.pair_files import pair_files
-from dqforge.reports.estimator_comparison.pair_words import pair_lines
-from dqforge.reports.estimator_comparison.plain import plain_comparison
 from dqforge.reports.estimator_comparison.question import which_estimators
-from dqforge.reports.estimator_comparison.tables import estimator_tables
 from dqforge.reports.observers.position_header import observer_files
-from dqforge.reports.pages.envelope import to_text
 from dqforge.reports.pages.figures_style import save
+from dqforge.reports.pages.templating import to_text
 
 BENCH = "paper001-pmsm-bench"
 

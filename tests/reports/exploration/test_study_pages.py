@@ -21,27 +21,33 @@ from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.exploration.row_block import STATES, ColumnSpec
-from dqforge.optimizer.study_results.acceptance import AcceptedRange
-from dqforge.optimizer.study_results.summary import GoalColumn, StudyQuestion, summarise
-from dqforge.reports.exploration.bars import HistogramChart
-from dqforge.reports.exploration.figures import plot_study
+from dqforge.optimizer.study_results.acceptance import (
+    AcceptedRange,
+    GoalColumn,
+    StudyQuestion,
+    summarise,
+)
 from dqforge.reports.exploration.html import (
+    HistogramChart,
+    acceptance_table,
+    audit_table,
+    front_table,
     histogram_charts,
     page_data,
     pictured_table,
     render_study,
     sensitivity_charts,
-)
-from dqforge.reports.exploration.plain import plain_summary
-from dqforge.reports.exploration.study_view import PicturedRows, StudyView, shown_unit
-from dqforge.reports.exploration.tables import (
-    acceptance_table,
-    audit_table,
-    front_table,
     sensitivity_table,
     study_tables,
 )
-from dqforge.reports.page_frame.file_list import ListedFile
+from dqforge.reports.exploration.study_view import (
+    PicturedRows,
+    StudyView,
+    plain_summary,
+    plot_study,
+    shown_unit,
+)
+from dqforge.reports.page_frame import ListedFile
 
 NASTY = "</script><script>alert(1)</script>\u2028&<b>"
 COLUMNS = (

@@ -26,15 +26,17 @@ from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE
 from dqforge.optimizer.operating_points.points import optimal_points
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.field_weakening.header import (
+    least_voltage_text,
+    percent,
     plain_weakening,
+    plain_weakening_fit,
     weakening_currents,
     weakening_files,
     weakening_from,
     weakening_inputs,
+    weakening_part,
+    weakening_tables,
 )
-from dqforge.reports.field_weakening.plain import plain_weakening_fit
-from dqforge.reports.field_weakening.tables import weakening_part, weakening_tables
-from dqforge.reports.field_weakening.text import least_voltage_text, percent
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.host import WARNINGS
 

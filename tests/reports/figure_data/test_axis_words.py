@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dqforge.reports.figure_data.axis_words import Quantity, plain, quantity
+from dqforge.reports.figure_data.scaled import Quantity, plain, quantity
 
 
 @pytest.mark.parametrize(

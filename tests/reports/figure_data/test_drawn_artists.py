@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.transforms import ScaledTranslation
 
-from dqforge.reports.figure_data.drawn_artists import number_texts
-from dqforge.reports.figure_data.figure_sheet import read_figure
+from dqforge.reports.figure_data.figure_sheet import number_texts, read_figure
 from dqforge.reports.figure_data.scaled import DrawnGrid, draw_filled, tick_in_unit
 
 X = np.array([0.0, 1.0, 2.5, 4.0])

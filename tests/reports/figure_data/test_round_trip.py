@@ -21,10 +21,10 @@ from dqforge.reports.capability import Outcome, asked_for
 from dqforge.reports.current_reference.figures import plot_errors, plot_fit, plot_mtpa
 from dqforge.reports.figure_data.figure_sheet import read_figure
 from dqforge.reports.loops.figures import plot_gains
-from dqforge.reports.losses.figures import plot_losses
+from dqforge.reports.losses.map_figures import plot_losses
 from dqforge.reports.modulation_choice.figures import plot_choice
 from dqforge.reports.pages.figures_style import save, style
-from dqforge.reports.pages.page_figure import data_file, page_figure
+from dqforge.reports.pages.templating import data_file, page_figure
 from dqforge.reports.report import render_report
 
 DRIVE = "paper000-ipmsm-100kw"

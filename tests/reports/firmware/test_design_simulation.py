@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_design
 from dqforge.machines.errors import InputError
 from dqforge.machines.plants.scenario import Scenario, Sensorless
 from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.firmware.design_simulation import simulate_loops, simulate_with_firmware
-from dqforge.reports.firmware.loop_run import firmware_simulator
-from dqforge.reports.simulation.compiled_plant import Simulator
+from dqforge.reports.firmware.target import firmware_simulator
 from dqforge.reports.simulation.design_run import DriveSimulation, npz_bytes, simulate_design
+from dqforge.reports.simulation.recorded_run import Simulator
 from dqforge.reports.simulation.tables import (
     plain_simulation,
     simulation_part,

@@ -29,28 +29,27 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Firmware
 from dqforge.machines.plants.scenario import ControlMode, Profile, Scenario, Sensorless, constant
-from dqforge.optimizer.firmware.configuration import DriveValues
-from dqforge.optimizer.firmware.judge import judge, mechanics_of
-from dqforge.optimizer.firmware.profile import (
+from dqforge.optimizer.firmware.configuration import (
     CurrentLoops,
+    DriveValues,
     LoopProfile,
     PiController,
     SpeedController,
     SpeedEstimate,
 )
-from dqforge.optimizer.firmware.registry import METHODS
+from dqforge.optimizer.firmware.firmware_method import judge, mechanics_of
+from dqforge.optimizer.firmware.own_values import METHODS
 from dqforge.optimizer.firmware.sampled_structure import Winding, current_loop, speed_loop
 from dqforge.optimizer.sampled_systems import SampledSystem
 from dqforge.reports.firmware.loop_code import loop_bytes, loop_files
-from dqforge.reports.firmware.loop_run import (
+from dqforge.reports.firmware.target import (
     drive_with,
     firmware_drive,
     firmware_simulator,
     simulate_profile,
 )
-from dqforge.reports.simulation.compiled_plant import Simulator, simulate
 from dqforge.reports.simulation.plant_input import Drive
-from dqforge.reports.simulation.recorded_run import Simulation
+from dqforge.reports.simulation.recorded_run import Simulation, Simulator, simulate
 
 DRIVE = Drive(MACHINE, INVERTER, 50e-6)
 SALIENT = replace(VALUES, l_q=1.4e-4)

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import pytest
 
 from dqforge.machines.errors import InputError
-from dqforge.reports.firmware.safe_xml import elements, parsed_xml, with_attribute, with_texts
+from dqforge.reports.firmware.c_macros import elements, parsed_xml, with_attribute, with_texts
 
 FILE = """<?xml version="1.0" encoding="UTF-8"?>
 <MC>

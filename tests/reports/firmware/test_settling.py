@@ -24,16 +24,17 @@ from hidden_compilers import hide_compilers
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.names import Firmware
 from dqforge.machines.plants.scenario import Profile, Scenario
-from dqforge.optimizer.firmware.profile import LoopProfile
-from dqforge.optimizer.firmware.registry import METHODS
-from dqforge.reports.firmware.loop_run import (
+from dqforge.optimizer.firmware.configuration import LoopProfile
+from dqforge.optimizer.firmware.own_values import METHODS
+from dqforge.reports.firmware.target import (
+    Verdict,
+    base_speed,
     firmware_drive,
     firmware_simulator,
+    settles,
     simulate_profile,
 )
-from dqforge.reports.firmware.settling import Verdict, settles
-from dqforge.reports.firmware.standard_steps import base_speed
-from dqforge.reports.simulation.compiled_plant import Simulator
+from dqforge.reports.simulation.recorded_run import Simulator
 
 NAMES = [
     "current step at rest",

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from dqforge.reports.firmware.step_answer import Outcome, step_answer
+from dqforge.reports.firmware.target import Outcome, step_answer
 
 TIME = np.linspace(0.0, 1.0, 2001)
 

@@ -10,12 +10,7 @@ from pathlib import Path
 import pytest
 
 from dqforge.machines.errors import InputError
-from dqforge.reports.firmware.text_file import (
-    MOST_BYTES,
-    decoded_file,
-    plain_number,
-    read_text_file,
-)
+from dqforge.reports.firmware.target import MOST_BYTES, decoded_file, plain_number, read_text_file
 
 TEXT = "foc_motor_r = 0.05 # Ω\nnext\n"
 

@@ -11,11 +11,11 @@ from firmware_loops import INVERTER, MACHINE, VALUES, odrive
 from scipy.optimize import brentq
 
 from dqforge.machines.plants.scenario import Scenario, constant
-from dqforge.optimizer.firmware.profile import LoopProfile
-from dqforge.optimizer.firmware.turning_axes import turning_matrix
-from dqforge.reports.firmware.loop_run import firmware_simulator, simulate_profile
-from dqforge.reports.simulation.compiled_plant import Simulator
+from dqforge.optimizer.firmware.configuration import LoopProfile
+from dqforge.optimizer.firmware.sampled_structure import turning_matrix
+from dqforge.reports.firmware.target import firmware_simulator, simulate_profile
 from dqforge.reports.simulation.plant_input import Drive
+from dqforge.reports.simulation.recorded_run import Simulator
 
 OMEGA_M = 120.0  # 286 Hz electrical, 28 samples per period
 

@@ -8,8 +8,8 @@ from firmware_files import scooter
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.firmware.solve import solve_firmware
-from dqforge.reports.firmware.registry import TARGETS
-from dqforge.reports.firmware_files.exported import firmware_files, read_files
+from dqforge.reports.firmware.target import TARGETS
+from dqforge.reports.firmware_files.plain import firmware_files, read_files
 
 
 @pytest.mark.parametrize("name", tuple(TARGETS))

@@ -16,13 +16,11 @@ from firmware_files import scooter, scooter_files, scooter_fit
 
 from dqforge import cli
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.firmware.explained import explain
-from dqforge.optimizer.firmware.solve import FirmwareFit
-from dqforge.reports.firmware.registry import TARGETS
-from dqforge.reports.firmware.text_file import decoded_file, read_text_file
+from dqforge.optimizer.firmware.solve import FirmwareFit, explain
+from dqforge.reports.firmware.target import TARGETS, decoded_file, read_text_file
 from dqforge.reports.firmware_files.design_made import design_from_files
 from dqforge.reports.firmware_files.design_text import design_of
-from dqforge.reports.firmware_files.exported import firmware_files
+from dqforge.reports.firmware_files.plain import firmware_files
 from dqforge.reports.firmware_files.recognised import read_file, recognised
 
 FIRMWARE = tuple(name for name, _ in TARGETS.items())  # loaded before the network is refused

@@ -14,12 +14,11 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.firmware.configuration import DriveValues
-from dqforge.optimizer.firmware.profile import LoopProfile
+from dqforge.optimizer.firmware.configuration import DriveValues, LoopProfile
 from dqforge.optimizer.firmware.solve import solve_firmware
-from dqforge.reports.firmware.loop_run import firmware_simulator
+from dqforge.reports.firmware.target import firmware_simulator
 from dqforge.reports.firmware_files import settled
-from dqforge.reports.simulation.compiled_plant import Simulator
+from dqforge.reports.simulation.recorded_run import Simulator
 
 
 def test_all_firmware_shares_one_program(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,10 +18,11 @@ from fixed_drives import fitted, observed_design
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
+    FIXED_METHODS,
     FixedObserverFit,
+    fixed_method_named,
     solve_fixed_observers,
 )
-from dqforge.optimizer.fixed_observers.fixed_registry import FIXED_METHODS, fixed_method_named
 from dqforge.reports.fixed_observers.fixed_observer_header import (
     fixed_observer_files,
     plain_fixed_observer,

@@ -15,7 +15,7 @@ import pytest
 from weakened_drives import line_fit, weakened_design, weakened_fit
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray
 from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
@@ -31,8 +31,8 @@ from dqforge.reports.fixed_reference.header import (
 from dqforge.reports.fixed_reference.mesh_reading import mesh_from
 from dqforge.reports.pages.templating import render
 from dqforge.reports.run import export_design
+from dqforge.reports.verification.cortex_m import run_on_target
 from dqforge.reports.verification.host import WARNINGS
-from dqforge.reports.verification.target_programmes import run_on_target
 from dqforge.reports.written_headers import verify_folder
 
 STRICT = (

@@ -15,16 +15,19 @@ from phase_shapes import paper_machine
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.names import CurrentFrame, Topology
-from dqforge.optimizer.flashing_choice.advice import advise
-from dqforge.optimizer.flashing_choice.choices import DEVIATIONS
-from dqforge.optimizer.flashing_choice.solve import FlashComparison, compare_flashing, variant
+from dqforge.optimizer.flashing_choice import (
+    DEVIATIONS,
+    FlashComparison,
+    advise,
+    compare_flashing,
+    variant,
+)
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.answers.dqy import FLASH_HINT, WaveformRequest, answer_dqy
-from dqforge.reports.flashing_choice.advice_words import advice_lines
 from dqforge.reports.flashing_choice.counted_cycles import counted_rows
 from dqforge.reports.flashing_choice.question import what_to_flash
 from dqforge.reports.flashing_choice.simulated_rows import simulated_rows
-from dqforge.reports.flashing_choice.tables import flash_tables, plain_flash
+from dqforge.reports.flashing_choice.tables import advice_lines, flash_tables, plain_flash
 
 NEEDS_COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 

@@ -15,15 +15,16 @@ from numpy.typing import NDArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.frame_tables.exact_frames import COLUMNS
-from dqforge.optimizer.frame_tables.fit import fit_frames
-from dqforge.reports.frame_tables.float32_model import (
+from dqforge.optimizer.frame_tables import COLUMNS, fit_frames
+from dqforge.reports.frame_tables.capability import (
+    MEANINGS,
     FrameModel,
+    frame_files,
     frame_model_from,
+    frame_programme,
     model_results,
     plain_frame_model,
 )
-from dqforge.reports.frame_tables.header import MEANINGS, frame_files, frame_programme
 from dqforge.reports.pages.templating import render
 
 DESIGN = catalogue.load("paper002-phase-waveforms", ["export.frame_tables=true"])

@@ -8,8 +8,8 @@ from functools import cache
 
 import pytest
 
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.reports.loops.firmware_text import (
@@ -19,8 +19,7 @@ from dqforge.reports.loops.firmware_text import (
     firmware_title,
     firmware_words,
 )
-from dqforge.reports.loops.plain import plain_gains
-from dqforge.reports.loops.tables import gains_tables
+from dqforge.reports.loops.proven_text import gains_tables, plain_gains
 
 DRIVE = """\
 dqforge: 1

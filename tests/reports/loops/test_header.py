@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.loops.schedule.schedule_fit import GainEvaluator
-from dqforge.reports.loops.header import (
+from dqforge.reports.loops.capability import (
     evaluator_from,
     gains_files,
     plain_evaluator,
     schedule_inputs,
 )
-from dqforge.reports.pages.files import write_all
+from dqforge.reports.pages.answer import write_all
 from dqforge.reports.pages.templating import render
 from dqforge.reports.run import RunOutput, export_design, run_design
 from dqforge.reports.verification.host import WARNINGS

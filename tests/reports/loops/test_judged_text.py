@@ -9,10 +9,14 @@ import pytest
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import Tolerances
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.reports.loops.html import judged_tables
-from dqforge.reports.loops.judged_text import judged_lines, judged_sentence, judged_words
-from dqforge.reports.loops.plain import plain_gains
-from dqforge.reports.loops.tables import gains_tables
+from dqforge.reports.loops.capability import judged_tables
+from dqforge.reports.loops.proven_text import (
+    gains_tables,
+    judged_lines,
+    judged_sentence,
+    judged_words,
+    plain_gains,
+)
 
 DESIGN = catalogue.load("paper002-phase-waveforms")
 SPLIT = replace(

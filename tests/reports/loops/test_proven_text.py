@@ -6,13 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from dqforge.optimizer.axis_margins.margin_proof import ProvenMargins
+from dqforge.optimizer.axis_margins import ProvenMargins
 from dqforge.optimizer.box_proofs.cell_queue import Cell, Node, Open, Proven, Tree
-from dqforge.optimizer.changing_loops.common_function import Growth
-from dqforge.optimizer.changing_loops.current_range import ChangingAxis
-from dqforge.optimizer.speed_box.speed_parameters import SpeedBox
-from dqforge.optimizer.speed_box.speed_proof import SpeedProof
-from dqforge.optimizer.speed_box.speed_search import Chain
+from dqforge.optimizer.changing_loops import ChangingAxis, Growth
+from dqforge.optimizer.speed_box import Chain, SpeedBox, SpeedProof
 from dqforge.reports.loops.proven_text import (
     changing_text,
     margin_text,

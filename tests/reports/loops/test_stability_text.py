@@ -11,23 +11,26 @@ from pathlib import Path
 import pytest
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.box_proofs.current_loop_checker import confirm, confirm_sensitivity
-from dqforge.optimizer.box_proofs.current_loop_proof import prove_current_loops
-from dqforge.optimizer.box_proofs.plain_certificate import plain_inputs
+from dqforge.optimizer.box_proofs.current_loop_proof import (
+    confirm,
+    confirm_sensitivity,
+    plain_inputs,
+    prove_current_loops,
+)
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Outcome, asked_for
 from dqforge.reports.loops.capability import STABILITY
-from dqforge.reports.loops.stability_text import (
+from dqforge.reports.loops.firmware_text import (
     certificate_bytes,
     plain_stability,
     stability_lines,
     stability_notes,
 )
-from dqforge.reports.loops.tables import gains_tables
+from dqforge.reports.loops.proven_text import gains_tables
 from dqforge.reports.output.stored_proof import check_stored_proof, stored_proof_text
 from dqforge.reports.run import RunOutput, export_design
 

@@ -13,7 +13,7 @@ from matplotlib.text import Text
 
 from dqforge import cli
 from dqforge.machines.design import catalogue
-from dqforge.machines.losses.machine_loss import MachineLoss
+from dqforge.machines.losses.machine_budget import MachineLoss
 from dqforge.optimizer.losses.drive_budget import PARTS
 from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import solve_map

@@ -21,9 +21,12 @@ from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.current_reference.forms import CurrentReference, TorqueExact
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.current_reference.evaluator import vector_torques
-from dqforge.reports.current_reference.plain import from_plain, to_plain
-from dqforge.reports.current_reference.programme import sweep_torques
+from dqforge.reports.current_reference.plain import (
+    from_plain,
+    sweep_torques,
+    to_plain,
+    vector_torques,
+)
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.operating_system.host_compiler import require_compiler
 from dqforge.reports.verification.host import WARNINGS, verify_files

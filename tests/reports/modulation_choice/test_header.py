@@ -14,7 +14,7 @@ from drives import make_design
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.modulation_choice.rule import Leaf, Question, Rule, SimplifiedChoice, decide
-from dqforge.reports.modulation_choice.header import rule_header
+from dqforge.reports.modulation_choice.figures import rule_header
 from dqforge.reports.modulation_choice.rule_model import (
     Alternative,
     EmittedRule,

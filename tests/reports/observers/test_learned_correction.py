@@ -16,24 +16,23 @@ from learned_drives import learned_observer, observed_template
 from static_checks import program
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import LEARNED_OBSERVERS, ObserverMethodName
 from dqforge.machines.plants.scenario import PlantErrors, Scenario, constant
 from dqforge.optimizer.observers.parts import cast
 from dqforge.optimizer.solution import solve
-from dqforge.reports.c_code.float32_functions import SINGLE
+from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.observers.float32_model import observer_inputs
-from dqforge.reports.observers.position_header import observer_files
-from dqforge.reports.observers.text import plain_position, position_parts
-from dqforge.reports.pages.envelope import to_text
-from dqforge.reports.simulation.compiled_plant import simulate, simulator
+from dqforge.reports.observers.position_header import observer_files, plain_position, position_parts
+from dqforge.reports.pages.templating import to_text
 from dqforge.reports.simulation.design_run import (
     angle_error,
     controller_files,
     drive_of,
     observers_of,
 )
+from dqforge.reports.simulation.recorded_run import simulate, simulator
 
 EVERY = pytest.mark.parametrize("method", LEARNED_OBSERVERS)
 

@@ -23,7 +23,7 @@ from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.models.kalman_model import ekf
 from dqforge.optimizer.observers.models.matsui_errors import steady_error
 from dqforge.optimizer.observers.models.matsui_model import matsui
-from dqforge.optimizer.observers.steady_states import steady_observer
+from dqforge.optimizer.observers.parts import steady_observer
 from dqforge.reports.observers.position_header import emitted, observer_from, plain_observer
 from dqforge.reports.run import export_design
 from dqforge.reports.written_headers import verify_folder

@@ -18,9 +18,9 @@ from drives import IPM
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.optimizer import harmonic_trackers as third
 from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.harmonic_trackers import third_harmonic as third
-from dqforge.optimizer.harmonic_trackers.tracking_steps import (
+from dqforge.optimizer.harmonic_trackers import (
     third_harmonic_gains,
     third_harmonic_start,
     third_harmonic_step,
@@ -40,9 +40,8 @@ from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.models import kalman_model as kalman
 from dqforge.optimizer.observers.models import matsui_model as matsui_models
 from dqforge.optimizer.observers.parts import EXACT, Arithmetic, cast
-from dqforge.optimizer.observers.sampled_machine import wrapped
-from dqforge.optimizer.observers.trials import CurrentSensor, Trial, simulate
-from dqforge.reports.c_code.float32_functions import SINGLE
+from dqforge.optimizer.observers.sampled_machine import CurrentSensor, Trial, simulate, wrapped
+from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.operating_system.host_compiler import find_compiler
 from dqforge.reports.pages.templating import render
 from dqforge.reports.steps.observer_text import observer_text

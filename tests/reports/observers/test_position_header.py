@@ -23,22 +23,23 @@ from dqforge.machines.plants.drive_motion import drive_motion
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.observers import proof as observer_proof
 from dqforge.optimizer.observers.judgement import judge_at
-from dqforge.optimizer.observers.method import observe
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.optimizer.observers.parts import EXACT, cast
+from dqforge.optimizer.observers.parts import EXACT, cast, observe
 from dqforge.optimizer.observers.proof import prove
 from dqforge.optimizer.observers.tuning import PositionObserver
-from dqforge.reports.c_code.float32_functions import SINGLE
+from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.observers.float32_model import observer_inputs, observer_outputs
 from dqforge.reports.observers.position_header import (
     emitted,
     observer_files,
     observer_from,
     plain_observer,
+    plain_position,
+    position_parts,
+    proof_text,
     speed_range_text,
 )
-from dqforge.reports.observers.text import plain_position, position_parts, proof_text
-from dqforge.reports.pages.envelope import to_text
+from dqforge.reports.pages.templating import to_text
 from dqforge.reports.run import export_design
 from dqforge.reports.written_headers import verify_folder
 

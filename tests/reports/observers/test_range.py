@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.settings import ObserverSettings, Tolerances
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import LEARNED_OBSERVERS, ObserverMethodName
@@ -23,19 +23,23 @@ from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.observers.conditions import conditions, lost_voltage
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT, SPEED_LIMIT, judge
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.optimizer.observers.steady_states import steady_observer
+from dqforge.optimizer.observers.parts import steady_observer
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.observers.position_header import observer_files, speed_range_text
-from dqforge.reports.observers.text import plain_position, position_parts
-from dqforge.reports.pages.envelope import to_text
-from dqforge.reports.simulation.compiled_plant import simulate, simulator
+from dqforge.reports.observers.position_header import (
+    observer_files,
+    plain_position,
+    position_parts,
+    speed_range_text,
+)
+from dqforge.reports.pages.templating import to_text
 from dqforge.reports.simulation.design_run import (
     angle_error,
     controller_files,
     drive_of,
     observers_of,
 )
+from dqforge.reports.simulation.recorded_run import simulate, simulator
 
 DRIVES = ("paper001-pmsm-bench", "abb-ipmsm-2k2", "template")
 

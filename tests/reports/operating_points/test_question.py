@@ -20,19 +20,18 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.operating_points.characteristics import (
     Envelope,
+    LimitedDrive,
+    OperatingMap,
+    VoltageLimit,
     characteristics,
     envelope,
     envelope_speeds,
     loci,
-)
-from dqforge.optimizer.operating_points.drive_points import LimitedDrive, points_within
-from dqforge.optimizer.operating_points.operating_map import (
-    OperatingMap,
-    VoltageLimit,
     operating_map,
+    points_within,
     voltage_limit,
 )
-from dqforge.optimizer.operating_points.point_problem import Active
+from dqforge.optimizer.operating_points.mtpa_locus import Active
 from dqforge.optimizer.operating_points.points import optimal_points
 from dqforge.reports.operating_points.figures import plot_operating_map, plot_speed
 from dqforge.reports.operating_points.map_tables import (
@@ -42,8 +41,8 @@ from dqforge.reports.operating_points.map_tables import (
     points_tables,
 )
 from dqforge.reports.operating_points.question import Request, answer
-from dqforge.reports.pages.envelope import to_text
 from dqforge.reports.pages.figures_style import to_svg
+from dqforge.reports.pages.templating import to_text
 
 LIMIT = VoltageLimit("svpwm", 500.0, 0.0, 500.0 / np.sqrt(3.0))
 

@@ -13,7 +13,7 @@ from types import ModuleType
 import pytest
 
 from dqforge.reports.operating_system import system
-from dqforge.reports.operating_system.folder_lock import (
+from dqforge.reports.operating_system.host_compiler import (
     FolderTakenError,
     flush_folder,
     lock_folder,

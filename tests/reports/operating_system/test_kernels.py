@@ -26,9 +26,7 @@ a = np.random.default_rng(1).normal(size=(23, 23))
 found = [a @ a, np.linalg.eigvals(a), np.linalg.inv(a), expm(a), np.exp(a), np.sin(1e3 * a)]
 print("".join(each.tobytes().hex() for each in found))
 """
-PREPARED = (
-    "from dqforge.reports.operating_system.own_process import prepare_process; prepare_process()"
-)
+PREPARED = "from dqforge.reports.operating_system.system import prepare_process; prepare_process()"
 
 
 def printed(core: str, before: str) -> str:

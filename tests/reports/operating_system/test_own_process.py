@@ -16,7 +16,7 @@ found = linprog([1.0, 2.0], A_ub=[[-1.0, -1.0]], b_ub=[-3.0])
 print(words, [type(each).__name__ for each in sys.meta_path].count("_Unread"), found.x.tolist())
 """
 PREPARED = (
-    "from dqforge.reports.operating_system.own_process import prepare_process as prepare; "
+    "from dqforge.reports.operating_system.system import prepare_process as prepare; "
     "prepare(); prepare()"
 )
 

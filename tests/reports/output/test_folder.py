@@ -19,7 +19,7 @@ from drives import make_design
 
 from dqforge.machines.design.design import Design, DesignFiles
 from dqforge.machines.errors import InputError
-from dqforge.reports.output import folder_swap
+from dqforge.reports.output import folder as folder_swap
 from dqforge.reports.output.folder import (
     COMMAND,
     FIGURES,

@@ -20,12 +20,18 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_design, load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_design, load_text
 from dqforge.machines.errors import DqforgeError
 from dqforge.reports.output import recomputation
-from dqforge.reports.output.folder import COMMAND, RUN, SIMULATION, VERIFIED, put_output
-from dqforge.reports.output.folder_swap import files_below
+from dqforge.reports.output.folder import (
+    COMMAND,
+    RUN,
+    SIMULATION,
+    VERIFIED,
+    files_below,
+    put_output,
+)
 from dqforge.reports.output.manifest import Manifest, Part, find_manifest, sha256, to_bytes
 from dqforge.reports.output.recomputation import recompute
 from dqforge.reports.run import RunOutput, run_again

@@ -16,12 +16,11 @@ from pathlib import Path
 import pytest
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_design, load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_design, load_text
 from dqforge.machines.errors import DqforgeError, InputError, VerificationError
 from dqforge.reports.output import recomputation
-from dqforge.reports.output.folder import COMMAND, FIGURES, RUN, put_output, write_output
-from dqforge.reports.output.folder_swap import PENDING
+from dqforge.reports.output.folder import COMMAND, FIGURES, PENDING, RUN, put_output, write_output
 from dqforge.reports.output.line_comparison import Tally, first_difference, tally
 from dqforge.reports.output.manifest import Manifest, find_manifest, part_of, sha256, to_bytes
 from dqforge.reports.output.recomputation import recompute

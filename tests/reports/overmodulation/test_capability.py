@@ -12,7 +12,7 @@ from drives import SURFACE, make_design
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.names import OvermodulationName
-from dqforge.optimizer.operating_points.drive_points import limited_drive, points_within
+from dqforge.optimizer.operating_points.characteristics import limited_drive, points_within
 from dqforge.reports.operating_points.question import Request, answer
 from dqforge.reports.overmodulation.tables import gain_text, point_rows, reach_text
 from dqforge.reports.run import RunOutput, run_design

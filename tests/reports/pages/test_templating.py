@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from jinja2 import Environment, FileSystemLoader
 
-from dqforge.reports.pages.compiled_templates import CompiledTemplates
+from dqforge.reports.pages.templating import CompiledTemplates
 
 
 def rendered(folder: Path, name: str = "a.txt.j2") -> str:

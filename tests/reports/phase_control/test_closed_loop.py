@@ -16,16 +16,15 @@ from phase_drives import near_sinusoidal, plain_control, trapezoidal
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
-from dqforge.machines.phase_machines.frames import thesis_shapes
+from dqforge.machines.phase_machines.frame_transforms import thesis_shapes
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import PhaseOpening, PlantErrors, Scenario, constant
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.phase_control.header import phase_control_files
-from dqforge.reports.simulation.compiled_plant import simulate, simulate_many, simulator
 from dqforge.reports.simulation.plant_input import Drive
-from dqforge.reports.simulation.recorded_run import Summary
+from dqforge.reports.simulation.recorded_run import Summary, simulate, simulate_many, simulator
 
 P, Z = near_sinusoidal(192), trapezoidal(192)
 PLANT_P, PLANT_Z = near_sinusoidal(720), trapezoidal(720)

@@ -16,14 +16,13 @@ from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import Profile, Scenario, constant
 from dqforge.machines.topologies.topology import TOPOLOGIES
-from dqforge.optimizer.phase_control.floquet import radius
-from dqforge.optimizer.phase_control.periodic_step import PhasePlants
+from dqforge.optimizer.phase_control.judged_box import PhasePlants, radius
 from dqforge.optimizer.phase_control.phase_controller import AxisGains, MidpointGains, PhaseControl
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.phase_control.header import phase_control_files
-from dqforge.reports.simulation.compiled_plant import simulate, simulator
 from dqforge.reports.simulation.plant_input import Drive
+from dqforge.reports.simulation.recorded_run import simulate, simulator
 
 P, Z = near_sinusoidal(360), trapezoidal(360)
 CAPACITANCE = 2e-3

@@ -20,7 +20,7 @@ from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit, fit_phas
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.main_header.header import header_files
-from dqforge.reports.phase_control.fixed_phase_header import (
+from dqforge.reports.phase_control.emitted_integers import (
     phase_fixed_files,
     phase_fixed_programme,
     plain_phase_integers,

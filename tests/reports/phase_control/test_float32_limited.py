@@ -21,14 +21,16 @@ from dqforge.optimizer.phase_control.limited_shapes import (
 from dqforge.optimizer.phase_control.phase_controller import LimitedShapes, PhaseControl
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.main_header.header import header_files
-from dqforge.reports.phase_control.control_vectors import (
+from dqforge.reports.phase_control.emitted_integers import (
     phase_control_inputs,
     phase_control_programme,
 )
-from dqforge.reports.phase_control.float32_limited import LimitedTable
-from dqforge.reports.phase_control.float32_model import PhaseControlModel
-from dqforge.reports.phase_control.header import phase_control_files, plain_solution_control
-from dqforge.reports.phase_control.plain import phase_control_from
+from dqforge.reports.phase_control.float32_model import LimitedTable, PhaseControlModel
+from dqforge.reports.phase_control.header import (
+    phase_control_files,
+    phase_control_from,
+    plain_solution_control,
+)
 from dqforge.reports.result import plain_solution
 from dqforge.reports.verification.host import verify_files
 

@@ -14,9 +14,9 @@ from dqforge.machines.names import CurrentFrame, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl, PhaseShape
-from dqforge.reports.phase_control.float32_duties import Stationary
 from dqforge.reports.phase_control.float32_model import PhaseControlModel, PhaseControlState
 from dqforge.reports.phase_control.float32_parts import (
+    Stationary,
     coupling,
     from_frame,
     reference_at,
@@ -24,7 +24,7 @@ from dqforge.reports.phase_control.float32_parts import (
     slope_at,
     to_frame,
 )
-from dqforge.reports.phase_control.plain import (
+from dqforge.reports.phase_control.header import (
     Surroundings,
     phase_control_from,
     plain_phase_control,

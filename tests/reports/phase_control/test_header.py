@@ -16,14 +16,17 @@ from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl, PhaseShape, TorqueLimit
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.main_header.header import header_files
-from dqforge.reports.phase_control.control_vectors import (
+from dqforge.reports.phase_control.emitted_integers import (
     phase_control_inputs,
     phase_control_programme,
     phase_control_results,
 )
 from dqforge.reports.phase_control.float32_model import PhaseControlModel
-from dqforge.reports.phase_control.header import phase_control_files, plain_solution_control
-from dqforge.reports.phase_control.plain import phase_control_from
+from dqforge.reports.phase_control.header import (
+    phase_control_files,
+    phase_control_from,
+    plain_solution_control,
+)
 from dqforge.reports.result import plain_solution
 from dqforge.reports.verification.host import verify_files
 

@@ -45,7 +45,7 @@ def solution() -> Solution:
 @pytest.fixture(autouse=True)
 def coarse_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few nodes of the torque limit's table: drives ask for the torque at their own speed."""
-    room = "dqforge.optimizer.phase_control.torque_limit"
+    room = "dqforge.optimizer.phase_control.phase_controller"
     for name, value in (("SPEEDS", 3), ("LINKS", (0.0, 1.0)), ("_SCAN", 9), ("_FINE", (1, 1))):
         monkeypatch.setattr(f"{room}.{name}", value)
 

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.names import Topology
 from dqforge.machines.plants.scenario import InverterModel, Scenario, constant
-from dqforge.optimizer.phase_control.torque_limit import limit_at
+from dqforge.optimizer.phase_control.phase_controller import limit_at
 from dqforge.optimizer.solution import solve
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.phase_control.header import phase_control_files
-from dqforge.reports.simulation.compiled_plant import simulate_many, simulator
 from dqforge.reports.simulation.design_run import controller_files
 from dqforge.reports.simulation.plant_input import Drive
+from dqforge.reports.simulation.recorded_run import simulate_many, simulator
 
 P = "paper002-phase-waveforms"
 SPEED = 1800.0 * math.pi / 30.0

@@ -13,7 +13,7 @@ import pytest
 
 import dqforge
 from dqforge import cli
-from dqforge.reports.pages.envelope import to_text
+from dqforge.reports.pages.templating import to_text
 
 MACHINE = dqforge.LinearMachine(
     pole_pairs=3, r_s=2.35, l_d=1.61e-3, l_q=1.74e-3, psi_pm=0.06, i_max=6.4, inertia=2e-4

@@ -10,7 +10,7 @@ import pytest
 
 import dqforge
 from dqforge import cli
-from dqforge.reports.pages.envelope import to_text
+from dqforge.reports.pages.templating import to_text
 
 P, R_S, L_D, L_Q, PSI = 4, 0.02, 350e-6, 592e-6, 0.1049
 MACHINE = dqforge.LinearMachine(pole_pairs=P, r_s=R_S, l_d=L_D, l_q=L_Q, psi_pm=PSI, i_max=300.0)

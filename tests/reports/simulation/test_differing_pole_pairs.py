@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.reports.simulation.design_run import simulate_design
 from dqforge.reports.simulation.recorded_run import Simulation
 

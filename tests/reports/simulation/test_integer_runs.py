@@ -26,18 +26,17 @@ from dqforge.machines.names import NumberFormat, ObserverMethodName
 from dqforge.machines.plants.scenario import PlantErrors, Profile, Scenario, Sensorless, constant
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.fixed_control.design import fit_control
-from dqforge.optimizer.fixed_control.step import FixedControl
+from dqforge.optimizer.fixed_control.transforms import FixedControl
 from dqforge.optimizer.solution import solve
-from dqforge.reports.simulation.compiled_plant import (
+from dqforge.reports.simulation.design_run import drive_of, emitted_files, simulate_design
+from dqforge.reports.simulation.plant_input import Drive, integer_gain_bytes
+from dqforge.reports.simulation.recorded_run import (
+    Simulation,
     Simulator,
     simulate,
     simulate_many,
     simulator,
 )
-from dqforge.reports.simulation.design_run import drive_of, emitted_files, simulate_design
-from dqforge.reports.simulation.integer_gains import integer_gain_bytes
-from dqforge.reports.simulation.plant_input import Drive
-from dqforge.reports.simulation.recorded_run import Simulation
 
 RPM = math.pi / 30.0
 ALL: tuple[NumberFormat, ...] = ("float32", "q15", "q31")

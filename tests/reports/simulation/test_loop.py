@@ -34,14 +34,7 @@ from dqforge.optimizer.loops.plants import current_loop, current_step, speed_loo
 from dqforge.optimizer.observers.reduced_order import steady_state_error
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control.header import gain_bytes, plain_control
-from dqforge.reports.simulation import compiled_plant as simulation_module
-from dqforge.reports.simulation.compiled_plant import (
-    Simulator,
-    compile_simulator,
-    simulate,
-    simulate_many,
-    simulator,
-)
+from dqforge.reports.simulation import recorded_run as simulation_module
 from dqforge.reports.simulation.design_run import (
     controller_files,
     drive_of,
@@ -50,7 +43,14 @@ from dqforge.reports.simulation.design_run import (
     step_figures,
 )
 from dqforge.reports.simulation.plant_input import Drive
-from dqforge.reports.simulation.recorded_run import Simulation
+from dqforge.reports.simulation.recorded_run import (
+    Simulation,
+    Simulator,
+    compile_simulator,
+    simulate,
+    simulate_many,
+    simulator,
+)
 from dqforge.reports.simulation.tables import plain_simulation, simulation_tables
 
 T_S = 1e-4

@@ -18,15 +18,14 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.modulation.hexagon import METHODS, SIX_STEP
-from dqforge.machines.modulation.low_harmonics import LowHarmonics, low_harmonics
+from dqforge.machines.modulation.dead_time import LowHarmonics, low_harmonics
+from dqforge.machines.modulation.registry import METHODS, SIX_STEP
 from dqforge.machines.names import OvermodulationName
 from dqforge.machines.plants.scenario import Encoder, Scenario, constant
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control.header import gain_bytes, plain_control
-from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
 from dqforge.reports.simulation.design_run import controller_files, drive_of
-from dqforge.reports.simulation.recorded_run import Simulation
+from dqforge.reports.simulation.recorded_run import Simulation, Simulator, simulate, simulator
 
 T_S, V_DC = 5e-5, 100.0
 OMEGA = 2.0 * math.pi * 100.33  # electrical; 199.34 samples a period, never the same twice

@@ -31,9 +31,9 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.modulation.ripple import flux_moments
 from dqforge.machines.names import Topology
-from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.machines.phase_machines.salient_phase_machine import (
+from dqforge.machines.phase_machines.phase_machine import (
     AnyPhaseMachine,
+    PhaseMachine,
     SalientPhaseMachine,
 )
 from dqforge.machines.plants.scenario import (
@@ -45,13 +45,8 @@ from dqforge.machines.plants.scenario import (
     constant,
 )
 from dqforge.machines.topologies.topology import TOPOLOGIES
-from dqforge.reports.simulation.compiled_plant import (
-    Simulator,
-    simulate,
-    simulator,
-)
-from dqforge.reports.simulation.phase_plant_input import emf_table
-from dqforge.reports.simulation.plant_input import Drive
+from dqforge.reports.simulation.plant_input import Drive, emf_table
+from dqforge.reports.simulation.recorded_run import Simulator, simulate, simulator
 
 
 @pytest.fixture(scope="module")

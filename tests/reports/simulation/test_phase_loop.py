@@ -25,13 +25,8 @@ from dqforge.machines.plants.scenario import (
     constant,
 )
 from dqforge.machines.topologies.topology import TOPOLOGIES
-from dqforge.reports.simulation.compiled_plant import (
-    Simulator,
-    simulate,
-    simulate_many,
-    simulator,
-)
 from dqforge.reports.simulation.plant_input import Drive
+from dqforge.reports.simulation.recorded_run import Simulator, simulate, simulate_many, simulator
 
 T_S = 1e-4
 BANDWIDTH = 2.0 * math.pi * 500.0

@@ -42,8 +42,7 @@ from dqforge.machines.plants.scenario import (
     constant,
 )
 from dqforge.machines.topologies.topology import TOPOLOGIES
-from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
-from dqforge.reports.simulation.recorded_run import Simulation
+from dqforge.reports.simulation.recorded_run import Simulation, Simulator, simulate, simulator
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import (
@@ -29,9 +29,14 @@ from dqforge.machines.plants.scenario import (
     Scenario,
     constant,
 )
-from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulate_many, simulator
 from dqforge.reports.simulation.plant_input import Drive
-from dqforge.reports.simulation.recorded_run import Simulation
+from dqforge.reports.simulation.recorded_run import (
+    Simulation,
+    Simulator,
+    simulate,
+    simulate_many,
+    simulator,
+)
 
 T_S = 1e-4
 IPM = LinearMachine(

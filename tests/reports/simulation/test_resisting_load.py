@@ -14,9 +14,8 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import ElasticBrake, Scenario, constant
-from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
 from dqforge.reports.simulation.plant_input import Drive
-from dqforge.reports.simulation.recorded_run import Simulation
+from dqforge.reports.simulation.recorded_run import Simulation, Simulator, simulate, simulator
 
 T_S = 1e-4
 MACHINE = LinearMachine(

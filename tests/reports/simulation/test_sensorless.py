@@ -36,16 +36,14 @@ from dqforge.machines.plants.scenario import (
 )
 from dqforge.machines.transforms import Triple, clarke
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.optimizer.observers.parts import cast
-from dqforge.optimizer.observers.steady_states import steady_observer
+from dqforge.optimizer.observers.parts import cast, steady_observer
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.c_code.float32_functions import SINGLE, wrap
+from dqforge.reports.c_code.harness import SINGLE, wrap
 from dqforge.reports.observers.speed_float32_model import observed_speeds, speed_observer_gains
 from dqforge.reports.pages.figures_style import to_svg
-from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
 from dqforge.reports.simulation.design_run import controller_files, drive_of, evaluate, observers_of
 from dqforge.reports.simulation.figures import plot_simulation
-from dqforge.reports.simulation.recorded_run import Simulation
+from dqforge.reports.simulation.recorded_run import Simulation, Simulator, simulate, simulator
 from dqforge.reports.simulation.tables import plain_simulation, simulation_tables
 
 T_S = 1e-4

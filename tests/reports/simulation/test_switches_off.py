@@ -15,8 +15,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import InverterModel, Scenario, constant
 from dqforge.reports.pages.templating import render
-from dqforge.reports.simulation.plant_input import Drive, run_input
-from dqforge.reports.simulation.plant_layout import PARAMETERS, STATES
+from dqforge.reports.simulation.plant_input import PARAMETERS, STATES, Drive, run_input
 
 T_S = 1e-4
 MACHINE = LinearMachine(

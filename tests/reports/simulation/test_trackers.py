@@ -14,7 +14,7 @@ from dqforge.machines.transforms import Triple, clarke
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.observers.parts import cast
 from dqforge.optimizer.solution import solve
-from dqforge.reports.c_code.float32_functions import SINGLE, wrap
+from dqforge.reports.c_code.harness import SINGLE, wrap
 from dqforge.reports.simulation.design_run import DriveSimulation, simulate_design
 
 ABB, BALDOR = "abb-ipmsm-2k2", "baldor-pmsyrm-5k6"

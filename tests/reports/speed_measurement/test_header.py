@@ -19,7 +19,7 @@ from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.solution import solve
 from dqforge.reports.run import export_design
 from dqforge.reports.simulation.design_run import simulate_design
-from dqforge.reports.speed_measurement.float32_model import (
+from dqforge.reports.speed_measurement.tables import (
     SAMPLE,
     EdgeNumbers,
     EdgeState,

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from static_checks import DEVIATIONS, program
 
+from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_design
 from dqforge.machines.plants.scenario import Profile, constant
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.c_code.harness import Programme
@@ -24,9 +24,8 @@ from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.observers.tracker_float32_model import EmittedTracker
 from dqforge.reports.observers.tracker_header import plain_tracker_gains
 from dqforge.reports.pages.templating import render
-from dqforge.reports.phase_control.emitted import emitted_control_plain
+from dqforge.reports.phase_control.emitted_integers import emitted_control_plain
 from dqforge.reports.run import emitted_files
-from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
 from dqforge.reports.simulation.design_run import (
     DriveSimulation,
     controlled_topology,
@@ -35,11 +34,12 @@ from dqforge.reports.simulation.design_run import (
     evaluate,
     observers_of,
 )
+from dqforge.reports.simulation.recorded_run import Simulator, simulate, simulator
 from dqforge.reports.simulation.start_figures import StartFigures, spans
 from dqforge.reports.start_up.float32_model import Fault, State
 from dqforge.reports.start_up.header import plain_start_up
 from dqforge.reports.start_up.tried import start_up_from, start_up_programme
-from dqforge.reports.verification.target_programmes import run_on_target
+from dqforge.reports.verification.cortex_m import run_on_target
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "third-harmonic-start.yaml"
 RPM = math.pi / 30.0

@@ -15,7 +15,6 @@ from start_designs import INJECTION, start_design
 from dqforge.machines.plants.scenario import CurrentSensor, PlantErrors, Profile, Scenario, constant
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.pages.figures_style import to_svg
-from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
 from dqforge.reports.simulation.design_run import (
     DriveSimulation,
     controller_files,
@@ -24,6 +23,7 @@ from dqforge.reports.simulation.design_run import (
     observers_of,
 )
 from dqforge.reports.simulation.figures import plot_simulation
+from dqforge.reports.simulation.recorded_run import Simulator, simulate, simulator
 from dqforge.reports.simulation.start_figures import StartFigures, spans
 from dqforge.reports.simulation.tables import plain_simulation, simulation_tables
 

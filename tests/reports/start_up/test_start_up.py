@@ -17,19 +17,25 @@ from start_designs import INJECTION, start_design
 from static_checks import DEVIATIONS, program
 
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.c_code.read_back import single_from
+from dqforge.reports.c_code.harness import single_from
 from dqforge.reports.control.header import plain_control
 from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.observers.position_header import emitted, plain_observer
 from dqforge.reports.pages.templating import render
 from dqforge.reports.simulation.design_run import controller_files
 from dqforge.reports.start_up.float32_model import RESTING, F, Fault, State
-from dqforge.reports.start_up.header import plain_start_observer, plain_start_up
-from dqforge.reports.start_up.members import MEMBERS, settings_bytes, settings_of
-from dqforge.reports.start_up.model_step import StartUpRun
-from dqforge.reports.start_up.sequences import OUTPUTS, SEEN
+from dqforge.reports.start_up.header import (
+    MEMBERS,
+    OUTPUTS,
+    SEEN,
+    StartUpRun,
+    plain_start_observer,
+    plain_start_up,
+    settings_bytes,
+    settings_of,
+)
 from dqforge.reports.start_up.tried import TriedStart, start_up_from, start_up_programme
-from dqforge.reports.verification.target_programmes import run_on_target
+from dqforge.reports.verification.cortex_m import run_on_target
 
 
 @cache

@@ -13,30 +13,28 @@ import pytest
 from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.names import StartUpMethodName
 from dqforge.machines.plants.scenario import ElasticBrake, PlantErrors
-from dqforge.machines.random_drives.random_drive import RandomDrive, random_drive
+from dqforge.machines.random_drives import RandomDrive, random_drive
 from dqforge.optimizer.solution import solve
 from dqforge.optimizer.start_up.plan import StartUpPlan
-from dqforge.optimizer.start_up.start_judgement import StartRate
+from dqforge.optimizer.start_up.solve import StartRate
 from dqforge.reports.simulation.design_run import controller_files
 from dqforge.reports.simulation.plant_input import map_table
 from dqforge.reports.start_up.header import start_up_files
-from dqforge.reports.start_up_bench.bench_program import RUN_STATE
-from dqforge.reports.start_up_bench.random_bench import (
-    Adjust,
-    RandomBench,
-    random_bench,
-    recorded_starts,
-    settings_for,
-    start_rate,
-)
 from dqforge.reports.start_up_bench.random_starts import (
+    RUN_STATE,
+    Adjust,
     Blocked,
     Conditions,
+    RandomBench,
     duration_of,
     flux_bytes_of,
     plan_for,
+    random_bench,
+    recorded_starts,
     saturation_table,
+    settings_for,
     speed_wanted,
+    start_rate,
 )
 
 EXACT = PlantErrors()

@@ -13,13 +13,13 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.plants.scenario import CurrentSensor, Scenario, constant
 from dqforge.optimizer.solution import solve
-from dqforge.optimizer.start_up.start_judgement import StartRate
+from dqforge.optimizer.start_up.solve import StartRate
 from dqforge.reports.control.header import plain_control
-from dqforge.reports.simulation.compiled_plant import simulate, simulator
 from dqforge.reports.simulation.design_run import controller_files, drive_of, emitted_files
 from dqforge.reports.simulation.plant_input import run_input
+from dqforge.reports.simulation.recorded_run import simulate, simulator
 from dqforge.reports.start_up.header import start_up_files
-from dqforge.reports.start_up_bench.bench_program import StartInput, bench_program, run_starts
+from dqforge.reports.start_up_bench.random_starts import StartInput, bench_program, run_starts
 from dqforge.reports.start_up_bench.start_success import drawn_plants, start_success
 
 MACHINE = LinearMachine(

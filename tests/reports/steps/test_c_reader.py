@@ -24,7 +24,7 @@ from dqforge.optimizer.observers.parts import (
     cast,
     limited,
 )
-from dqforge.reports.c_code.float32_functions import SINGLE
+from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.pages.templating import render
 from dqforge.reports.steps.observer_text import observer_text
 

@@ -16,7 +16,7 @@ from study_workers import parts_in
 from dqforge import __version__
 from dqforge.machines.errors import InputError
 from dqforge.reports.study_engine.engine_settings import EngineSettings, TlsFiles
-from dqforge.reports.study_engine.stopped import EngineStoppedError, SchedulerLostError
+from dqforge.reports.study_engine.local_cluster import EngineStoppedError, SchedulerLostError
 
 
 @pytest.mark.slow
@@ -62,7 +62,7 @@ def test_certificates_are_asked_for_before_anybody_is_asked(tmp_path: Path) -> N
 
 
 def test_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dqforge.reports.study_engine.existing_cluster.ANSWERS_WITHIN_S", 0.5)
+    monkeypatch.setattr("dqforge.reports.study_engine.local_cluster.ANSWERS_WITHIN_S", 0.5)
     address = f"tcp://127.0.0.1:{free_port()}"
     with pytest.raises(EngineStoppedError) as stopped:
         run_in(tmp_path / "a", StudyRows(), EngineSettings(scheduler=address))

@@ -8,8 +8,7 @@ import distributed
 import pytest
 from distributed.comm.core import CommClosedError
 
-from dqforge.reports.study_engine.local_cluster import local_workers
-from dqforge.reports.study_engine.stopped import EngineStoppedError
+from dqforge.reports.study_engine.local_cluster import EngineStoppedError, local_workers
 
 
 def cluster(**_: object) -> SimpleNamespace:

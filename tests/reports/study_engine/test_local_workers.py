@@ -23,13 +23,12 @@ from study_rows import StudyRows
 from study_runs import opened, parts_hash, rows_there, run_in
 from study_workers import killing_workers, parts_in, worker_processes
 
+from dqforge.reports.study_engine.contained_rows import SuspectPart
 from dqforge.reports.study_engine.engine_settings import EngineSettings
 from dqforge.reports.study_engine.local_cluster import quiet
 from dqforge.reports.study_engine.run_study import run_study
-from dqforge.reports.study_engine.suspect_part import SuspectPart
-from dqforge.reports.study_store.part_file import encode_part
+from dqforge.reports.study_store.part_file import StoreError, encode_part
 from dqforge.reports.study_store.part_store import PartStore
-from dqforge.reports.study_store.store_files import StoreError
 
 TESTS = Path(__file__).resolve().parents[2]
 

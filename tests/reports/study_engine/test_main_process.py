@@ -13,8 +13,8 @@ from study_runs import opened, parts_hash, rows_there, run_in
 
 from dqforge.optimizer.exploration.row_block import RowBlock
 from dqforge.reports.study_engine.engine_settings import EngineSettings
+from dqforge.reports.study_engine.local_cluster import StudyInterruptedError
 from dqforge.reports.study_engine.run_study import local_processes, run_study
-from dqforge.reports.study_engine.stopped import StudyInterruptedError
 
 
 def test_all_parts_are_written_and_counted(tmp_path: Path) -> None:

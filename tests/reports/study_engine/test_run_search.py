@@ -23,7 +23,7 @@ from study_runs import parts_hash, rows_there
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.exploration.row_block import KnownRows
 from dqforge.optimizer.exploration.study_plan import StudyPlan
-from dqforge.reports.study_engine.stopped import StudyInterruptedError
+from dqforge.reports.study_engine.local_cluster import StudyInterruptedError
 from dqforge.reports.study_store.part_file import encode_part
 from dqforge.reports.study_store.part_store import PartStore
 

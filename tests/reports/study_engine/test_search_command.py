@@ -14,9 +14,9 @@ from pyarrow import parquet
 from searched_rows import FRONT, ONE_GOAL
 from study_runs import parts_hash, rows_there
 
-from dqforge.machines.design.loader import load_design
-from dqforge.machines.exploration import catalogue
-from dqforge.machines.exploration.study_reader import study_of_text
+from dqforge.machines.design.catalogue import load_design
+from dqforge.machines.exploration import study_checks as catalogue
+from dqforge.machines.exploration.study_checks import study_of_text
 from dqforge.reports.study_store.part_store import PartStore
 
 

@@ -9,8 +9,7 @@ import pytest
 from study_rows import StudyRows
 
 from dqforge.optimizer.exploration.row_block import STATES, RowBlock
-from dqforge.reports.study_engine.contained_rows import contained_rows
-from dqforge.reports.study_engine.suspect_part import SuspectPart
+from dqforge.reports.study_engine.contained_rows import SuspectPart, contained_rows
 from dqforge.reports.study_store.part_file import encode_part
 
 ROWS = StudyRows(count=40, batch=40)

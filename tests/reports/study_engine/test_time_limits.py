@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dqforge.reports.study_engine.time_limits import TimeLimits
+from dqforge.reports.study_engine.contained_rows import TimeLimits
 
 
 def test_a_limit_that_is_given_holds_for_every_batch() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dqforge import __version__
-from dqforge.reports.study_engine.worker_facts import (
+from dqforge.reports.study_engine.local_cluster import (
     COMPARED,
     CPU,
     SOURCES,

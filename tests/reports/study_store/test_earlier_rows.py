@@ -12,11 +12,10 @@ from study_blocks import COLUMNS, Rows, filled, header, keys_of
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.exploration.row_block import STATES, ColumnSpec, RowBlock
-from dqforge.reports.study_store import earlier_rows
-from dqforge.reports.study_store.earlier_rows import EarlierRows
-from dqforge.reports.study_store.part_file import encode_part
+from dqforge.reports.study_store import summary_files as earlier_rows
+from dqforge.reports.study_store.part_file import encode_part, part_name
 from dqforge.reports.study_store.part_store import PartStore
-from dqforge.reports.study_store.store_files import part_name
+from dqforge.reports.study_store.summary_files import EarlierRows
 
 
 @pytest.fixture(params=["memory", "files"])

@@ -17,12 +17,12 @@ from pyarrow import parquet
 from study_blocks import COLUMNS, DEVICES, Rows
 
 from dqforge.optimizer.exploration.row_block import STATES, ColumnSpec, RowBlock
-from dqforge.reports.study_store.part_columns import part_columns
 from dqforge.reports.study_store.part_file import (
     PartError,
     check_seal,
     encode_part,
     part_about,
+    part_columns,
 )
 
 DIGEST = "ab" * 32

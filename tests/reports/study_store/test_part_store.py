@@ -17,14 +17,15 @@ import pytest
 from study_blocks import COLUMNS, Rows, filled, grid_study, header, keys_of, part, study
 
 from dqforge.machines.errors import InputError
-from dqforge.reports.study_store.part_file import PartError
-from dqforge.reports.study_store.part_store import PartStore
-from dqforge.reports.study_store.plain_study import (
+from dqforge.reports.study_store.part_file import PartError, StoreError, part_name, write_whole
+from dqforge.reports.study_store.part_store import (
+    PartStore,
+    header_bytes,
+    header_from,
     study_from,
+    study_header,
     study_inputs,
 )
-from dqforge.reports.study_store.store_files import StoreError, part_name, write_whole
-from dqforge.reports.study_store.study_header import header_bytes, header_from, study_header
 
 TOTAL = "out.losses.total"
 

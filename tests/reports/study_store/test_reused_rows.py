@@ -9,14 +9,12 @@ import numpy as np
 import pytest
 
 from dqforge.cli import main
-from dqforge.machines.exploration.study_reader import study_of_text
+from dqforge.machines.exploration.study_checks import study_of_text
 from dqforge.optimizer.exploration.row_block import STATES, RowBlock
 from dqforge.optimizer.exploration.study_plan import StudyPlan
 from dqforge.reports.study_store.part_file import encode_part
-from dqforge.reports.study_store.part_store import PartStore
-from dqforge.reports.study_store.plain_study import study_inputs
+from dqforge.reports.study_store.part_store import PartStore, study_header, study_inputs
 from dqforge.reports.study_store.reused_rows import ReusingRows
-from dqforge.reports.study_store.study_header import study_header
 
 STUDY = """dqforge_study: 1
 name: Loops

@@ -12,10 +12,10 @@ import pytest
 from study_blocks import OK, REFUSED, Rows, filled, header
 
 from dqforge.machines.errors import InputError
-from dqforge.reports.pages.envelope import to_text
+from dqforge.reports.pages.templating import to_text
+from dqforge.reports.study_store.part_file import StoreError, part_name
 from dqforge.reports.study_store.part_store import PartStore
-from dqforge.reports.study_store.store_files import StoreError, part_name
-from dqforge.reports.study_store.table_answer import TableRequest, answer_table
+from dqforge.reports.study_store.table_query import TableRequest, answer_table
 
 WHOLE = Rows(1050).rows(0, 1050)
 TOTAL = WHOLE.columns["out.losses.total"]

@@ -11,11 +11,10 @@ from study_blocks import DEVICES, Rows, filled, header
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.exploration.row_block import STATES
-from dqforge.reports.study_store import table_rows
+from dqforge.reports.study_store import table_query as table_rows
+from dqforge.reports.study_store.part_file import part_name
 from dqforge.reports.study_store.part_store import PartStore
-from dqforge.reports.study_store.store_files import part_name
-from dqforge.reports.study_store.table_query import read_query, short_name
-from dqforge.reports.study_store.table_rows import FoundRows, find_rows
+from dqforge.reports.study_store.table_query import FoundRows, find_rows, read_query, short_name
 
 COUNT = 1050
 WHOLE = Rows(COUNT).rows(0, COUNT)

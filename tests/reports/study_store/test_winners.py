@@ -13,14 +13,11 @@ from pyarrow import parquet
 from study_blocks import Rows, filled
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.exploration.study_reader import study_of_text
+from dqforge.machines.exploration.study_checks import study_of_text
 from dqforge.optimizer.exploration.study_plan import StudyPlan
 from dqforge.reports.output.recomputation import recompute
-from dqforge.reports.study_store.part_file import encode_part
-from dqforge.reports.study_store.part_store import PartStore
-from dqforge.reports.study_store.plain_study import study_inputs
-from dqforge.reports.study_store.store_files import FRONT, StoreError
-from dqforge.reports.study_store.study_header import study_header
+from dqforge.reports.study_store.part_file import FRONT, StoreError, encode_part
+from dqforge.reports.study_store.part_store import PartStore, study_header, study_inputs
 from dqforge.reports.study_store.summary_files import front_file
 from dqforge.reports.study_store.winners import (
     chosen_rows,

@@ -11,18 +11,19 @@ import pytest
 
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.names import Core
-from dqforge.reports.verification.block_trace import (
+from dqforge.reports.verification.cross_tools import (
     LOGGED,
-    calls_in_blocks,
-    cycles_of_paths,
-    executed_blocks,
-)
-from dqforge.reports.verification.cross_tools import build, emulate, execute, program
-from dqforge.reports.verification.cycle_model import (
     address_of,
+    build,
+    calls_in_blocks,
     calls_of,
     cycles,
+    cycles_of_paths,
+    emulate,
+    execute,
+    executed_blocks,
     parse_disassembly,
+    program,
     traced_addresses,
 )
 

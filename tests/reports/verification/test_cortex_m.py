@@ -25,7 +25,7 @@ from dqforge.reports.main_header.header import header_files
 from dqforge.reports.verification.cortex_m import verify_on_target
 from dqforge.reports.verification.cross_tools import TARGETS
 from dqforge.reports.verification.text import target_text
-from dqforge.reports.waveforms.header import waveform_files
+from dqforge.reports.waveforms.tables import waveform_files
 
 
 @pytest.fixture(autouse=True)

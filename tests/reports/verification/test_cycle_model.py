@@ -10,9 +10,9 @@ import shutil
 import numpy as np
 import pytest
 
-from dqforge.reports.verification.cross_tools import TARGETS
-from dqforge.reports.verification.cycle_model import (
+from dqforge.reports.verification.cross_tools import (
     CORES,
+    TARGETS,
     address_of,
     calls_of,
     cycles,

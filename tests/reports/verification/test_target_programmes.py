@@ -23,8 +23,8 @@ from six_step_drives import bench as six_step_bench
 from start_designs import INJECTION, start_design
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.names import LEARNED_OBSERVERS, ObserverMethodName
@@ -36,9 +36,8 @@ from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import header_kinds
 from dqforge.reports.run import RunOutput, export_design
-from dqforge.reports.verification.cortex_m import verify_on_target
+from dqforge.reports.verification.cortex_m import reached, run_on_target, verify_on_target
 from dqforge.reports.verification.cross_tools import TARGETS
-from dqforge.reports.verification.target_programmes import reached, run_on_target
 from dqforge.reports.verification.text import target_text
 from dqforge.reports.written_headers import programmes
 

@@ -17,17 +17,13 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.current_reference.integer_form import FixedReference
-from dqforge.optimizer.yields.fixed_header import nominal_header
+from dqforge.optimizer.current_reference.forms import FixedReference
+from dqforge.optimizer.yields import nominal_header
 from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.output.folder import RUN, write_output
 from dqforge.reports.run import export_design
 from dqforge.reports.run_folder import MANIFEST
-from dqforge.reports.yields.folder_header import (
-    fixed_header,
-    header_from_plain,
-    read_fixed_header,
-)
+from dqforge.reports.yields import fixed_header, header_from_plain, read_fixed_header
 
 BENCH = "paper001-pmsm-bench"
 

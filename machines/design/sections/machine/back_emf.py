@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design import datasheet
-from dqforge.machines.design.reading import Reading
+from dqforge.machines.design import design as datasheet
+from dqforge.machines.design.design import Reading
 from dqforge.machines.design.sections.machine.back_emf_schema import BackEmfSection, HarmonicSection
 from dqforge.machines.design.sections.machine.schema import MachineSection
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import InputError
-from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine
 from dqforge.machines.places import KeyPath
 from dqforge.machines.units.quantities import format_quantity
 
@@ -216,8 +215,7 @@ def _captured(
     """Orders (H,), amplitudes in V s/rad and phases in rad, shapes (3, H), of a capture."""
     # Reading captures needs much that other designs do not.
     from dqforge.machines.back_emf.capture import analyse
-    from dqforge.machines.back_emf.columns import CaptureOptions
-    from dqforge.machines.back_emf.files import read_captures
+    from dqforge.machines.back_emf.columns import CaptureOptions, read_captures
 
     names, path = _names(given)
     options = CaptureOptions(

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dqforge.machines.design import datasheet
-from dqforge.machines.design.reading import ROUNDING_OF_DATA
+from dqforge.machines.design import design as datasheet
+from dqforge.machines.design.design import ROUNDING_OF_DATA
 from dqforge.machines.design.sections.fit import FitSection
 from dqforge.machines.design.sections.machine.schema import MachineSection
-from dqforge.machines.design.speed_remarks import bare_speed_hint
-from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
-from dqforge.machines.dq_machines.torque_limit import largest_torque_within
+from dqforge.machines.design.settings import bare_speed_hint
+from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, largest_torque_within
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.units.quantities import format_quantity

@@ -1,7 +1,7 @@
 """Windings in delta: what can be converted to the equivalent star, and what cannot.
 
 Seen from its terminals a delta without zero sequence is a star
-(`dqforge.machines.design.datasheet`). A zero sequence of the back-EMF short-circuits itself
+(`dqforge.machines.design.design`). A zero sequence of the back-EMF short-circuits itself
 in the delta, and its current is in no terminal: the star knows nothing of it.
 """
 
@@ -11,7 +11,7 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from dqforge.machines.design.reading import Reading
+from dqforge.machines.design.design import Reading
 from dqforge.machines.design.sections.machine.flux_map_schema import FluxMapSection
 from dqforge.machines.design.sections.machine.schema import MachineSection
 

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.design import datasheet
-from dqforge.machines.design.reading import Reading
+from dqforge.machines.design import design as datasheet
+from dqforge.machines.design.design import InputValue, Reading
 from dqforge.machines.design.sections.machine.delta import at_the_terminals
 from dqforge.machines.design.sections.machine.flux_map_schema import FluxMapSection
 from dqforge.machines.design.sections.machine.schema import MachineSection
-from dqforge.machines.design.values import InputValue
 from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import InputError
@@ -23,7 +22,7 @@ from dqforge.machines.units.quantities import format_quantity
 
 if TYPE_CHECKING:  # the readers are needed for maps only
     from dqforge.machines.flux_maps.building import FluxMapReading
-    from dqforge.machines.flux_maps.loss_check import MeasuredLoss
+    from dqforge.machines.flux_maps.checks import MeasuredLoss
     from dqforge.machines.flux_maps.torque_check import TorqueCheck
 
 
@@ -70,7 +69,7 @@ def read_flux_maps(
     Raises:
         InputError: A file cannot be read, or is no map of a machine as it is declared.
     """
-    from dqforge.machines.flux_maps.magnet_temperatures import flux_map_of_maps
+    from dqforge.machines.flux_maps.fit import flux_map_of_maps
 
     given = section.flux_map
     if given is None or (given.file is None) == (given.files is None):
@@ -128,7 +127,7 @@ def losses_told(maps: FluxMaps, r_s: float, reading: Reading) -> None:
     """
     if not maps.losses:
         return
-    from dqforge.machines.flux_maps.loss_check import loss_findings
+    from dqforge.machines.flux_maps.checks import loss_findings
 
     reading.remarks.extend(
         f"{name}: {finding}" for name, loss in maps.losses for finding in loss_findings(loss, r_s)
@@ -144,7 +143,7 @@ def _told(
     at: tuple[float, str],
 ) -> FluxMaps:
     """Maps of one file, with its fit and its asymmetry at a current in A told among the remarks."""
-    from dqforge.machines.flux_maps.asymmetry import asymmetry_of
+    from dqforge.machines.flux_maps.building import asymmetry_of
     from dqforge.machines.flux_maps.evidence import FluxEvidence
 
     asymmetry = None
@@ -173,8 +172,8 @@ def _one_map(
     ``expected`` is the known magnet flux in Wb, ``i_max`` the current limit in A (peak).
     """
     # A design with constants starts faster without the readers.
+    from dqforge.machines.flux_map_files.coordinates import Declared
     from dqforge.machines.flux_map_files.files import read_flux_points
-    from dqforge.machines.flux_map_files.operating_points import Declared
     from dqforge.machines.flux_maps.building import FluxTreatment, build_flux_map
 
     columns = {key: value for key, value in given.columns if value is not None}

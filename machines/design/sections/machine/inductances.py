@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dqforge.machines.design.datasheet import AGREEMENT
-from dqforge.machines.design.reading import Reading
+from dqforge.machines.design.design import AGREEMENT, Reading
 from dqforge.machines.design.sections.machine.schema import MachineSection
 from dqforge.machines.errors import InputError
 from dqforge.machines.units.quantities import format_quantity

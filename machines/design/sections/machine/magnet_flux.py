@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dqforge.machines.design import datasheet
-from dqforge.machines.design.datasheet import FluxStatement
-from dqforge.machines.design.reading import Reading
+from dqforge.machines.design import design as datasheet
+from dqforge.machines.design.design import FluxStatement, InputValue, Reading
 from dqforge.machines.design.sections.machine.schema import MachineSection
-from dqforge.machines.design.values import InputValue
 from dqforge.machines.entries.rules import Quantity
 from dqforge.machines.units.quantities import format_quantity
 

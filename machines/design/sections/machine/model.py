@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from dqforge.machines.design import datasheet
-from dqforge.machines.design.reading import Reading
+from dqforge.machines.design import design as datasheet
+from dqforge.machines.design.design import Reading
 from dqforge.machines.design.sections.machine.back_emf import read_phase_machine, read_saliency
 from dqforge.machines.design.sections.machine.delta import check_connection
 from dqforge.machines.design.sections.machine.flux_map import (
@@ -21,15 +21,18 @@ from dqforge.machines.design.sections.machine.flux_map import (
 from dqforge.machines.design.sections.machine.inductances import read_inductances
 from dqforge.machines.design.sections.machine.magnet_flux import FLUX_KEYS, read_magnet_flux
 from dqforge.machines.design.sections.machine.schema import MachineSection, SaturationSection
-from dqforge.machines.dq_machines.flux_map import FluxMap, mirrored
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import (
+    FluxMap,
+    SaturatedMachine,
+    ScaledMachines,
+    mirrored,
+)
 from dqforge.machines.dq_machines.saturation import SaturationModel
-from dqforge.machines.dq_machines.scaled_machines import ScaledMachines
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import DqforgeError
 from dqforge.machines.names import MachineModel
-from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
+from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine
 from dqforge.machines.places import about
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity

@@ -7,7 +7,7 @@ from typing import Annotated, get_args
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
-from dqforge.machines.design.datasheet import Connection
+from dqforge.machines.design.design import Connection
 from dqforge.machines.design.sections.machine.back_emf_schema import BackEmfSection
 from dqforge.machines.design.sections.machine.flux_map_schema import FluxMapSection
 from dqforge.machines.entries.kinds import (

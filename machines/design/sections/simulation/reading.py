@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from dqforge.machines.design.reading import Reading
+from dqforge.machines.design.design import Reading
 from dqforge.machines.design.sections.simulation.schema import (
     CurrentProfileSection,
     CurrentSensorSection,

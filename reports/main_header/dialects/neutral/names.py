@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dqforge.reports.c_code.header_constant import Constant
+from dqforge.reports.c_code.harness import Constant
 from dqforge.reports.main_header.dialect import Dialect, Entry
 
 

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.plausibility.figures import MARK, Figure
 
 BASE = catalogue.template().decode()

@@ -10,14 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from dqforge.machines.design.plausibility.devices import constant_figures, remarks
-from dqforge.machines.design.plausibility.figures import sentences
+from dqforge.machines.design.plausibility.figures import constant_figures, remarks, sentences
 from dqforge.machines.devices import catalogue as device_catalogue
-from dqforge.machines.devices.curves import Curve, Family
-from dqforge.machines.devices.device import DeviceModel
-from dqforge.machines.devices.energies import EnergyTable
 from dqforge.machines.devices.files import read_device
-from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.devices.inverter import Curve, DeviceModel, EnergyTable, Family, SwitchDevice
 from dqforge.machines.devices.thermal_network import FosterNetwork, ThermalNetwork
 
 DEVICES = {name: device_catalogue.load(name) for name in device_catalogue.names()}

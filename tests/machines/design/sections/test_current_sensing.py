@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
-from dqforge.machines.devices.current_sensing import CurrentSensing
+from dqforge.machines.devices.inverter import CurrentSensing
 from dqforge.machines.errors import InputError
 
 BASE = catalogue.template().decode()

@@ -10,19 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.settings import WeakeningSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError, VerificationError
-from dqforge.optimizer.field_weakening.solve import solve_weakening
+from dqforge.optimizer.field_weakening.fit import solve_weakening
 from dqforge.optimizer.field_weakening.voltage_region import voltage_region
 from dqforge.optimizer.operating_points.characteristics import characteristics
-from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
-from dqforge.optimizer.operating_points.point_problem import Active
+from dqforge.optimizer.operating_points.mtpa_locus import Active, mtpa_locus
 from dqforge.optimizer.operating_points.points import optimal_points
-from dqforge.reports.field_weakening.tables import weakening_tables
-from dqforge.reports.pages.files import write_all
+from dqforge.reports.field_weakening.header import weakening_tables
+from dqforge.reports.pages.answer import write_all
 from dqforge.reports.run import export_design, run_design
 from dqforge.reports.written_headers import read_folder, verify_folder
 

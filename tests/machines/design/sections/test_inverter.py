@@ -8,8 +8,8 @@ import pytest
 from simple_losses import loss_budget
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.schema import json_schema
 from dqforge.machines.devices import catalogue as device_catalogue
 from dqforge.machines.errors import InputError

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_design, load_text
+from dqforge.machines.design.catalogue import load_design, load_text
 from dqforge.machines.errors import InputError
-from dqforge.machines.losses.mission import read_mission
-from dqforge.optimizer.losses.drive_comparison import Alternatives
-from dqforge.optimizer.losses.mission_budget import compare_mission
+from dqforge.machines.losses.machine_budget import read_mission
+from dqforge.optimizer.losses.drive_comparison import Alternatives, compare_mission
 from dqforge.optimizer.losses.solve import solve_losses, solve_mission
 from dqforge.reports.run import run_design
 

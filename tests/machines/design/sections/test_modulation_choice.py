@@ -18,18 +18,21 @@ from typer.testing import CliRunner
 
 from dqforge.cli import app
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.settings import ChoiceSettings
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, solve_choice
-from dqforge.reports.modulation_choice.figures import leaf_boxes, plot_choice
-from dqforge.reports.modulation_choice.header import choice_model
+from dqforge.reports.modulation_choice.figures import choice_model, leaf_boxes, plot_choice
 from dqforge.reports.modulation_choice.rule_model import emitted_from, rule_inputs, rule_results
-from dqforge.reports.modulation_choice.tables import choice_tables
-from dqforge.reports.modulation_choice.text import binding_shares, limits_text, rule_lines
+from dqforge.reports.modulation_choice.text import (
+    binding_shares,
+    choice_tables,
+    limits_text,
+    rule_lines,
+)
+from dqforge.reports.pages.answer import write_all
 from dqforge.reports.pages.figures_style import to_svg
-from dqforge.reports.pages.files import write_all
 from dqforge.reports.run import RunOutput, run_design
 from dqforge.reports.verification.cortex_m import verify_on_target
 from dqforge.reports.written_headers import read_folder, verify_folder

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.modulators import MODULATORS
 from dqforge.machines.topologies.linear_range import amplitude_limit

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.errors import InputError
 
 TEXT = catalogue.read_text("paper002-phase-waveforms").decode()

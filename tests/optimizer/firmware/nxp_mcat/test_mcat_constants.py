@@ -9,12 +9,12 @@ from pathlib import Path
 import nxp_published as published
 import pytest
 
-from dqforge.optimizer.firmware.nxp_mcat.mcat_constants import constants
-from dqforge.optimizer.firmware.nxp_mcat.mcat_edition import (
+from dqforge.optimizer.firmware.nxp_mcat.mcat_names import (
     EDITIONS,
     FIXED_2022,
     FLOAT_2022,
     FLOAT_2025,
+    constants,
 )
 from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import counts, held, printed, shift_of
 

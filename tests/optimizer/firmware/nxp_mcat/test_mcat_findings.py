@@ -6,10 +6,8 @@ import nxp_published as published
 import pytest
 
 from dqforge.optimizer.firmware.configuration import Configuration
-from dqforge.optimizer.firmware.nxp_mcat.mcat_edition import EDITIONS
-from dqforge.optimizer.firmware.nxp_mcat.mcat_file import McatFile
-from dqforge.optimizer.firmware.nxp_mcat.mcat_findings import implied_spans
-from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import McatSheet
+from dqforge.optimizer.firmware.nxp_mcat.mcat_names import EDITIONS
+from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import McatFile, McatSheet, implied_spans
 
 
 def _file(data: published.Published, **changed: float) -> McatFile:

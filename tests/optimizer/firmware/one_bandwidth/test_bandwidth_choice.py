@@ -10,16 +10,15 @@ from firmware_asked import asked_of, scooter
 from saturated import ArctanMachine
 
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.firmware.firmware_method import Asked
-from dqforge.optimizer.firmware.judge import judge
-from dqforge.optimizer.firmware.one_bandwidth.bandwidth_choice import (
+from dqforge.optimizer.firmware.configuration import CurrentLoops, LoopProfile, PiController
+from dqforge.optimizer.firmware.firmware_method import Asked, judge
+from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
     MOST_SENSITIVITY,
     bandwidth_asked,
     drives_over_current,
     held_bandwidth,
     rounded_down,
 )
-from dqforge.optimizer.firmware.profile import CurrentLoops, LoopProfile, PiController
 
 
 def loops_of(asked: Asked, bandwidth: float) -> LoopProfile:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dqforge.optimizer.firmware.one_bandwidth.feedforward_overshoot import overshoot
+from dqforge.optimizer.firmware.one_bandwidth.moteus_sentences import overshoot
 
 
 def stepped(share: float, ratio: float) -> float:

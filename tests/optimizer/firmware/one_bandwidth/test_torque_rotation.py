@@ -7,7 +7,7 @@ import pytest
 from drives import IPM
 from saturated import ArctanMachine
 
-from dqforge.optimizer.firmware.one_bandwidth.torque_rotation import (
+from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
     NEVER,
     TorqueRotation,
     torque_rotation,

@@ -9,7 +9,8 @@ import pytest
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
-from dqforge.optimizer.firmware.st_format.st_gains import (
+from dqforge.optimizer.firmware.st_format.st_scales import (
+    Scales,
     current_gains,
     current_integers,
     fine_gain,
@@ -19,7 +20,6 @@ from dqforge.optimizer.firmware.st_format.st_gains import (
     vendor_gain,
     workbench_gains,
 )
-from dqforge.optimizer.firmware.st_format.st_scales import Scales
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dqforge.optimizer.firmware.st_format.st_mtpa import (
+from dqforge.optimizer.firmware.st_format.st_keys import (
     fitted_table,
     measured_table,
     table_currents,
@@ -79,7 +79,7 @@ def test_no_other_line_of_integers_is_better() -> None:
 def test_no_other_width_is_better_by_half_a_count() -> None:
     wanted = hyperbola(120.0, 299)
     found = fitted_table(wanted)
-    from dqforge.optimizer.firmware.st_format import st_mtpa
+    from dqforge.optimizer.firmware.st_format import st_keys as st_mtpa
 
     others = [st_mtpa._with_width(wanted, width).error for width in range(20, 42)]
     assert found.error <= min(others) + 0.5

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dqforge.optimizer.firmware.st_format.st_observer import (
+from dqforge.optimizer.firmware.st_format.st_scales import (
     ObservedMachine,
     constants,
     flux_of,

@@ -11,14 +11,17 @@ import pytest
 from firmware_asked import SCOOTER, asked_of, random_asked, scooter
 from saturated import ArctanMachine
 
-from dqforge.machines.devices.current_sensing import CurrentSensing
+from dqforge.machines.devices.inverter import CurrentSensing
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
-from dqforge.optimizer.firmware.infineon_format.flux_table import flux_table
-from dqforge.optimizer.firmware.infineon_format.infineon_configuration import configuration
-from dqforge.optimizer.firmware.infineon_format.infineon_keys import TABLE, as_printed
-from dqforge.optimizer.firmware.infineon_format.infineon_shortfalls import shortfalls
-from dqforge.optimizer.firmware.judge import judge
+from dqforge.optimizer.firmware.firmware_method import judge
+from dqforge.optimizer.firmware.infineon_format import (
+    TABLE,
+    as_printed,
+    configuration,
+    flux_table,
+    shortfalls,
+)
 from dqforge.optimizer.firmware.targets.infineon import configure, profile
 
 # The motor of the library's own defaults, as numbers.

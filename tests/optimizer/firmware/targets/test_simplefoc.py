@@ -12,10 +12,8 @@ from firmware_asked import SCOOTER, asked_of, random_asked, scooter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
-from dqforge.optimizer.firmware.firmware_method import Asked
-from dqforge.optimizer.firmware.judge import judge
-from dqforge.optimizer.firmware.simplefoc_format.simplefoc_configuration import configuration
-from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import as_printed, flux_or_kv
+from dqforge.optimizer.firmware.firmware_method import Asked, judge
+from dqforge.optimizer.firmware.simplefoc_format import as_printed, configuration, flux_or_kv
 from dqforge.optimizer.firmware.targets.simplefoc import (
     SIMPLEFOC,
     configure,

@@ -10,19 +10,21 @@ import pytest
 from firmware_asked import SCOOTER, TWO_PI, asked_of, random_asked, scooter
 from saturated import ArctanMachine
 
-from dqforge.machines.devices.current_sensing import CurrentSensing
+from dqforge.machines.devices.inverter import CurrentSensing
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
-from dqforge.optimizer.firmware.judge import judge
+from dqforge.optimizer.firmware.firmware_method import judge
 from dqforge.optimizer.firmware.targets.ti import configure, profile
-from dqforge.optimizer.firmware.ti_format.ti_configuration import (
+from dqforge.optimizer.firmware.ti_format import (
     BANDWIDTHS,
+    OLDER_LAB,
+    VERSION,
+    as_printed,
     configuration,
     current_rule,
+    shortfalls,
     speed_rule,
 )
-from dqforge.optimizer.firmware.ti_format.ti_keys import OLDER_LAB, VERSION, as_printed
-from dqforge.optimizer.firmware.ti_format.ti_shortfalls import shortfalls
 
 # Motors of TI's public files, as numbers (motor-control-sdk user_mtr1.h).
 TEKNIC = {

@@ -13,10 +13,9 @@ from firmware_asked import SCOOTER, asked_of, random_asked, scooter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
-from dqforge.optimizer.firmware.judge import judge
+from dqforge.optimizer.firmware.firmware_method import judge
 from dqforge.optimizer.firmware.targets.vesc import VESC, configure, profile, rule, shortfalls
-from dqforge.optimizer.firmware.vesc_format.vesc_configuration import configuration
-from dqforge.optimizer.firmware.vesc_format.vesc_keys import KEYS, as_printed
+from dqforge.optimizer.firmware.vesc_format import KEYS, as_printed, configuration
 
 # Pairs in public headers of boards and firmware, as numbers: R, L, lambda, kp, ki, observer gain,
 # and the time constant where both gains are of one rule.

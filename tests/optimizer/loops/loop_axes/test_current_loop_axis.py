@@ -11,12 +11,8 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import CurrentLoopMethod
-from dqforge.optimizer.loops.analysis import analyse_current_loop
-from dqforge.optimizer.loops.gains import tune_current_loop
-from dqforge.optimizer.loops.loop_axes.current_loop_axis import (
-    given_current_loops,
-    tuned_current_loops,
-)
+from dqforge.optimizer.loops.loop_axes import given_current_loops, tuned_current_loops
+from dqforge.optimizer.loops.loop_gains import analyse_current_loop, tune_current_loop
 
 COUNT = 24
 METHODS: tuple[CurrentLoopMethod, ...] = (

@@ -15,15 +15,15 @@ from dqforge.machines.design.settings import (
 from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.loops.gains import tune_current_loop, tune_speed_loop
-from dqforge.optimizer.loops.loop_axes.current_loop_axis import tuned_current_loops
-from dqforge.optimizer.loops.loop_axes.speed_loop_axis import (
+from dqforge.optimizer.loops.loop_axes import (
     drives_of_one_controller,
     given_speed_loops,
     nominal_drives,
+    tuned_current_loops,
     tuned_speed_loops,
 )
-from dqforge.optimizer.loops.loop_batch import (
+from dqforge.optimizer.loops.loop_gains import tune_current_loop, tune_speed_loop
+from dqforge.optimizer.loops.pi_methods import (
     DriveVariants,
     batch_margins,
     close_loops,

@@ -23,8 +23,7 @@ from dqforge.optimizer.observers.methods.lpv_certificate import (
     holds_exactly,
 )
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.optimizer.observers.steady_states import steady_observer
-from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
+from dqforge.optimizer.observers.parts import ObserverTuning, steady_observer
 
 MACHINE = LinearMachine(pole_pairs=3, r_s=0.5, l_d=2e-3, l_q=3e-3, psi_pm=0.1, i_max=20.0)
 T_S = 2e-4

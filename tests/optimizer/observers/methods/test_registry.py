@@ -28,18 +28,23 @@ from dqforge.machines.names import (
 )
 from dqforge.machines.plants.drive_motion import DriveMotion, drive_motion, next_flux, plants
 from dqforge.optimizer.observers.judgement import judge_at
-from dqforge.optimizer.observers.method import ObserverMethod, observe
 from dqforge.optimizer.observers.methods.ekf import ekf_gains
 from dqforge.optimizer.observers.methods.ekf_tuning import first_guess, usual_noise
 from dqforge.optimizer.observers.methods.extended_emf import exact_factors, factor_error
 from dqforge.optimizer.observers.methods.flux import flux_of_voltage, flux_path
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.methods.registry import METHODS, method_named, registered
-from dqforge.optimizer.observers.parts import EXACT
+from dqforge.optimizer.observers.parts import (
+    EXACT,
+    Disturbances,
+    ObserverMethod,
+    ObserverTuning,
+    closed_form_error,
+    observe,
+    steady_observer,
+)
 from dqforge.optimizer.observers.pll import pll_gains
-from dqforge.optimizer.observers.steady_states import closed_form_error, steady_observer
 from dqforge.optimizer.observers.tuning import optimise, tune_position_observer
-from dqforge.optimizer.observers.tuning_numbers import Disturbances, ObserverTuning
 
 # Of the EMF observer; those by the flux take 20 rad/s at rest, Matsui's models their usual poles.
 #

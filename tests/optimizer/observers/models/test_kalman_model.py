@@ -31,7 +31,7 @@ from dqforge.optimizer.observers.models.kalman_model import (
     run,
     transition,
 )
-from dqforge.optimizer.observers.trials import (
+from dqforge.optimizer.observers.sampled_machine import (
     CurrentSensor,
     simulate,
     usual_sensor,

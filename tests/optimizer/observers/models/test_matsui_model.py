@@ -19,7 +19,7 @@ from dqforge.optimizer.observers.models.matsui_errors import (
     with_errors,
 )
 from dqforge.optimizer.observers.models.matsui_model import Matsui, MatsuiModel, matsui, run
-from dqforge.optimizer.observers.trials import simulate
+from dqforge.optimizer.observers.sampled_machine import simulate
 
 T_S = 200e-6
 POLE = 200.0

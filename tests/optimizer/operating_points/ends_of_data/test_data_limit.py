@@ -11,12 +11,11 @@ from one_sided import INDUCTANCES, KINDS, measured_currents, one_sided
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.certificates.current_reference import certify
-from dqforge.optimizer.current_reference.data_use import data_use
 from dqforge.optimizer.current_reference.fit import fit_reference
+from dqforge.optimizer.current_reference.solve import data_use
 from dqforge.optimizer.operating_points.characteristics import characteristics
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
-from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
-from dqforge.optimizer.operating_points.point_problem import Active
+from dqforge.optimizer.operating_points.mtpa_locus import Active, mtpa_locus
 from dqforge.optimizer.operating_points.points import optimal_points
 
 _V_MAX = 25.0

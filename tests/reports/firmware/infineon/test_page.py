@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from firmware_pages import assert_example, page_of
 
-from dqforge.optimizer.firmware.infineon_format.infineon_keys import KEYS
+from dqforge.optimizer.firmware.infineon_format import KEYS
 
 PAGE = page_of("infineon")
 

@@ -14,11 +14,10 @@ from firmware_round_trips import kept_of, output_of
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration
-from dqforge.optimizer.firmware.infineon_format.infineon_keys import KEYS, TABLE, TABLE_KEYS
+from dqforge.optimizer.firmware.infineon_format import KEYS, TABLE, TABLE_KEYS
 from dqforge.optimizer.firmware.targets.infineon import configure
 from dqforge.reports.firmware.infineon.reader import read
-from dqforge.reports.firmware.infineon.target import TARGET
-from dqforge.reports.firmware.infineon.writer import write
+from dqforge.reports.firmware.infineon.target import TARGET, write
 from dqforge.reports.firmware.target import FileTitle
 
 TITLE = FileTitle("scooter", "hub */ of a scooter", "ab" * 32, "0.1", ("one */ #error remark",))

@@ -14,11 +14,10 @@ from vendor_importers import importer
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration
-from dqforge.optimizer.firmware.one_bandwidth.bandwidth_choice import rounded_down
+from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import rounded_down
 from dqforge.optimizer.firmware.targets import moteus
 from dqforge.reports.firmware.moteus.reader import read, recognise
-from dqforge.reports.firmware.moteus.target import TARGET
-from dqforge.reports.firmware.moteus.writer import write
+from dqforge.reports.firmware.moteus.target import TARGET, write
 from dqforge.reports.firmware.target import FileTitle
 
 TITLE = FileTitle("hub", "hub of a scooter", "ab" * 32, "0.1", ("one remark",))

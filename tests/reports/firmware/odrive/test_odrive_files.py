@@ -13,11 +13,10 @@ from vendor_importers import importer
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration
-from dqforge.optimizer.firmware.one_bandwidth.bandwidth_choice import rounded_down
+from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import rounded_down
 from dqforge.optimizer.firmware.targets import odrive
 from dqforge.reports.firmware.odrive.reader import read, recognise
-from dqforge.reports.firmware.odrive.target import TARGET
-from dqforge.reports.firmware.odrive.writer import write
+from dqforge.reports.firmware.odrive.target import TARGET, write
 from dqforge.reports.firmware.target import FileTitle
 
 TITLE = FileTitle("hub", "hub of a scooter", "ab" * 32, "0.1", ("one remark",))

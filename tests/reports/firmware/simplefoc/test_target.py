@@ -7,9 +7,9 @@ from __future__ import annotations
 import pytest
 from firmware_asked import scooter
 
-from dqforge.optimizer.firmware.simplefoc_format.simplefoc_configuration import configuration
-from dqforge.reports.firmware.settling import settles
+from dqforge.optimizer.firmware.simplefoc_format import configuration
 from dqforge.reports.firmware.simplefoc.target import TARGET
+from dqforge.reports.firmware.target import settles
 
 
 @pytest.mark.slow

@@ -13,11 +13,10 @@ from simplefoc_library import STUB, Commander
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration
-from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import MEMBERS
+from dqforge.optimizer.firmware.simplefoc_format import MEMBERS
 from dqforge.optimizer.firmware.targets.simplefoc import configure
 from dqforge.reports.firmware.simplefoc.reader import read
-from dqforge.reports.firmware.simplefoc.target import TARGET
-from dqforge.reports.firmware.simplefoc.writer import write
+from dqforge.reports.firmware.simplefoc.target import TARGET, write
 from dqforge.reports.firmware.target import FileTitle
 
 TITLE = FileTitle("scooter", "hub of a scooter */ x", "ab" * 32, "0.1", ("one */ remark",))

@@ -8,7 +8,7 @@ import numpy as np
 from firmware_round_trips import C_FLAGS, output_of
 from random_st_drives import random_asked, value
 
-from dqforge.optimizer.firmware.st_format.st_mtpa import table_currents
+from dqforge.optimizer.firmware.st_format.st_keys import table_currents
 from dqforge.optimizer.firmware.st_format.st_scales import integers
 from dqforge.optimizer.firmware.targets.st import ST
 from dqforge.reports.firmware.st.target import TARGET

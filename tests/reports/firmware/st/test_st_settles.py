@@ -12,11 +12,10 @@ from firmware_loops import VALUES, scooter, vesc
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.control_design.gain_set import gains_or_reason
-from dqforge.optimizer.firmware.asked import asked
+from dqforge.optimizer.firmware.firmware_method import asked
 from dqforge.optimizer.firmware.targets.st import ST
-from dqforge.reports.firmware.loop_run import firmware_simulator
-from dqforge.reports.firmware.settling import settles
-from dqforge.reports.simulation.compiled_plant import Simulator
+from dqforge.reports.firmware.target import firmware_simulator, settles
+from dqforge.reports.simulation.recorded_run import Simulator
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.firmware.ti_format.ti_keys import INSTASPIN, OLDER_LAB, VERSION
+from dqforge.optimizer.firmware.ti_format import INSTASPIN, OLDER_LAB, VERSION
 from dqforge.reports.firmware.ti.reader import read, recognise
 
 BLOCK = """#define USER_MOTOR1_TYPE                   MOTOR_TYPE_PM

@@ -14,8 +14,7 @@ from dqforge.optimizer.firmware.configuration import Configuration
 from dqforge.optimizer.firmware.targets.ti import configure
 from dqforge.reports.firmware.target import FileTitle
 from dqforge.reports.firmware.ti.reader import read
-from dqforge.reports.firmware.ti.target import TARGET
-from dqforge.reports.firmware.ti.writer import write
+from dqforge.reports.firmware.ti.target import TARGET, write
 
 TITLE = FileTitle("scooter", "hub */ of a scooter", "ab" * 32, "0.1", ("one */ #error remark",))
 NAME = "scooter_user_mtr1.h"

@@ -10,7 +10,7 @@ import pytest
 from firmware_asked import scooter
 
 from dqforge.optimizer.firmware.configuration import PiGains
-from dqforge.reports.firmware.settling import settles
+from dqforge.reports.firmware.target import settles
 from dqforge.reports.firmware.vesc.target import TARGET
 
 

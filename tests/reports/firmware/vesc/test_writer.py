@@ -16,8 +16,7 @@ from dqforge.optimizer.firmware.configuration import Configuration
 from dqforge.optimizer.firmware.targets.vesc import configure
 from dqforge.reports.firmware.target import FileTitle
 from dqforge.reports.firmware.vesc.reader import read
-from dqforge.reports.firmware.vesc.target import TARGET
-from dqforge.reports.firmware.vesc.writer import write
+from dqforge.reports.firmware.vesc.target import TARGET, write
 
 TITLE = FileTitle("scooter", "hub -- of a scooter */ <!-- -->", "ab" * 32, "0.1", ("one remark",))
 

@@ -11,9 +11,10 @@ import pytest
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.dq_machines.synchronous import linearised
-from dqforge.reports.papers.paper000 import core_costs, method_tables
-from dqforge.reports.papers.paper000.core_costs import CORES, PRINTED_MICROSECONDS, CoreCosts
-from dqforge.reports.papers.paper000.ipmsm_tables import PRINTED_TABLE_2
+from dqforge.reports.papers.paper000 import load_test as core_costs
+from dqforge.reports.papers.paper000 import whole_paper as method_tables
+from dqforge.reports.papers.paper000.load_test import CORES, PRINTED_MICROSECONDS, CoreCosts
+from dqforge.reports.papers.paper000.stated_method import PRINTED_TABLE_2
 
 _HEADERS = {
     "only.h": (

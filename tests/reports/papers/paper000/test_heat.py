@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design import catalogue
-from dqforge.reports.papers.paper000 import heat, method_tables
+from dqforge.reports.papers.paper000 import whole_paper as heat
+from dqforge.reports.papers.paper000 import whole_paper as method_tables
 from dqforge.reports.papers.paper000.load_test import ALTERNATIVES, LoadTest
-from dqforge.reports.papers.paper000.loss_columns import PRINTED_TABLE_4
+from dqforge.reports.papers.paper000.stated_method import PRINTED_TABLE_4
 
 
 def test_a_step_of_loss_warms_as_one_resistance_and_one_capacity() -> None:

@@ -9,9 +9,9 @@ import pytest
 from modulators import duties
 
 from dqforge.machines.design import catalogue
-from dqforge.reports.papers.paper000.ipmsm_tables import Reproduction, reproduce_paper
-from dqforge.reports.papers.paper000.plain import plain_reproduction
-from dqforge.reports.papers.paper000.tables import reproduction_tables
+from dqforge.reports.papers.paper000.figures import plain_reproduction
+from dqforge.reports.papers.paper000.stated_method import Reproduction, reproduce_paper
+from dqforge.reports.papers.paper000.whole_paper import reproduction_tables
 
 
 @pytest.fixture(scope="module")

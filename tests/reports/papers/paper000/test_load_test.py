@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from dqforge.reports.pages.figures_style import to_svg
-from dqforge.reports.papers.paper000 import load_test, plain, tables
+from dqforge.reports.papers.paper000 import figures as plain
+from dqforge.reports.papers.paper000 import load_test
+from dqforge.reports.papers.paper000 import whole_paper as tables
 from dqforge.reports.papers.paper000.figures import plot_load_tests
 from dqforge.reports.papers.paper000.load_test import LoadTest
 

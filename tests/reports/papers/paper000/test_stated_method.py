@@ -8,17 +8,19 @@ import pytest
 from dqforge.machines.design import catalogue
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
 from dqforge.reports.pages.figures_style import to_svg
-from dqforge.reports.papers.paper000 import method_tables, stated_method
+from dqforge.reports.papers.paper000 import stated_method
+from dqforge.reports.papers.paper000 import whole_paper as method_tables
 from dqforge.reports.papers.paper000.figures import plot_errors_over_torque, plot_split
-from dqforge.reports.papers.paper000.ipmsm_tables import PRINTED_TABLE_1, PRINTED_TABLE_2
-from dqforge.reports.papers.paper000.printed_polynomial import (
+from dqforge.reports.papers.paper000.stated_method import (
     FIXED_PREFIX,
     PREFIX,
+    PRINTED_TABLE_1,
+    PRINTED_TABLE_2,
     PrintedPolynomial,
+    StatedMethod,
     printed_header,
     printed_piecewise,
 )
-from dqforge.reports.papers.paper000.stated_method import StatedMethod
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dqforge.reports.papers.paper001 import estimator_tables
-from dqforge.reports.papers.paper001.alignment import FRICTIONS, SECONDS, Alignment, alignments
+from dqforge.reports.papers.paper001 import tables as estimator_tables
 from dqforge.reports.papers.paper001.bench_transients import bench_design
-from dqforge.reports.papers.paper001.thesis_program import program_files
+from dqforge.reports.papers.paper001.emitted_control import (
+    FRICTIONS,
+    SECONDS,
+    Alignment,
+    alignments,
+    program_files,
+)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.papers.paper001 import bench_sensorless, bench_transients, tables
 from dqforge.reports.papers.paper001.bench_transients import Reproduction
-from dqforge.reports.papers.paper001.figures import plot_bench, plot_without_encoder
+from dqforge.reports.papers.paper001.tables import plot_bench, plot_without_encoder
 from dqforge.reports.papers.transients import RPM
 
 pytestmark = pytest.mark.slow

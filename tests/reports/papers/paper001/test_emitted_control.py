@@ -6,7 +6,8 @@ from math import nan
 
 import pytest
 
-from dqforge.reports.papers.paper001 import emitted_control, program_tables
+from dqforge.reports.papers.paper001 import emitted_control
+from dqforge.reports.papers.paper001 import tables as program_tables
 from dqforge.reports.papers.paper001.bench_transients import Reproduction
 from dqforge.reports.papers.paper001.emitted_control import (
     FORMATS,

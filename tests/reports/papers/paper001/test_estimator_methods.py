@@ -6,13 +6,9 @@ from math import isfinite, isnan
 
 import pytest
 
-from dqforge.reports.papers.paper001 import estimator_tables
+from dqforge.reports.papers.paper001 import tables as estimator_tables
+from dqforge.reports.papers.paper001.bench_sensorless import CAUSES, METHODS, MethodFound
 from dqforge.reports.papers.paper001.bench_transients import Reproduction
-from dqforge.reports.papers.paper001.estimator_methods import (
-    CAUSES,
-    METHODS,
-    MethodFound,
-)
 
 
 @pytest.mark.slow

@@ -13,14 +13,16 @@ import pytest
 
 from dqforge.machines.plants.scenario import Profile
 from dqforge.reports.pages.figures_style import to_svg
-from dqforge.reports.papers.paper001 import program_figures, program_runs, program_tables
+from dqforge.reports.papers.paper001 import emitted_control as program_figures
+from dqforge.reports.papers.paper001 import emitted_control as program_runs
+from dqforge.reports.papers.paper001 import tables as program_tables
 from dqforge.reports.papers.paper001.bench_transients import (
     PRINTED_INTEGERS,
+    Program,
     Reproduction,
     bench_design,
 )
-from dqforge.reports.papers.paper001.program_findings import Program
-from dqforge.reports.papers.paper001.thesis_program import (
+from dqforge.reports.papers.paper001.emitted_control import (
     LISTED_LINE,
     Constants,
     dead_band,

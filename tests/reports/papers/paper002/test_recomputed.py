@@ -11,12 +11,15 @@ from hidden_compilers import hide_compilers
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
-from dqforge.reports.papers.paper002.figure_list import FIGURES
-from dqforge.reports.papers.paper002.recomputed import Reproduction, reproduce_paper
-from dqforge.reports.papers.paper002_definitions import back_emf_components, bench_currents
-from dqforge.reports.papers.paper002_definitions.bench_figures import plot_currents, plot_machine
-from dqforge.reports.papers.paper002_definitions.control_figures import plot_structures, plot_terms
-from dqforge.reports.papers.paper002_definitions.frame_figures import plot_frames
+from dqforge.reports.papers.paper002 import FIGURES, Reproduction, reproduce_paper
+from dqforge.reports.papers.paper002_definitions import bench_currents
+from dqforge.reports.papers.paper002_definitions import compensation as back_emf_components
+from dqforge.reports.papers.paper002_definitions.bench_currents import (
+    plot_currents,
+    plot_frames,
+    plot_machine,
+)
+from dqforge.reports.papers.paper002_definitions.compensation import plot_structures, plot_terms
 
 RIGHT = {
     "balanced sine": (0.0, 1.2247, 1.2247, 1.2247, 0.0, 1.0),

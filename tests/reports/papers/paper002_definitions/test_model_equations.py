@@ -7,28 +7,24 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dqforge.machines.phase_machines.frame_models import frame_model
+from dqforge.machines.phase_machines.frame_transforms import frame_model
 from dqforge.reports.papers.paper002_definitions.bench_currents import bench_machine
 from dqforge.reports.papers.paper002_definitions.compensation import (
-    compensation,
-    shipped_machine,
-    trapezoid_machine,
-)
-from dqforge.reports.papers.paper002_definitions.misprints import (
-    agreement,
-    check_model,
-    largest_shares,
-    machine_by_chance,
-)
-from dqforge.reports.papers.paper002_definitions.model_equations import (
     PLACES,
     Motion,
     ShapedMachine,
+    agreement,
     block_voltages,
+    check_model,
+    compensation,
     frame_quantities,
+    largest_shares,
+    machine_by_chance,
     model_blocks,
     printed_blocks,
+    shipped_machine,
     stationary_voltages,
+    trapezoid_machine,
 )
 
 OMEGA_E = 1800.0 * np.pi / 30.0 * 2.0

@@ -13,16 +13,16 @@ from matplotlib.figure import Figure
 from dqforge.machines.plants.scenario import constant
 from dqforge.reports.papers.paper002_definitions.bench_currents import bench_curves, bench_machine
 from dqforge.reports.papers.paper002_loops.closed_loops import (
+    CASES,
     RPM,
     STEADY,
     LoopRun,
+    diode_path,
+    loop_ratios,
     run_case,
     run_loops,
 )
-from dqforge.reports.papers.paper002_loops.diode_path import diode_path
-from dqforge.reports.papers.paper002_loops.loop_cases import CASES
 from dqforge.reports.papers.paper002_loops.loop_figures import plot_loops, plot_step
-from dqforge.reports.papers.paper002_loops.loss_ratios import loop_ratios
 
 # In % of 1 N m: averaged, and means over PWM periods with 1 us of dead time.
 RIPPLES = {

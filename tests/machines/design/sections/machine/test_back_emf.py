@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dqforge.machines.design.catalogue import load_design, load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_design, load_text
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
-from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine
 from dqforge.machines.plants.scenario import PhaseOpening
 
 TEXT = """\

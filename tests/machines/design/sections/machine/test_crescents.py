@@ -12,10 +12,10 @@ import pytest
 from flux_map_writers import mat, text
 from operating_tables import VENDOR, operating_table
 
+from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_design
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
-from dqforge.machines.dq_machines.torque_limit import largest_torque_within
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine
+from dqforge.machines.dq_machines.synchronous import largest_torque_within
 from dqforge.machines.errors import InputError
 
 TABLE = operating_table(speeds=33, shares=15)

@@ -16,10 +16,9 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from dqforge.machines.design.datasheet import flux_from_back_emf
-from dqforge.machines.design.design import Design
+from dqforge.machines.design.catalogue import load_text
+from dqforge.machines.design.design import Design, flux_from_back_emf
 from dqforge.machines.design.from_machine import make_design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.sections.machine.schema import MachineSection
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.entries.kinds import BackEmfConstant

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dqforge.machines.design.catalogue import load_design, load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_design, load_text
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 

@@ -13,8 +13,8 @@ from saturated import ArctanMachine
 from typer.testing import CliRunner
 
 from dqforge.cli import app
-from dqforge.machines.design.loader import load_design
-from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
+from dqforge.machines.design.catalogue import load_design
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 from dqforge.machines.errors import InputError
 
 MACHINE = ArctanMachine()

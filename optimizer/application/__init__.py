@@ -1,1 +1,0 @@
-"""The program around the emitted functions: which kind a design needs, and its settings."""

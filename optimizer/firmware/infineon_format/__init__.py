@@ -1,1 +1,0 @@
-"""What the parameters of Infineon's motor-ctrl-lib mean, and what they cannot hold."""

@@ -1,1 +1,0 @@
-"""What the values of a motor block of TI's universal lab mean, and what they cannot hold."""

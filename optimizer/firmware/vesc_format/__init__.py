@@ -1,1 +1,0 @@
-"""What the values of a VESC motor configuration mean, and what they cannot hold."""

@@ -1,1 +1,0 @@
-"""What to flash: topologies and current controllers of a phase machine, side by side."""

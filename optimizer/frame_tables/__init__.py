@@ -1,1 +1,0 @@
-"""The frames dqx and dqy of a machine over the angle, as tables for firmware."""

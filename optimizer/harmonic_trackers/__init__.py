@@ -1,1 +1,0 @@
-"""Position from harmonics of the phase voltages that no current carries."""

@@ -1,1 +1,0 @@
-"""Gains and margins of the loops of many machines at once."""

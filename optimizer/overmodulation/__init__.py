@@ -1,1 +1,0 @@
-"""What overmodulation gives a drive, and what it costs."""

@@ -1,1 +1,0 @@
-"""The speed loop, proven stable for every drive of the tolerance box."""

@@ -1,1 +1,0 @@
-"""The speed from the edges of an encoder: resolution and delay."""

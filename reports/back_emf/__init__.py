@@ -1,1 +1,0 @@
-"""Captures of the back-EMF, as tables, JSON and figures."""

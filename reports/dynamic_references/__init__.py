@@ -1,1 +1,0 @@
-"""Slopes of the references and voltage feedback: words, tables and plain data."""
