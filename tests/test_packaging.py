@@ -125,6 +125,27 @@ def test_neither_help_nor_check_loads_what_they_do_not_need() -> None:
     assert loaded_by("check", "salient-phase-waveforms") == ({"numpy", "yaml"}, 0)
 
 
+@pytest.mark.parametrize(
+    ("most", "command"),
+    [
+        (25, "--help"),
+        (130, "check paper000-ipmsm-100kw"),
+        (165, "mtpa paper000-ipmsm-100kw"),
+        (190, "tune vdyno-trampa-6340"),
+    ],
+)
+def test_commands_load_modules_that_they_use(most: int, command: str) -> None:
+    program = (
+        "import sys\nfrom dqforge import cli\n"
+        f"try:\n    cli.main({command.split()!r})\nexcept SystemExit:\n    pass\n"
+        "print(sum(name.startswith('dqforge.') for name in sys.modules), file=sys.stderr)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert 10 < int(done.stderr.splitlines()[-1]) <= most
+
+
 @pytest.mark.slow
 def test_each_package_of_the_card_is_loaded_where_it_works_alone(tmp_path: Path) -> None:
     from dqforge.machines.design import catalogue

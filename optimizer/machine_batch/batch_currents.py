@@ -1,10 +1,10 @@
 """Currents and limit torques of many linear machines by formula, one column per machine.
 
-The equations are those of `dqforge.optimizer.operating_points.mtpa_locus`: every salient machine with a
-magnet has the same MTPA curve in per unit, the others have straight lines or square roots. Nothing
-iterates towards a tolerance, and every operation is a sum, product, quotient or root of single
-elements, which are rounded alike everywhere: a machine has the same numbers in any batch and on any
-processor.
+The equations are those of `dqforge.optimizer.operating_points.mtpa_locus`: every salient machine
+with a magnet has the same MTPA curve in per unit, the others have straight lines or square roots.
+Nothing iterates towards a tolerance, and every operation is a sum, product, quotient or root of
+single elements, which are rounded alike everywhere: a machine has the same numbers in any batch and
+on any processor.
 """
 
 from __future__ import annotations
