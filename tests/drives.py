@@ -16,6 +16,7 @@ from dqforge.machines.design.settings import (
     OperationSettings,
     PerUnitBases,
     SpeedLoopSettings,
+    Tolerances,
     WaveformSettings,
 )
 from dqforge.machines.devices.inverter import Inverter, SwitchDevice
@@ -93,6 +94,13 @@ def in_floats(fit: ReferenceFit) -> CurrentReference:
     """The reference of a fit that is known to be in single precision."""
     assert isinstance(fit.reference, CurrentReference)
     return fit.reference
+
+
+def within_a_percent(design: Design) -> Design:
+    """A design whose loops hold near its data: on some observers none holds at the corners of the
+    usual tolerances, and their code can be tried all the same.
+    """
+    return replace(design, control=replace(design.control, tolerances=Tolerances(r_s=0.01)))
 
 
 def on_observer(design: Design, observer: ObserverSettings) -> Design:

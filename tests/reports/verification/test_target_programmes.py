@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 from current_feedback_design import feedback_design
-from drives import on_observer
+from drives import on_observer, within_a_percent
 from measured_speeds import design as measured_design
 from measured_speeds import settings as measured_settings
 from six_step_drives import bench as six_step_bench
@@ -25,7 +25,7 @@ from start_designs import INJECTION, start_design
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.settings import ObserverSettings, Tolerances
+from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.names import LEARNED_OBSERVERS, ObserverMethodName
 from dqforge.optimizer.observers.methods import ekf as ekf_method
@@ -183,9 +183,7 @@ def test_every_header_gives_the_bits_of_its_model_on_the_core(name: str, target:
 @pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_every_position_observer_runs_on_the_core(method: ObserverMethodName) -> None:
-    drive = on_observer(catalogue.load(BENCH), ObserverSettings(method=method))
-    # Some of them hold at no corner of the usual tolerances; what is tried here is their code.
-    drive = replace(drive, control=replace(drive.control, tolerances=Tolerances(r_s=0.01)))
+    drive = within_a_percent(on_observer(catalogue.load(BENCH), ObserverSettings(method=method)))
     single = method in LEARNED_OBSERVERS  # these are not there in integers
     export = replace(drive.export, control=("float32",) if single else ("q15", "q31"))
     output = export_design(replace(drive, export=export), verify=False)
