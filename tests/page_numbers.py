@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from fixed_phase_loop import Loop
 from interrupt_steps import interrupts
+from measuring_mistakes import measuring
 from phase_drives import near_sinusoidal, trapezoidal
 
 from dqforge.machines.design import catalogue
@@ -279,6 +280,7 @@ NUMBERS: dict[str, Numbers] = {
     ),
     "phase-cost": Numbers("methods/phase-control.md", phase_cost),
     "interrupt-cost": Numbers("reference/control-cost.md", interrupt_cost),
+    "measuring": Numbers("how-to/measure-a-motor.md", measuring, 0.02),
 }
 
 
