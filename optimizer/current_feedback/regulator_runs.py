@@ -29,13 +29,13 @@ from dqforge.machines.plants.current_feedback import (
     Scheme,
     simulate_currents,
 )
-from dqforge.machines.plants.current_regulators.schemes import (
+from dqforge.machines.plants.fed_machine import BridgeDrive, CurrentTrace
+from dqforge.machines.plants.regulator_schemes import (
     FurtherScheme,
     Sampled,
     Trajectory,
     optimal_pattern,
 )
-from dqforge.machines.plants.fed_machine import BridgeDrive, CurrentTrace
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import (
     BudgetOptions,

@@ -14,8 +14,8 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import ModulationName
-from dqforge.machines.plants.current_regulators.sampled_rules import RuleConstants
-from dqforge.machines.plants.current_regulators.schemes import Sampled
+from dqforge.machines.plants.regulator_rules import RuleConstants
+from dqforge.machines.plants.regulator_schemes import Sampled
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_feedback.regulator_runs import (
     METHODS,

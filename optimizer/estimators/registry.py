@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dqforge.machines.loaded_by_name import LoadedByName
+from dqforge.machines.names import LoadedByName
 
 if TYPE_CHECKING:
     from dqforge.optimizer.estimators.tracker import Tracker

@@ -8,8 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, get_args
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.loaded_by_name import LoadedByName
-from dqforge.machines.names import Firmware
+from dqforge.machines.names import Firmware, LoadedByName
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design

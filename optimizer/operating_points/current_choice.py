@@ -14,8 +14,12 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import FitSettings
-from dqforge.machines.dq_machines.current_region import CurrentRegion
-from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, copper_loss
+from dqforge.machines.dq_machines.synchronous import (
+    CurrentRegion,
+    LinearMachine,
+    Machine,
+    copper_loss,
+)
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Strategy
 from dqforge.machines.records import dataclass

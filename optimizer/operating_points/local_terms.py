@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.current_region import CurrentRegion
-from dqforge.machines.dq_machines.synchronous import FluxJet, Machine
+from dqforge.machines.dq_machines.synchronous import CurrentRegion, FluxJet, Machine
 from dqforge.machines.records import dataclass
 
 

@@ -10,8 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.current_region import CurrentRegion
-from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, torque_from_flux
+from dqforge.machines.dq_machines.synchronous import (
+    CurrentRegion,
+    LinearMachine,
+    Machine,
+    torque_from_flux,
+)
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.local_terms import (

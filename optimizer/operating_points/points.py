@@ -19,8 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.current_region import CurrentRegion
-from dqforge.machines.dq_machines.synchronous import Machine, copper_loss, torque_from_flux
+from dqforge.machines.dq_machines.synchronous import (
+    CurrentRegion,
+    Machine,
+    copper_loss,
+    torque_from_flux,
+)
 from dqforge.machines.errors import InputError
 from dqforge.machines.losses.constant_device import (
     REFERENCE_TEMPERATURE,

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from dqforge.machines.design.catalogue import OPTION
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.plausibility.figures import MARK
+from dqforge.machines.design.plausible_figures import MARK
 from dqforge.machines.names import SPEED_OBSERVER, TRACKER_NAMES
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage

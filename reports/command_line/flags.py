@@ -22,8 +22,8 @@ from typer import Argument, Exit, Option, echo
 from dqforge import __version__
 from dqforge.machines.data_sheet.sheet_values import SHEET_VALUES, SheetValue
 from dqforge.machines.errors import DqforgeError
+from dqforge.machines.files.input_files import line_of
 from dqforge.machines.files.library_files import DESIGNS, STUDIES
-from dqforge.machines.lately_read import line_of
 from dqforge.reports.operating_system import system
 from dqforge.reports.operating_system.system import spell_out
 

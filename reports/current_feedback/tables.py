@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import SampledRuleName
-from dqforge.machines.plants.current_regulators.sampled_rules import (
+from dqforge.machines.plants.regulator_rules import (
     ACTIVE,
     FAR,
     RuleConstants,

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.current_region import CurrentRegion
+from dqforge.machines.dq_machines.synchronous import CurrentRegion
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.local_terms import (
     Intervals,

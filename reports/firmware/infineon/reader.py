@@ -8,8 +8,7 @@ import re
 from dataclasses import replace
 from pathlib import PurePath
 
-from dqforge.machines.errors import InputError
-from dqforge.machines.wording import shown
+from dqforge.machines.errors import InputError, shown
 from dqforge.optimizer.firmware.configuration import Configuration, Number, Origin, OwnValue
 from dqforge.optimizer.firmware.infineon_format import (
     TABLE,

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, shown
 from dqforge.machines.records import dataclass
-from dqforge.machines.wording import shown
 
 # Empty lines, comments, other commands, and the end of what ``conf enumerate`` answers.
 _SET = re.compile(r"(?P<lead>\s*(?:conf\s+set\s+)?)(?P<key>[A-Za-z]\w*(?:\.\w+)+)(?P<rest>.*)")

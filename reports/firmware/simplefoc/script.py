@@ -11,8 +11,7 @@ import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from dqforge.machines.errors import InputError
-from dqforge.machines.wording import shown
+from dqforge.machines.errors import InputError, shown
 from dqforge.optimizer.firmware.configuration import Number, Origin, OwnValue
 from dqforge.optimizer.firmware.simplefoc_format import LOOP_PERIOD, MEMBERS, SIGNIFICANT, V_DC
 from dqforge.reports.firmware.simplefoc.sketch import COMMANDS

@@ -7,9 +7,8 @@ import re
 from collections.abc import Iterator
 from typing import NoReturn
 
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, shown
 from dqforge.machines.records import dataclass
-from dqforge.machines.wording import shown
 from dqforge.optimizer.firmware.configuration import Number, Origin
 from dqforge.optimizer.firmware.simplefoc_format import LOOP_PERIOD, MEMBERS, V_DC
 from dqforge.reports.firmware.c_macros import (

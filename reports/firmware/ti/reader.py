@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import PurePath
 
-from dqforge.machines.errors import InputError
-from dqforge.machines.wording import shown
+from dqforge.machines.errors import InputError, shown
 from dqforge.optimizer.firmware.configuration import Configuration, Origin, OwnValue
 from dqforge.optimizer.firmware.ti_format import (
     INSTASPIN,

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import PurePath
 
-from dqforge.machines.errors import InputError
-from dqforge.machines.wording import shown
+from dqforge.machines.errors import InputError, shown
 from dqforge.optimizer.firmware.configuration import Configuration, Number, Origin
 from dqforge.optimizer.firmware.vesc_format import configuration, version_of
 from dqforge.reports.firmware.c_macros import parsed_xml, read_macros

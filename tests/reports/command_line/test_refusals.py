@@ -15,7 +15,7 @@ from pseudo_terminals import PseudoTerminal
 from rich.cells import cell_len
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.lately_read import remember
+from dqforge.machines.files.input_files import remember
 from dqforge.reports.command_line.flags import excerpt, tell
 
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")

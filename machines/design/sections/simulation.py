@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from dqforge.machines.design.design import Reading
-from dqforge.machines.design.sections.simulation.schema import (
+from dqforge.machines.design.sections.simulation_schema import (
     CurrentProfileSection,
     CurrentSensorSection,
     EncoderSection,

@@ -12,15 +12,6 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import SampledRuleName
-from dqforge.machines.plants.current_regulators.sampled_rules import (
-    COMMUTATIONS,
-    LEGS,
-    Codes,
-    RuleConstants,
-    RuleInputs,
-    SampledRule,
-    codes_of,
-)
 from dqforge.machines.plants.fed_machine import (
     I_D,
     I_Q,
@@ -29,6 +20,15 @@ from dqforge.machines.plants.fed_machine import (
     LegByLeg,
     Plant,
     evaluate,
+)
+from dqforge.machines.plants.regulator_rules import (
+    COMMUTATIONS,
+    LEGS,
+    Codes,
+    RuleConstants,
+    RuleInputs,
+    SampledRule,
+    codes_of,
 )
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import dq_to_phases

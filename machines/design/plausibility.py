@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from dqforge.machines.design.design import Design, peak_current
-from dqforge.machines.design.plausibility.figures import Figure, device_figures, sentences
+from dqforge.machines.design.plausible_figures import Figure, device_figures, sentences
 from dqforge.machines.design.schema import DesignFile
 from dqforge.machines.design.settings import ToleranceName
 from dqforge.machines.dq_machines.synchronous import largest_torque_within
@@ -325,7 +325,7 @@ def _inverter(design: Design, scale: Scale) -> list[Figure]:
 
 
 # Figures of sampling, loops, observer and bases, see
-# `dqforge.machines.design.plausibility.design`.
+# `dqforge.machines.design.plausibility`.
 
 _TURN = 2.0 * math.pi
 
@@ -533,7 +533,7 @@ def _operation(design: Design, scale: Scale) -> list[Figure]:
 
 
 # Figures of points, simulation, waveform and choice of modulator, see
-# `dqforge.machines.design.plausibility.design`.
+# `dqforge.machines.design.plausibility`.
 
 
 def scenario_figures(design: Design, scale: Scale) -> list[Figure]:
