@@ -23,13 +23,13 @@ from dqforge.machines.dq_machines.synchronous import (
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Strategy
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.operating_points.local_terms import region_that_holds
 from dqforge.optimizer.operating_points.mtpa_locus import (
     Active,
     id0_currents,
     mtpa_at_current,
     mtpa_currents,
     mtpa_locus,
+    region_that_holds,
 )
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
 

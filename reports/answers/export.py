@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
-from dqforge.optimizer.firmware.own_values import check_drivable
+from dqforge.optimizer.firmware.firmware_method import check_drivable
 from dqforge.optimizer.firmware.solve import FirmwareFit, method_of
 from dqforge.reports.firmware.target import MOST_BYTES, TARGETS, decoded_file
 from dqforge.reports.firmware_files.plain import (

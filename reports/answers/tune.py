@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dqforge.optimizer.control_design.gain_set import GainSet
-    from dqforge.optimizer.estimator_comparison.capture_range import ObserverEvidence
+    from dqforge.optimizer.estimator_comparison.candidate import ObserverEvidence
     from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
     from dqforge.optimizer.observers.proof import ObserverProof
     from dqforge.optimizer.six_step.design import SixStepDesign
@@ -88,7 +88,7 @@ def _observer(
     """Proof and evidence of a position observer, and what is shown of the latter."""
     if gains.position is None:
         return None, None, []
-    from dqforge.optimizer.estimator_comparison.capture_range import observer_evidence
+    from dqforge.optimizer.estimator_comparison.candidate import observer_evidence
     from dqforge.optimizer.observers.proof import prove
     from dqforge.reports.estimator_comparison.observer_errors import capture_table, warm_table
 

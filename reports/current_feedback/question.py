@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.current_feedback.regulator_runs import regulator_plan, run_regulator
-from dqforge.optimizer.current_feedback.solve import (
+from dqforge.optimizer.current_feedback import (
     load_points,
+    regulator_plan,
+    run_regulator,
     solve_current_feedback,
     solve_loads,
     speed_points,

@@ -40,12 +40,13 @@ if TYPE_CHECKING:
 
     from dqforge.machines.arrays import FloatArray
     from dqforge.machines.design.design import Design
-    from dqforge.optimizer.current_feedback.regulator_runs import (
+    from dqforge.optimizer.current_feedback import (
+        CurrentFeedback,
         DesignPattern,
+        LoadRuns,
         RegulatorPlan,
         RegulatorRun,
     )
-    from dqforge.optimizer.current_feedback.solve import CurrentFeedback, LoadRuns
     from dqforge.optimizer.losses.drive_budget import DriveBudget
     from dqforge.optimizer.solution import Solution
 

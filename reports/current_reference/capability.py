@@ -18,8 +18,7 @@ from dqforge.optimizer.current_reference.fit import Alternative, ReferenceFit
 from dqforge.optimizer.current_reference.forms import ReferenceErrors
 from dqforge.optimizer.current_reference.solve import COVERED, DataUse, Trial
 from dqforge.optimizer.curves.single_precision import PiecewisePolynomial
-from dqforge.optimizer.negative_torques import NegativeHalf
-from dqforge.optimizer.solution import Solution
+from dqforge.optimizer.solution import NegativeHalf, Solution
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.capability import (
     Capability,

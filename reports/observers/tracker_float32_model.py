@@ -14,7 +14,7 @@ from dqforge.reports.c_code.harness import SINGLE, wrap
 
 if TYPE_CHECKING:
     from dqforge.optimizer.curves.single_precision import SingleArray
-    from dqforge.optimizer.estimators.tracker import Tracker
+    from dqforge.optimizer.estimators import Tracker
 
 _LENGTH = 100
 

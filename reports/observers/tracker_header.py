@@ -9,8 +9,7 @@ from textwrap import wrap as folded
 from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.estimators.registry import TRACKERS
-from dqforge.optimizer.estimators.solve import TunedTracker
+from dqforge.optimizer.estimators import TRACKERS, TunedTracker
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.reports.c_code.harness import Constant, ConstantGroup, Programme, title
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind

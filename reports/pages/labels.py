@@ -13,7 +13,7 @@ from dqforge.machines.units.quantities import format_quantity
 
 if TYPE_CHECKING:
     from dqforge.optimizer.losses.drive_budget import DriveBudget
-    from dqforge.optimizer.losses.point_comparison import LossComparison
+    from dqforge.optimizer.losses.phase_comparison import LossComparison
     from dqforge.optimizer.operating_points.current_choice import SpeedPoint
 
 

@@ -27,7 +27,7 @@ from dqforge.optimizer import solution as solved
 from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import LossMap as FoundMap
 from dqforge.optimizer.losses.loss_map import budget_options, solve_map
-from dqforge.optimizer.losses.point_comparison import LossComparison, compare_points
+from dqforge.optimizer.losses.phase_comparison import LossComparison, compare_points
 from dqforge.optimizer.waveforms.comparison import (
     RuleCurrents,
     WaveformComparison,

@@ -22,8 +22,7 @@ from dqforge.reports.study_store.part_file import PartColumns
 from dqforge.reports.study_store.part_store import PartStore
 
 if TYPE_CHECKING:
-    from dqforge.optimizer.study_search.search_rows import SearchRows
-    from dqforge.optimizer.study_search.searched_study import GenerationRows, SearchedStudy
+    from dqforge.optimizer.study_search import GenerationRows, SearchedStudy, SearchRows
 
 _CRASHED = STATES.index("crashed")
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from dqforge.optimizer.firmware.firmware_method import FLOAT32_DIGITS
 from dqforge.optimizer.firmware.infineon_format import (
     KEYS,
     TABLE,
@@ -16,7 +17,6 @@ from dqforge.optimizer.firmware.infineon_format import (
     Kind,
     Place,
 )
-from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS
 from dqforge.optimizer.firmware.targets.infineon import INFINEON
 from dqforge.reports.firmware.c_macros import with_values
 from dqforge.reports.firmware.infineon.names import member

@@ -8,7 +8,7 @@ from pathlib import PurePath
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, Origin
-from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
+from dqforge.optimizer.firmware.moteus_format import (
     FILTER,
     GEAR,
     KNOWN,

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.firmware.nxp_mcat.mcat_names import FLAGS, INPUTS, MACROS, SPELLINGS
+from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import FLAGS, INPUTS, MACROS, SPELLINGS
 from dqforge.reports.firmware.json_text import JsonText, parsed_json
 from dqforge.reports.firmware.target import no_number, plain_number
 

@@ -8,7 +8,7 @@ from decimal import ROUND_HALF_UP, Decimal
 from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.firmware.nxp_mcat.mcat_names import (
+from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import (
     FLAGS,
     INPUTS,
     MACROS,

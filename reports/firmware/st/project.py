@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, Origin, OwnValue
-from dqforge.optimizer.firmware.own_values import number
-from dqforge.optimizer.firmware.st_format.st_keys import WHOLE
-from dqforge.optimizer.firmware.st_format.st_scales import printed, st_configuration
+from dqforge.optimizer.firmware.firmware_method import number
+from dqforge.optimizer.firmware.st_keys import WHOLE
+from dqforge.optimizer.firmware.st_scales import printed, st_configuration
 from dqforge.reports.firmware.c_macros import elements, parsed_xml, with_attribute
 from dqforge.reports.firmware.st.names import (
     BEYOND,

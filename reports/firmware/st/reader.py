@@ -10,8 +10,8 @@ from typing import NoReturn
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, Origin, OwnValue
-from dqforge.optimizer.firmware.own_values import number
-from dqforge.optimizer.firmware.st_format.st_keys import (
+from dqforge.optimizer.firmware.firmware_method import number
+from dqforge.optimizer.firmware.st_keys import (
     COUNTED,
     HEADERS,
     MOTOR_FILE,
@@ -21,7 +21,7 @@ from dqforge.optimizer.firmware.st_format.st_keys import (
     VERSION,
     WHOLE,
 )
-from dqforge.optimizer.firmware.st_format.st_scales import (
+from dqforge.optimizer.firmware.st_scales import (
     CONVENTIONS,
     integers,
     joined,

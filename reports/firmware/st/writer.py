@@ -6,8 +6,8 @@ import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from dqforge.optimizer.firmware.own_values import number
-from dqforge.optimizer.firmware.st_format.st_keys import (
+from dqforge.optimizer.firmware.firmware_method import number
+from dqforge.optimizer.firmware.st_keys import (
     COUNTED,
     DRIVE,
     LOGARITHMS,
@@ -18,7 +18,7 @@ from dqforge.optimizer.firmware.st_format.st_keys import (
     STAGE,
     TABLE,
 )
-from dqforge.optimizer.firmware.st_format.st_scales import FULL, current_scale, printed
+from dqforge.optimizer.firmware.st_scales import FULL, current_scale, printed
 from dqforge.reports.firmware.c_macros import Macros, with_values
 from dqforge.reports.firmware.json_text import with_json_values
 from dqforge.reports.firmware.st.project import is_project, with_variables

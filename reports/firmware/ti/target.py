@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS
+from dqforge.optimizer.firmware.firmware_method import FLOAT32_DIGITS
 from dqforge.optimizer.firmware.targets.ti import TI
 from dqforge.optimizer.firmware.ti_format import BOARD_PREFIX, KEYS, MOTOR_PREFIX
 from dqforge.reports.firmware.c_macros import Macros, with_values

@@ -15,15 +15,13 @@ from static_checks import DEVIATIONS, program
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.names import FeedbackMethod, SampledRuleName
-from dqforge.optimizer.current_feedback.regulator_runs import (
-    design_patterns,
-    regulator_plan,
-    run_regulator,
-)
-from dqforge.optimizer.current_feedback.solve import (
+from dqforge.optimizer.current_feedback import (
     CurrentFeedback,
+    design_patterns,
     emitted_rule,
     load_points,
+    regulator_plan,
+    run_regulator,
     speed_loop,
 )
 from dqforge.reports.c_code.numbers import float_literal

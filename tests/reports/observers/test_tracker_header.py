@@ -16,7 +16,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.estimators.solve import TunedTracker
+from dqforge.optimizer.estimators import TunedTracker
 from dqforge.reports.observers.speed_loop_text import plain_tracker, tracker_part
 from dqforge.reports.observers.tracker_float32_model import (
     EmittedTracker,
