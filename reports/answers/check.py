@@ -8,9 +8,7 @@ from dqforge.machines.design.catalogue import OPTION
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.plausible_figures import MARK
 from dqforge.machines.names import SPEED_OBSERVER, TRACKER_NAMES
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Answer, Table, stage
 from dqforge.reports.plain_design import plain_design
 
 

@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import DqforgeError, InputError
 from dqforge.machines.records import dataclass
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Answer, Table, stage
 from dqforge.reports.study_engine.engine_settings import EngineSettings, TlsFiles
 
 if TYPE_CHECKING:

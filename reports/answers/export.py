@@ -20,13 +20,12 @@ from dqforge.reports.firmware_files.plain import (
     target_named,
 )
 from dqforge.reports.output.folder import EXISTING, FIRMWARE, FIRMWARES
-from dqforge.reports.pages.answer import Answer, Files
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import Answer, Files, stage
 from dqforge.reports.run import solved_files
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
-    from dqforge.reports.pages.table import Table
+    from dqforge.reports.pages.answer import Table
     from dqforge.reports.plain_data import PlainData
 
 

@@ -13,8 +13,7 @@ from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import solve_negative
 from dqforge.reports.current_reference.capability import fit_tables, negative_tables
 from dqforge.reports.field_weakening.header import weakening_tables
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.session.drives import Fit
 
 

@@ -8,8 +8,7 @@ from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.control_design.observed_refusal import require_observed
 from dqforge.reports.loops.proven_text import gains_tables
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.session.result import Tuning
 
 if TYPE_CHECKING:
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
     from dqforge.optimizer.observers.proof import ObserverProof
     from dqforge.optimizer.six_step.design import SixStepDesign
-    from dqforge.reports.pages.table import Table
+    from dqforge.reports.pages.answer import Table
     from dqforge.reports.plain_data import PlainData
 
 

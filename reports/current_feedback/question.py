@@ -25,8 +25,7 @@ from dqforge.reports.current_feedback.tables import (
     plain_run,
     point_table,
 )
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import Answer, stage
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

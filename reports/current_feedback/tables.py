@@ -22,13 +22,19 @@ from dqforge.machines.plants.regulator_rules import (
 )
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.losses.drive_budget import PARTS
-from dqforge.reports.c_code.harness import Programme, single_from, title
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind
+from dqforge.reports.c_code.harness import (
+    SWEEP_POINTS,
+    SWEEP_SEED,
+    HeaderKind,
+    Programme,
+    single_from,
+    title,
+)
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.capability import Capability, Draw, ReportPart, Rows
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import SERIES, new_figure, style
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import CURRENT_FEEDBACK as CHAPTER
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest

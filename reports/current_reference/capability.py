@@ -34,6 +34,7 @@ from dqforge.reports.current_reference.figures import ROUNDING
 from dqforge.reports.current_reference.plain import data_lines, plain_fit, to_plain
 from dqforge.reports.operating_points.html import operating_table
 from dqforge.reports.operating_points.plain import plain_curves
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import (
     NARROW,
     HtmlTable,
@@ -57,7 +58,6 @@ from dqforge.reports.pages.labels import (
     significant,
     watts,
 )
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import ERRORS, REFERENCE, proof_title, proven_text
 from dqforge.reports.plain_data import PlainData
 

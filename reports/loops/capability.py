@@ -13,8 +13,15 @@ import numpy as np
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.loops.schedule_fit import GAIN_NAMES, GainEvaluator
-from dqforge.reports.c_code.harness import Programme, single_from, singles_from, title
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind
+from dqforge.reports.c_code.harness import (
+    SWEEP_POINTS,
+    SWEEP_SEED,
+    HeaderKind,
+    Programme,
+    single_from,
+    singles_from,
+    title,
+)
 from dqforge.reports.capability import (
     Capability,
     Draw,

@@ -23,7 +23,7 @@ from dqforge.reports.start_up.header import HEARING, LOW_FILE, MEMBERS, OUTPUTS,
 if TYPE_CHECKING:
     from dqforge.optimizer.estimators import Tracker
     from dqforge.optimizer.observers.parts import ObserverMethod
-    from dqforge.reports.observers.tracker_float32_model import EmittedTracker
+    from dqforge.reports.observers.float32_model import EmittedTracker
 
 _FAULT = InputError("startup_header is not what dqforge writes; run the design again")
 

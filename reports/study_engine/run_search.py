@@ -15,7 +15,7 @@ import numpy as np
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.exploration.row_block import INPUT_COLUMN, STATES
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import stage
 from dqforge.reports.study_engine.engine_settings import EngineSettings, StudyOutcome
 from dqforge.reports.study_engine.run_study import computing, opened_run
 from dqforge.reports.study_store.part_file import PartColumns

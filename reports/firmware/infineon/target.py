@@ -19,8 +19,7 @@ from dqforge.optimizer.firmware.infineon_format import (
 )
 from dqforge.optimizer.firmware.targets.infineon import INFINEON
 from dqforge.reports.firmware.c_macros import with_values
-from dqforge.reports.firmware.infineon.names import member
-from dqforge.reports.firmware.infineon.reader import assignments, read, recognise
+from dqforge.reports.firmware.infineon.reader import assignments, member, read, recognise
 from dqforge.reports.firmware.target import Target, c_float
 from dqforge.reports.pages.templating import render
 

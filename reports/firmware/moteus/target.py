@@ -8,8 +8,7 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.firmware_method import FLOAT32_DIGITS
 from dqforge.optimizer.firmware.moteus_format import GEAR, KNOWN, OF_OUTPUT
 from dqforge.optimizer.firmware.targets.moteus import MOTEUS
-from dqforge.reports.firmware.moteus.config_lines import ConfigLine, config_lines
-from dqforge.reports.firmware.moteus.reader import ENDING, read, recognise
+from dqforge.reports.firmware.moteus.reader import ENDING, ConfigLine, config_lines, read, recognise
 from dqforge.reports.firmware.target import Target, number_text, plain_number
 
 if TYPE_CHECKING:

@@ -33,10 +33,10 @@ from dqforge.reports.current_feedback.tables import (
     settings_files,
 )
 from dqforge.reports.pages.templating import render
+from dqforge.reports.result import verify_folder
 from dqforge.reports.run import export_design
 from dqforge.reports.verification.cortex_m import run_on_target
 from dqforge.reports.verification.host import WARNINGS
-from dqforge.reports.written_headers import verify_folder
 
 RULES: tuple[SampledRuleName, ...] = ("predictive", "circle", "look-up-table")
 

@@ -25,9 +25,9 @@ from dqforge.reports.loops.capability import (
 )
 from dqforge.reports.pages.answer import write_all
 from dqforge.reports.pages.templating import render
+from dqforge.reports.result import read_folder, verify_folder
 from dqforge.reports.run import RunOutput, export_design, run_design
 from dqforge.reports.verification.host import WARNINGS
-from dqforge.reports.written_headers import read_folder, verify_folder
 
 LIBRARY = Path(__file__).resolve().parents[3] / "machines" / "library"
 DRIVES = {

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dqforge.machines.phase_machines.frame_transforms import frame_model
-from dqforge.reports.papers.paper002_definitions.bench_currents import bench_machine
-from dqforge.reports.papers.paper002_definitions.compensation import (
+from dqforge.reports.papers.paper002.bench_currents import bench_machine
+from dqforge.reports.papers.paper002.compensation import (
     PLACES,
     Motion,
     ShapedMachine,

@@ -14,8 +14,8 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.records import dataclass
 from dqforge.reports.operating_system.host_compiler import require_compiler
-from dqforge.reports.pages.table import Table
-from dqforge.reports.papers.paper002_definitions.bench_currents import (
+from dqforge.reports.pages.answer import Table
+from dqforge.reports.papers.paper002.bench_currents import (
     BENCH_TORQUE,
     DESIGN_NAME,
     HIGHEST_ORDER,
@@ -29,7 +29,20 @@ from dqforge.reports.papers.paper002_definitions.bench_currents import (
     plot_machine,
     telling_orders,
 )
-from dqforge.reports.papers.paper002_definitions.compensation import (
+from dqforge.reports.papers.paper002.closed_loops import (
+    BENCH_SPEED,
+    SHIPPED,
+    ClosedLoops,
+    DiodePath,
+    LoopRatio,
+    LoopRun,
+    diode_path,
+    left_out_table,
+    loop_ratios,
+    loop_tables,
+    run_loops,
+)
+from dqforge.reports.papers.paper002.compensation import (
     COMPONENTS,
     TRAPEZOID_FLUX,
     Compensation,
@@ -45,20 +58,7 @@ from dqforge.reports.papers.paper002_definitions.compensation import (
     table_3_1,
     trapezoid_machine,
 )
-from dqforge.reports.papers.paper002_loops.closed_loops import (
-    BENCH_SPEED,
-    SHIPPED,
-    ClosedLoops,
-    DiodePath,
-    LoopRatio,
-    LoopRun,
-    diode_path,
-    left_out_table,
-    loop_ratios,
-    loop_tables,
-    run_loops,
-)
-from dqforge.reports.papers.paper002_loops.loop_figures import plot_loops, plot_step
+from dqforge.reports.papers.paper002.loop_figures import plot_loops, plot_step
 from dqforge.reports.plain_data import PlainData
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, TEAL, new_figure, style
-from dqforge.reports.papers.paper002_definitions.bench_currents import BenchCurves
-from dqforge.reports.papers.paper002_loops.closed_loops import RPM, LoopRun
+from dqforge.reports.papers.paper002.bench_currents import BenchCurves
+from dqforge.reports.papers.paper002.closed_loops import RPM, LoopRun
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -36,14 +36,14 @@ from dqforge.optimizer.solution import Solution
 from dqforge.optimizer.waveforms.constraint_rows import spectrum, unit_currents
 from dqforge.reports.c_code.harness import title
 from dqforge.reports.main_header.header import header_files
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.templating import render
-from dqforge.reports.papers.paper002_definitions.bench_currents import (
+from dqforge.reports.papers.paper002.bench_currents import (
     BENCH_TORQUE,
     DESIGN_NAME,
     bench_machine,
 )
-from dqforge.reports.papers.paper002_definitions.compensation import TRAPEZOID_FLUX
+from dqforge.reports.papers.paper002.compensation import TRAPEZOID_FLUX
 from dqforge.reports.phase_control.header import (
     Surroundings,
     header_context,

@@ -11,8 +11,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from dqforge.machines.plants.scenario import constant
-from dqforge.reports.papers.paper002_definitions.bench_currents import bench_curves, bench_machine
-from dqforge.reports.papers.paper002_loops.closed_loops import (
+from dqforge.reports.papers.paper002.bench_currents import bench_curves, bench_machine
+from dqforge.reports.papers.paper002.closed_loops import (
     CASES,
     RPM,
     STEADY,
@@ -22,7 +22,7 @@ from dqforge.reports.papers.paper002_loops.closed_loops import (
     run_case,
     run_loops,
 )
-from dqforge.reports.papers.paper002_loops.loop_figures import plot_loops, plot_step
+from dqforge.reports.papers.paper002.loop_figures import plot_loops, plot_step
 
 # In % of 1 N m: averaged, and means over PWM periods with 1 us of dead time.
 RIPPLES = {
