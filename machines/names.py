@@ -1,10 +1,12 @@
 """The words that a design may use where it chooses among methods, and as
-which type they are kept.
+which type they are kept; records by such words, each loaded when it is asked for.
 """
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from typing import Literal, TypeVar, get_args
 
 FORMAT_VERSION = 1
 Strategy = Literal["mtpa", "id0"]
@@ -167,3 +169,35 @@ ModulationName = Literal[
 # Firmware of others whose configuration files are written and read, and whose loops are judged.
 Firmware = Literal["vesc", "simplefoc", "moteus", "odrive", "nxp", "st", "ti", "infineon"]
 Application = Literal["skeleton"]  # The program that is written around the emitted functions.
+
+
+# Records of modules by a name, each module loaded when its record is first asked for.
+
+K = TypeVar("K")
+V = TypeVar("V")
+
+
+class LoadedByName(Mapping[K, V]):
+    """Records by name.
+
+    Args:
+        places: By name, module and attribute of the record: ``dqforge.room.module:RECORD``.
+    """
+
+    def __init__(self, places: Mapping[K, str]) -> None:
+        self._places = places
+
+    def __getitem__(self, name: K) -> V:
+        module, _, attribute = self._places[name].partition(":")
+        found: V = getattr(import_module(module), attribute)
+        return found
+
+    def __iter__(self) -> Iterator[K]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is one of the name; nothing is loaded for that."""
+        return name in self._places

@@ -14,9 +14,8 @@ from contextlib import contextmanager
 from dataclasses import field
 from typing import NamedTuple
 
-from dqforge.machines.errors import DqforgeError, VerificationError, WritingError
+from dqforge.machines.errors import DqforgeError, VerificationError, WritingError, shown
 from dqforge.machines.records import dataclass
-from dqforge.machines.wording import shown
 
 KeyPath = tuple[str | int, ...]
 

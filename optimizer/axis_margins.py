@@ -11,8 +11,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.loop_gains import LoopGains, LoopName
-from dqforge.optimizer.loops.robustness import LoopRobustness
-from dqforge.optimizer.loops.tolerance_box import BoxPoints, DriveBox
+from dqforge.optimizer.loops.robustness import BoxPoints, DriveBox, LoopRobustness
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -48,7 +48,7 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import Reals
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.estimators.tracker import Tracker, TrackerLoop
+from dqforge.optimizer.estimators import Tracker, TrackerLoop
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT
 from dqforge.optimizer.observers.models.matsui_model import ObserverRun
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair, limited

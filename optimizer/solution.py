@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
@@ -13,6 +14,7 @@ from dqforge.optimizer.certificates.current_reference import Certificate, certif
 from dqforge.optimizer.control_design.gain_set import GainSet, gains_or_reason
 from dqforge.optimizer.current_reference.fit import (
     Alternative,
+    ReferenceFit,
     alternatives,
     signed_designs,
     signed_reference,
@@ -23,33 +25,38 @@ from dqforge.optimizer.firmware.solve import FirmwareFit, solve_firmware
 from dqforge.optimizer.fixed_phase_control.solve import IntegerFit, solve_integers
 from dqforge.optimizer.fixed_reference.fit import solve_fixed_references
 from dqforge.optimizer.losses.solve import solve_losses, solve_mission
-from dqforge.optimizer.negative_torques import NegativeHalf, solve_negative
 from dqforge.optimizer.operating_points.solve import Curves, current_choice, solve_curves
 
 if TYPE_CHECKING:
-    from dqforge.machines.design.design import Design
     from dqforge.optimizer.application import ApplicationPlan
-    from dqforge.optimizer.current_feedback.solve import CurrentFeedback
-    from dqforge.optimizer.current_reference.fit import ReferenceFit
+    from dqforge.optimizer.current_feedback import CurrentFeedback
     from dqforge.optimizer.current_reference.forms import Emitted
     from dqforge.optimizer.current_reference.solve import Trial
     from dqforge.optimizer.field_weakening.fit import WeakeningFit
-    from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
-        FixedObserverFit,
-    )
+    from dqforge.optimizer.fixed_observers.fixed_observer_fit import FixedObserverFit
     from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
     from dqforge.optimizer.frame_tables import FrameTables
     from dqforge.optimizer.losses.drive_comparison import MissionComparison
-    from dqforge.optimizer.losses.point_comparison import LossComparison
+    from dqforge.optimizer.losses.phase_comparison import LossComparison
     from dqforge.optimizer.modulation_choice.solve import ModulationChoice
     from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad
     from dqforge.optimizer.overmodulation import Overmodulation
     from dqforge.optimizer.six_step.design import SixStepDesign
     from dqforge.optimizer.start_up.solve import StartUp
-    from dqforge.optimizer.waveforms.comparison import (
-        WaveformComparison,
-    )
+    from dqforge.optimizer.waveforms.comparison import WaveformComparison
     from dqforge.optimizer.waveforms.firmware_fit import PhaseFit
+
+
+@dataclass(frozen=True, slots=True)
+class NegativeHalf:
+    """The reference of negative torques where the halves of a machine are kept,
+    as that of the mirrored machine.
+    """
+
+    design: Design
+    curves: Curves
+    fit: ReferenceFit
+    certificate: Certificate | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +235,7 @@ def _start_up(design: Design) -> StartUp | None:
 def _current_feedback(design: Design) -> CurrentFeedback | None:
     if not design.control.current_loop.switches:
         return None
-    from dqforge.optimizer.current_feedback.solve import solve_current_feedback
+    from dqforge.optimizer.current_feedback import solve_current_feedback
 
     return solve_current_feedback(design)
 
@@ -283,3 +290,19 @@ def solve(design: Design) -> Solution:
         current_feedback=_current_feedback(design),
         application=_application(design),
     )
+
+
+# The reference of negative torques, where these have their own, solved and proven.
+
+
+def solve_negative(design: Design) -> NegativeHalf | None:
+    """Reference of negative torques of a design that keeps the halves of its machine apart.
+
+    None for others.
+    """
+    mirrored = signed_designs(design)[1]
+    if mirrored is None:
+        return None
+    found = solve_fit(mirrored).fit
+    proof = certify(current_choice(mirrored), found.reference, found.errors)
+    return NegativeHalf(mirrored, solve_curves(mirrored), found, proof)

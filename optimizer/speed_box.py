@@ -23,7 +23,7 @@ from dqforge.optimizer.box_proofs.cell_queue import (
 )
 from dqforge.optimizer.box_proofs.matrix_inequalities import chained_matrices
 from dqforge.optimizer.loops.loop_gains import LoopGains
-from dqforge.optimizer.loops.tolerance_box import DriveBox
+from dqforge.optimizer.loops.robustness import DriveBox
 
 _ROUNDED = 1e-12  # Share by which the torque factor, a result of several operations, is widened.
 

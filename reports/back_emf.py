@@ -24,8 +24,8 @@ from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.files.text_table import Progress
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity, parse_option, read_quantity
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import BLUE, ORANGE, TEAL, new_figure, prefixed, style
-from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
 
 if TYPE_CHECKING:

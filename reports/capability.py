@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
     from dqforge.machines.design.design import Design
     from dqforge.optimizer.solution import Solution
-    from dqforge.reports.c_code.header_kind import HeaderKind
-    from dqforge.reports.pages.table import Table
+    from dqforge.reports.c_code.harness import HeaderKind
+    from dqforge.reports.pages.answer import Table
     from dqforge.reports.pages.templating import Chapter
     from dqforge.reports.plain_data import PlainData
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.reports.capability import Capability, Outcome, ReportPart
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import LOOPS
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from dqforge.reports.convention_text import convention_lines
 from dqforge.reports.main_header.dialect import Dialect
 from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
 from dqforge.reports.main_header.header import header_context
-from dqforge.reports.page_frame import FIGURES, FOLDING, ListedFile, files_table, page_scripts
+from dqforge.reports.pages.answer import NUMBER_AND_UNIT
 from dqforge.reports.pages.html_text import (
     NARROW,
     HtmlTable,
@@ -29,9 +29,9 @@ from dqforge.reports.pages.html_text import (
     symbols,
     unit_text,
 )
-from dqforge.reports.pages.table import NUMBER_AND_UNIT
 from dqforge.reports.pages.templating import CHAPTERS, page_figure, render
 from dqforge.reports.plain_data import PlainData
+from dqforge.reports.run_folder import FIGURES, FOLDING, ListedFile, files_table, page_scripts
 from dqforge.reports.summary import flashed, watched
 from dqforge.reports.verification.text import compared
 

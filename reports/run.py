@@ -25,14 +25,13 @@ from dqforge.reports.main_header.dialect import Dialect
 from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.observers.speed_loop_text import promise_lines, with_promise
-from dqforge.reports.pages.console import shares, stage
+from dqforge.reports.pages.answer import shares, stage
 from dqforge.reports.pages.templating import to_text
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.report import render_report
-from dqforge.reports.result import plain_outcome, plain_solution
+from dqforge.reports.result import plain_outcome, plain_solution, programmes
 from dqforge.reports.run_folder import REPORT, RESULT, listed_files
 from dqforge.reports.verification.host import Verification, stated_verification, verify_files
-from dqforge.reports.written_headers import programmes
 
 
 @dataclass(frozen=True, slots=True)

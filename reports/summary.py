@@ -6,7 +6,7 @@ from dqforge.machines.design.design import Design
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Flashed, Outcome, Rows, asked_for
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.verification.host import Verification
 from dqforge.reports.verification.text import verification_text
 

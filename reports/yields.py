@@ -12,7 +12,7 @@ from typing import Any
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.yields import FixedHeader, FixedLoop
 from dqforge.reports.current_reference.plain import from_plain
-from dqforge.reports.output.manifest import Manifest, from_bytes, sha256
+from dqforge.reports.output.folder import Manifest, from_bytes, sha256
 from dqforge.reports.output.recomputation import read_listed
 from dqforge.reports.pages.templating import strict_json
 from dqforge.reports.run_folder import MANIFEST, RESULT

@@ -23,12 +23,12 @@ from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control.header import control_files
 from dqforge.reports.field_weakening.header import weakening_files
 from dqforge.reports.main_header.header import header_files
-from dqforge.reports.observers.float32_model import observer_inputs
-from dqforge.reports.observers.position_header import observer_files
-from dqforge.reports.observers.speed_float32_model import (
+from dqforge.reports.observers.float32_model import (
+    observer_inputs,
     speed_observer_gains,
     speed_observer_inputs,
 )
+from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.tracker_header import speed_observer_files
 
 COUNT = 300

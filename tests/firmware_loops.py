@@ -22,8 +22,7 @@ from dqforge.optimizer.firmware.configuration import (
     SpeedController,
     SpeedEstimate,
 )
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, asked, judge
-from dqforge.optimizer.firmware.own_values import METHODS
+from dqforge.optimizer.firmware.firmware_method import METHODS, Asked, FirmwareMethod, asked, judge
 
 # 48 V, 60 rpm/V (line to line, peak), 100 mOhm and 200 uH line to line, 15 pole pairs, 40 A rms.
 PSI = 60.0 / (math.sqrt(3.0) * 2.0 * math.pi * 15 * 60.0)

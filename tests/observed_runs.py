@@ -23,7 +23,7 @@ from dqforge.optimizer.observed_drive.design_drive import (
     position_estimator,
     top_speed,
 )
-from dqforge.optimizer.observed_drive.drive_cases import drive_cases
+from dqforge.optimizer.observed_drive.drive_model import drive_cases
 from dqforge.optimizer.observed_drive.speed_range import SteadyDrives, steady_drives
 from dqforge.optimizer.observers.solve import solve_observer
 from dqforge.optimizer.solution import solve

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
+from dqforge.machines.dq_machines.synchronous import CurrentRegion
 
 I_MAX = 50.0
 _CIRCLE = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)

@@ -21,7 +21,7 @@ from dqforge.machines.plants.scenario import InverterModel, Scenario, constant
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.loops.loop_gains import tune_current_loop
-from dqforge.optimizer.loops.tolerance_box import drive_box
+from dqforge.optimizer.loops.robustness import drive_box
 from dqforge.optimizer.phase_control.design import (
     PhaseLoops,
     judged,

@@ -12,8 +12,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import CurrentLoopMethod
 from dqforge.optimizer.loops.loop_gains import LoopGains, analyse_current_loop
 from dqforge.optimizer.loops.pi_methods import BatchMargins, batch_margins, close_loops, current_pi
-from dqforge.optimizer.loops.robustness import LoopRobustness, summarise
-from dqforge.optimizer.loops.tolerance_box import BoxPoints, DriveBox
+from dqforge.optimizer.loops.robustness import BoxPoints, DriveBox, LoopRobustness, summarise
 
 METHODS: tuple[CurrentLoopMethod, ...] = (
     "bandwidth",

@@ -8,8 +8,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.exploration.study import Search
-from dqforge.optimizer.study_search.open_search import open_search
-from dqforge.optimizer.study_search.search_rows import Outcomes, SearchRows, SearchVariable
+from dqforge.optimizer.study_search import Outcomes, SearchRows, SearchVariable, open_search
 
 Judge = Callable[[FloatArray], Outcomes]
 

@@ -22,10 +22,8 @@ from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError
 from dqforge.reports import answers
 from dqforge.reports.command_line.designs import respond
-from dqforge.reports.pages import console
-from dqforge.reports.pages.answer import Answer, Files
-from dqforge.reports.pages.console import LOADING, shares, stage
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages import answer
+from dqforge.reports.pages.answer import LOADING, Answer, Files, Table, shares, stage
 
 BENCH, IPM = "paper001-pmsm-bench", "paper000-ipmsm-100kw"
 COMMANDS = sorted(
@@ -298,11 +296,11 @@ def test_every_command_names_what_it_does(
     def watched(text: str, after: float = 0.0) -> Iterator[None]:
         del after
         named.stages.append(text)
-        token = console._shown.set(named)
+        token = answer._shown.set(named)
         try:
             yield
         finally:
-            console._shown.reset(token)
+            answer._shown.reset(token)
 
     monkeypatch.setattr("dqforge.reports.command_line.designs.status", watched)
     call(*words)

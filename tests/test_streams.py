@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from dqforge.reports.output.manifest import find_manifest, sha256
+from dqforge.reports.output.folder import find_manifest, sha256
 from dqforge.reports.run_folder import MANIFEST
 
 BENCH = "paper001-pmsm-bench"

@@ -8,9 +8,8 @@ from tempfile import TemporaryDirectory
 from page_text import written_file
 
 from dqforge import emit, load_design
-from dqforge.reports.comparison.firmware_side import firmware_side
 from dqforge.reports.comparison.sides_compared import compare_sides
-from dqforge.reports.comparison.sources import Side, read_side
+from dqforge.reports.comparison.sources import Side, firmware_side, read_side
 from dqforge.reports.pages.figures_style import BLUE, FAINT, PAPER, new_figure, save, style
 
 _DRIVE = "paper001-pmsm-bench"

@@ -23,13 +23,13 @@ from dqforge.machines.plants.current_feedback import (
     simulate_currents,
 )
 from dqforge.machines.plants.fed_machine import BridgeDrive, CurrentTrace
-from dqforge.optimizer.current_feedback.regulator_runs import (
+from dqforge.optimizer.current_feedback import (
     METHODS,
     RegulatorRun,
     regulator_plan,
     run_regulator,
+    speed_points,
 )
-from dqforge.optimizer.current_feedback.solve import speed_points
 from dqforge.reports.current_feedback.tables import plot_regulators
 from dqforge.reports.pages.figures_style import (
     BLUE,

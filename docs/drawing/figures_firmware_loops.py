@@ -9,11 +9,13 @@ import numpy as np
 
 from dqforge.optimizer.firmware.configuration import (
     CurrentLoops,
+    Mechanics,
     PiController,
     SpeedController,
     SpeedEstimate,
+    Winding,
+    speed_loop,
 )
-from dqforge.optimizer.firmware.sampled_structure import Mechanics, Winding, speed_loop
 from dqforge.optimizer.loops.plants import PiLoop
 from dqforge.optimizer.sampled_systems import constant_input_states, loop_margins
 from dqforge.reports.pages.figures_style import MUTED, new_figure, save, style

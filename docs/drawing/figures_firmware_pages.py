@@ -18,13 +18,13 @@ from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
+from dqforge.optimizer.firmware.configuration import Winding, current_loop
+from dqforge.optimizer.firmware.firmware_method import METHODS
+from dqforge.optimizer.firmware.moteus_format import (
     MOST_SENSITIVITY,
     bandwidth_asked,
     torque_rotation,
 )
-from dqforge.optimizer.firmware.own_values import METHODS
-from dqforge.optimizer.firmware.sampled_structure import Winding, current_loop
 from dqforge.optimizer.firmware.solve import FirmwareFit, solve_firmware
 from dqforge.optimizer.firmware.targets.simplefoc import SPEED_FILTER
 from dqforge.optimizer.firmware.targets.simplefoc import rule as simplefoc_rule

@@ -15,9 +15,8 @@ from page_text import DOCS, written_file
 
 from dqforge import Design, export_for, load_design, read_firmware, tune
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.firmware.configuration import DriveValues, LoopProfile
+from dqforge.optimizer.firmware.configuration import DriveValues, LoopProfile, Winding, speed_loop
 from dqforge.optimizer.firmware.firmware_method import drive_values, mechanics_of
-from dqforge.optimizer.firmware.sampled_structure import Winding, speed_loop
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.pi_methods import (
     BatchMargins,

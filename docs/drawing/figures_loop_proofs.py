@@ -16,8 +16,7 @@ from dqforge.optimizer.axis_margins import prove_margins
 from dqforge.optimizer.changing_loops import parallel_step, velocity_step
 from dqforge.optimizer.control_design.gain_set import solve_current_loops
 from dqforge.optimizer.loops.pi_methods import close_loops, current_pi
-from dqforge.optimizer.loops.robustness import current_robustness
-from dqforge.optimizer.loops.tolerance_box import drive_box
+from dqforge.optimizer.loops.robustness import current_robustness, drive_box
 from dqforge.reports.pages.figures_style import (
     BLUE,
     FAINT,

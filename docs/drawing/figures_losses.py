@@ -19,7 +19,7 @@ from dqforge.machines.names import ModulationName
 from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import solve_map
 from dqforge.optimizer.losses.machine_axis import calibrate_switching
-from dqforge.optimizer.losses.point_comparison import LossComparison, compare_points
+from dqforge.optimizer.losses.phase_comparison import LossComparison, compare_points
 from dqforge.optimizer.modulation_choice.solve import solve_choice
 from dqforge.optimizer.operating_points.mtpa_locus import id0_currents
 from dqforge.reports.losses.map_figures import plot_loss_map

@@ -20,7 +20,7 @@ from dqforge.machines.exploration.study import Axis, Sampling, Study
 from dqforge.optimizer.exploration.row_block import STATES, row_inputs
 from dqforge.optimizer.variant_steps.exact_steps import ExactSteps
 from dqforge.optimizer.variant_steps.outputs import loss_drive
-from dqforge.optimizer.variant_steps.step_cache import key_of
+from dqforge.optimizer.variant_steps.variation import key_of
 from dqforge.reports.pages.figures_style import (
     BLUE,
     FAINT,

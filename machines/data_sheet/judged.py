@@ -20,8 +20,8 @@ from dqforge.machines.data_sheet.sheet_values import (
 from dqforge.machines.design import design as datasheet
 from dqforge.machines.design.catalogue import build_design, read_sections
 from dqforge.machines.design.design import Design, Reading
-from dqforge.machines.design.plausibility.design import implausibilities
-from dqforge.machines.design.plausibility.figures import MARK
+from dqforge.machines.design.plausibility import implausibilities
+from dqforge.machines.design.plausible_figures import MARK
 from dqforge.machines.design.schema import DesignFile
 from dqforge.machines.entries.kinds import quantities
 from dqforge.machines.entries.rules import Quantity

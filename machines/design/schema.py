@@ -20,7 +20,7 @@ from dqforge.machines.design.sections.losses import LossSection
 from dqforge.machines.design.sections.machine.schema import MachineSection
 from dqforge.machines.design.sections.modulation_choice import ChoiceSection
 from dqforge.machines.design.sections.operation import OperationSection
-from dqforge.machines.design.sections.simulation.schema import SimulationSection
+from dqforge.machines.design.sections.simulation_schema import SimulationSection
 from dqforge.machines.design.sections.waveform import WaveformSection
 from dqforge.machines.entries.former_keys import deprecated_properties
 from dqforge.machines.entries.kinds import (

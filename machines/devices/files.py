@@ -23,9 +23,8 @@ from dqforge.machines.devices.inverter import (
     exponent_of,
 )
 from dqforge.machines.devices.thermal_network import CauerNetwork, FosterNetwork, ThermalNetwork
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, shown
 from dqforge.machines.files.positioned_xml import Element, parsed
-from dqforge.machines.wording import shown
 
 MAX_BYTES = 5_000_000
 

@@ -13,10 +13,21 @@ from dataclasses import field, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dqforge.machines.arrays import BoolArray, FloatArray, IndexArray
-from dqforge.machines.checked_numbers import MACHINE, check_numbers, owned_numbers
-from dqforge.machines.dq_machines.current_region import CurrentRegion
-from dqforge.machines.dq_machines.synchronous import FluxFormulas, FluxJet, Machine, MachineFormulas
+from dqforge.machines.arrays import (
+    MACHINE,
+    BoolArray,
+    FloatArray,
+    IndexArray,
+    check_numbers,
+    owned_numbers,
+)
+from dqforge.machines.dq_machines.synchronous import (
+    CurrentRegion,
+    FluxFormulas,
+    FluxJet,
+    Machine,
+    MachineFormulas,
+)
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 

@@ -18,13 +18,11 @@ from typing import Any, get_args
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, close_matches, shown
 from dqforge.machines.names import Firmware, NumberFormat
 from dqforge.machines.records import dataclass
-from dqforge.machines.units.kind_words import KindWords, kind_words, words_pattern
 from dqforge.machines.units.quantities import format_quantity, parse_quantity, read_quantity
-from dqforge.machines.units.registry import DIMENSIONS
-from dqforge.machines.wording import close_matches, shown
+from dqforge.machines.units.registry import DIMENSIONS, KindWords, kind_words, words_pattern
 
 _ORIGIN_KEYS = ("source", "inferred", "note")
 
@@ -396,7 +394,7 @@ def number_formats(value: object) -> object:
 def in_other_words(value: object, names: tuple[str, ...], words: Mapping[str, str]) -> object:
     """One of the names for a text that says it in other words; other values as they are.
 
-    ``words`` are in small letters, for what is no place of `dqforge.machines.units.kind_words`.
+    ``words`` are in small letters, for what is no place of `dqforge.machines.units.registry`.
     """
     if not isinstance(value, str):
         return value

@@ -14,7 +14,7 @@ from dqforge.machines.design.design import MAX_FILE_BYTES
 from dqforge.machines.devices import catalogue as devices
 from dqforge.machines.entries.former_keys import read_model
 from dqforge.machines.entries.rules import not_one_of, spoken
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, close_matches
 from dqforge.machines.exploration.design_keys import (
     DesignKey,
     complaint,
@@ -52,7 +52,6 @@ from dqforge.machines.files.positioned_yaml import (
 from dqforge.machines.names import ModulationName
 from dqforge.machines.places import KeyPath, Places
 from dqforge.machines.units.registry import DIMENSIONS
-from dqforge.machines.wording import close_matches
 
 
 def check_overlaps(document: YamlDocument, study: Study) -> None:

@@ -6,10 +6,9 @@ import re
 from importlib import resources
 from importlib.resources.abc import Traversable
 
-from dqforge.machines.errors import InputError
-from dqforge.machines.lately_read import remember
+from dqforge.machines.errors import InputError, close_matches, shown
+from dqforge.machines.files.input_files import remember
 from dqforge.machines.records import dataclass
-from dqforge.machines.wording import close_matches, shown
 
 # Names of the schemas, in the package and beside the files that `dqforge new` writes.
 DESIGN_SCHEMA, STUDY_SCHEMA = "design.schema.json", "study.schema.json"

@@ -19,11 +19,10 @@ from typing import NamedTuple, NoReturn
 
 import yaml
 
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, close_matches, shown
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.places import KeyPath, Position, behind_option, dotted, nearest, option_at
 from dqforge.machines.records import dataclass
-from dqforge.machines.wording import close_matches, shown
 
 MAX_BYTES = 1 << 20
 

@@ -27,7 +27,7 @@ from dqforge.machines.flux_map_files.names import (
     is_unit,
     split_name,
 )
-from dqforge.machines.flux_maps.torque_check import SQUARED
+from dqforge.machines.flux_maps.flux_points import SQUARED
 from dqforge.machines.names import FluxScaling
 from dqforge.machines.units.quantities import format_quantity
 

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.dq_machines.flux_map import FluxMap
-from dqforge.machines.dq_machines.synchronous import torque_from_flux
+from dqforge.machines.dq_machines.synchronous import CurrentRegion, torque_from_flux
 from dqforge.machines.errors import InputError
 from dqforge.machines.flux_maps.checks import (
     MeasuredLoss,
@@ -34,6 +33,8 @@ from dqforge.machines.flux_maps.flux_points import (
     SAME,
     FluxPoints,
     Plane,
+    TorqueCheck,
+    check_torque,
     filled_grid,
     half_of_points,
     kept_apart,
@@ -42,7 +43,6 @@ from dqforge.machines.flux_maps.flux_points import (
     scattered_plane,
     symmetric_plane,
 )
-from dqforge.machines.flux_maps.torque_check import TorqueCheck, check_torque
 from dqforge.machines.names import FluxAxes, FluxFitName, FluxScaling, FluxSymmetry, FluxTorque
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.dq_machines.flux_map import FluxMap
+from dqforge.machines.dq_machines.synchronous import CurrentRegion
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.flux_maps.checks import energy_misfit
 from dqforge.machines.flux_maps.evidence import (

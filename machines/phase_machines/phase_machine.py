@@ -14,8 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.machines.checked_numbers import MACHINE, Wanted, check_numbers, owned_numbers
+from dqforge.machines.arrays import MACHINE, FloatArray, Wanted, check_numbers, owned_numbers
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import DOUBLES, park

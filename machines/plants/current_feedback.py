@@ -1,5 +1,5 @@
 """PWM by current feedback: hysteresis, ramp comparison, predictive control and the schemes of
-`dqforge.machines.plants.current_regulators` on a machine's phase currents.
+`dqforge.machines.plants.regulator_schemes` on a machine's phase currents.
 
 The regulators of paper 001, section 6.2.4, simulated at constant speed as references for what a
 carrier-based modulator makes: the bridge is ideal, the currents are solved exactly between the
@@ -23,16 +23,6 @@ from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.machines.plants.current_regulators.schemes import (
-    Circle,
-    FurtherScheme,
-    Sampled,
-    Trajectory,
-    check_further,
-    check_further_points,
-    further_start,
-    further_work,
-)
 from dqforge.machines.plants.fed_machine import (
     I_D,
     I_Q,
@@ -45,6 +35,16 @@ from dqforge.machines.plants.fed_machine import (
     Plant,
     build_plant,
     follow,
+)
+from dqforge.machines.plants.regulator_schemes import (
+    Circle,
+    FurtherScheme,
+    Sampled,
+    Trajectory,
+    check_further,
+    check_further_points,
+    further_start,
+    further_work,
 )
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import dq_to_phases

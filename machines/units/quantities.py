@@ -11,9 +11,8 @@ import re
 from decimal import Decimal
 from functools import cache, lru_cache
 
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, close_matches, shown
 from dqforge.machines.records import dataclass
-from dqforge.machines.units.kind_words import KindWords, kind_words, without_kind
 from dqforge.machines.units.registry import (
     ANGULAR,
     COMPOUNDS,
@@ -25,12 +24,14 @@ from dqforge.machines.units.registry import (
     SYMBOLS,
     TIMES,
     Dimension,
+    KindWords,
     Powers,
     dimension_of,
     factor_between,
+    kind_words,
     powers_of,
+    without_kind,
 )
-from dqforge.machines.wording import close_matches, shown
 
 MAX_LENGTH = 60
 

@@ -27,7 +27,7 @@ from dqforge.optimizer.box_proofs.current_loop_proof import (
     prove_sensitivity,
 )
 from dqforge.optimizer.dynamic_references.solve import DynamicReferences, dynamic_references
-from dqforge.optimizer.estimators.solve import TunedTracker, solve_tracker
+from dqforge.optimizer.estimators import TunedTracker, solve_tracker
 from dqforge.optimizer.loops.integer_gains import (
     LoopResponse,
     PerUnitGains,
@@ -38,14 +38,16 @@ from dqforge.optimizer.loops.integer_gains import (
 from dqforge.optimizer.loops.loop_gains import speed_delay, tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loops.pi_methods import vendor_inductance
 from dqforge.optimizer.loops.robustness import (
+    Axis,
+    DriveBox,
     RobustSet,
     current_robustness,
+    drive_box,
     speed_robustness,
     turning_robustness,
     unstable_together,
     zero_robustness,
 )
-from dqforge.optimizer.loops.tolerance_box import Axis, DriveBox, drive_box
 from dqforge.optimizer.observers.solve import solve_observer
 
 if TYPE_CHECKING:
@@ -54,10 +56,10 @@ if TYPE_CHECKING:
     from dqforge.optimizer.axis_margins import ProvenMargins
     from dqforge.optimizer.changing_loops import ChangingAxis
     from dqforge.optimizer.control_design.measured_speed_loop import MeasuredSpeed
-    from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
+    from dqforge.optimizer.firmware.gain_search import FirmwareLoops
+    from dqforge.optimizer.loops.gain_schedule import GainSchedule
     from dqforge.optimizer.loops.loop_gains import LoopGains, LoopName
     from dqforge.optimizer.loops.pi_methods import PlantBatch
-    from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule
     from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver, SpeedErrorSlopes
     from dqforge.optimizer.observers.tuning import PositionObserver
     from dqforge.optimizer.phase_control.design import PhaseLoops
@@ -382,7 +384,7 @@ def _schedule(
 ) -> GainSchedule | None:
     if not design.control.current_loop.schedule:
         return None
-    from dqforge.optimizer.loops.schedule.gain_schedule import schedule_gains
+    from dqforge.optimizer.loops.gain_schedule import schedule_gains
 
     return schedule_gains(design, box, i_d, i_q)
 
@@ -409,7 +411,7 @@ def _firmware(
 ) -> FirmwareLoops | None:
     if design.control.firmware is None:
         return None
-    from dqforge.optimizer.firmware.firmware_loops import firmware_loops
+    from dqforge.optimizer.firmware.gain_search import firmware_loops
 
     return firmware_loops(design, box, loops)
 

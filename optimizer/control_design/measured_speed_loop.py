@@ -12,11 +12,11 @@ from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.estimators.tracker import TrackerEstimator
+from dqforge.optimizer.estimators import TrackerEstimator
 from dqforge.optimizer.loops.loop_gains import inertia_of, speed_delay, speed_model
 from dqforge.optimizer.loops.observed_margins import ObservedLoop
 from dqforge.optimizer.loops.pi_methods import calmer, largest_factor, loop_advice, speed_pi
-from dqforge.optimizer.loops.plants import DisturbanceResponse, PiLoop, SpeedLoop, close_pi
+from dqforge.optimizer.loops.plants import DisturbanceResponse, Edges, PiLoop, SpeedLoop, close_pi
 from dqforge.optimizer.observed_drive.design_drive import (
     largest_stable_factor,
     least_pll_bandwidth,
@@ -28,18 +28,19 @@ from dqforge.optimizer.observed_drive.design_drive import (
     speed_lag,
     top_speed,
 )
-from dqforge.optimizer.observed_drive.drive_cases import DriveCases, drive_cases
+from dqforge.optimizer.observed_drive.drive_model import DriveCases, drive_cases
 from dqforge.optimizer.observed_drive.speed_range import (
     SpeedPi,
     SteadyDrives,
     cases_of,
     corner_box,
     judge_corners,
+    limit_cycle,
     settling,
     steady_drives,
+    steps_borne,
     tracked_box,
 )
-from dqforge.optimizer.observed_drive.steps_borne import limit_cycle, steps_borne
 from dqforge.optimizer.sampled_systems import (
     ComplexArray,
     SampledSystem,
@@ -47,16 +48,14 @@ from dqforge.optimizer.sampled_systems import (
     lift,
     loop_margins,
 )
-from dqforge.optimizer.speed_measurement import Edges
 
 if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray
     from dqforge.machines.design.design import Design
     from dqforge.machines.design.settings import SpeedLoopSettings, SpeedMeasurementSettings
-    from dqforge.optimizer.estimators.solve import TunedTracker
+    from dqforge.optimizer.estimators import TunedTracker
     from dqforge.optimizer.loops.loop_gains import LoopGains
-    from dqforge.optimizer.observed_drive.drive_cases import Estimator
-    from dqforge.optimizer.observed_drive.drive_model import ObservedDrive
+    from dqforge.optimizer.observed_drive.drive_model import Estimator, ObservedDrive
     from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
     from dqforge.optimizer.observers.tuning import PositionObserver
 

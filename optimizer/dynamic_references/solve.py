@@ -14,7 +14,7 @@ from dqforge.machines.records import dataclass
 if TYPE_CHECKING:
     from dqforge.optimizer.dynamic_references.voltage_feedback import VoltageFeedback
     from dqforge.optimizer.loops.loop_gains import LoopGains
-    from dqforge.optimizer.loops.tolerance_box import DriveBox
+    from dqforge.optimizer.loops.robustness import DriveBox
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.integer_gains import CurrentControl, TurningMachines, closed_matrices
 from dqforge.optimizer.loops.loop_gains import LoopGains, decoupling
-from dqforge.optimizer.loops.tolerance_box import BoxPoints, DriveBox, box_points
+from dqforge.optimizer.loops.robustness import BoxPoints, DriveBox, box_points
 from dqforge.optimizer.operating_points.points import optimal_points
 
 _SPEEDS = 8

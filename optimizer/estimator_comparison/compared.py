@@ -20,7 +20,12 @@ from dqforge.machines.plants.drive_motion import ComplexArray
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.measured_speed_loop import judge_observed
 from dqforge.optimizer.estimator_comparison.candidate import (
+    HALF_TURN,
+    LOCKED,
+    LOST,
+    START_ANGLES,
     Candidate,
+    CaptureMap,
     EstimatorFigures,
     Question,
     Slopes,
@@ -29,15 +34,7 @@ from dqforge.optimizer.estimator_comparison.candidate import (
     control_over,
     observer_candidates,
 )
-from dqforge.optimizer.estimator_comparison.capture_range import (
-    HALF_TURN,
-    LOCKED,
-    LOST,
-    START_ANGLES,
-    CaptureMap,
-)
-from dqforge.optimizer.estimators.registry import TRACKERS
-from dqforge.optimizer.estimators.solve import TunedTracker, tune_tracker
+from dqforge.optimizer.estimators import TRACKERS, TunedTracker, tune_tracker
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT, DEAD_TIME, PARAMETERS, SPEED_LIMIT
 from dqforge.optimizer.observers.parts import EXACT, Load, Pair
 from dqforge.optimizer.six_step.design import SixStepDesign, commutation_errors, solve_six_step

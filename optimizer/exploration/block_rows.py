@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections import OrderedDict
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import field
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dqforge.machines.arrays import FloatArray, IndexArray
+from dqforge.machines.arrays import BoolArray, FloatArray, IndexArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError
-from dqforge.optimizer.exploration.row_block import STATES, RowState
+from dqforge.machines.exploration.row_designs import design_of
+from dqforge.machines.exploration.study import Study, Tolerance
+from dqforge.machines.files.positioned_yaml import YamlValue
+from dqforge.machines.records import dataclass
+from dqforge.optimizer.exploration.row_block import (
+    STATES,
+    InputKey,
+    Inputs,
+    RowState,
+    input_keys,
+    row_assignments,
+)
 from dqforge.optimizer.variant_steps.exact_steps import ExactSteps, GainsLeftOutError, Numbers
 from dqforge.optimizer.variant_steps.outputs import (
     FIT_PATHS,
@@ -23,7 +36,16 @@ from dqforge.optimizer.variant_steps.outputs import (
     Step,
     loss_columns,
 )
-from dqforge.optimizer.variant_steps.variation import of_comparison, of_table
+from dqforge.optimizer.variant_steps.variation import (
+    BATCH_STEPS,
+    BatchRows,
+    Corner,
+    Variation,
+    Work,
+    of_comparison,
+    of_table,
+    variation,
+)
 
 Column = FloatArray | NDArray[np.int32]
 
@@ -228,3 +250,241 @@ def put_losses(block: BlockRows, rows: IndexArray, found: LossColumns) -> None:
         obstacle = found.obstacles.get(at)
         if obstacle is not None:
             block.end(row, "no-solution" if found.missing[at] else "limit", obstacle)
+
+
+# Rows of a block that share everything but numbers of a linear drive, computed together as far as
+# formulas for many machines go; the others one design at a time.
+
+_CARRIER = "inverter.f_sw"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """Rows that differ in numbers alone.
+
+    Args:
+        rows: Their places in the block, shape (N,).
+        numbers: Values of the keys that vary in SI units, arrays of shape (N,).
+        design: The design of one of them by its place in the group.
+        variation: How the numbers change the design; None where that is not known: then every row
+            is made by itself.
+    """
+
+    rows: IndexArray
+    numbers: Mapping[str, FloatArray]
+    design: Callable[[int], Design]
+    variation: Variation | None
+
+
+def fill_group(steps: ExactSteps, asked: Asked, block: BlockRows, group: Group) -> None:
+    """Compute all outputs of the rows of a group.
+
+    Args:
+        steps: The exact steps, with what is known already.
+        asked: What the study asks for.
+        block: Filled.
+        group: The rows.
+    """
+    if group.variation is None:
+        for place in range(group.rows.size):
+            _fill_row(steps, asked, block, group, place, asked.steps)
+        return
+    again: dict[int, set[Step]] = {}
+    for step in asked.steps:
+        missed = _fill_step(steps, asked, block, group, group.variation, step)
+        for place in np.flatnonzero(missed).tolist():
+            again.setdefault(place, set()).add(step)
+    for place, missing in sorted(again.items()):
+        _fill_row(steps, asked, block, group, place, missing)
+
+
+def _fill_row(
+    steps: ExactSteps,
+    asked: Asked,
+    block: BlockRows,
+    group: Group,
+    place: int,
+    only: Collection[Step],
+) -> None:
+    """One row by the exact path, refused where its design is."""
+    row = int(group.rows[place])
+    steps.work.designs += 1
+    try:
+        design = group.design(place)
+    except DqforgeError as error:
+        block.refuse(np.array([row]), error)
+        return
+    exact_row(steps, asked, block, row, design, only)
+
+
+def _fill_step(
+    steps: ExactSteps,
+    asked: Asked,
+    block: BlockRows,
+    group: Group,
+    variation: Variation,
+    step: Step,
+) -> BoolArray:
+    """Fill in a step for all rows at once; returns those that are still missing, shape (N,)."""
+    every = np.ones(group.rows.size, dtype=np.bool_)
+    keys = variation.keys_of(partial(steps.key, step))
+    if not keys:
+        exact_step(steps, asked, block, group.rows, step, variation.base)
+        return ~every
+    columns = variation.columns(group.numbers)
+    names = {name for key in keys for name, _ in variation.effects[key].factors}
+    if step == "losses" and names == {_CARRIER}:
+        found = table_losses(steps, asked, variation.base, columns[_CARRIER].tolist())
+        if found is None:
+            return every
+        put_losses(block, group.rows, found)
+        return ~every
+    compute = BATCH_STEPS.get(step)
+    if compute is None:
+        return every
+    rows = BatchRows(variation.base, columns, asked)
+    filled = compute(rows)
+    if filled is None:
+        return every
+    steps.work.batches += 1
+    block.put(group.rows[filled.done], filled.taken())
+    for place, message in filled.obstacles.items():
+        block.end(int(group.rows[place]), "limit", message)
+    return ~filled.done
+
+
+def goes_together(steps: ExactSteps, asked: Asked, variation: Variation, count: int) -> bool:
+    """Whether rows of a variation are computed together in every step that is asked for.
+
+    Args:
+        steps, asked: As in `fill_group`.
+        variation: How numbers change the design.
+        count: Rows to try it with, between the ends of the numbers.
+    """
+    share = np.linspace(0.0, 1.0, count)
+    for step in asked.steps:
+        keys = variation.keys_of(partial(steps.key, step))
+        names = {name for key in keys for name, _ in variation.effects[key].factors}
+        if not keys or (step == "losses" and names == {_CARRIER}):
+            continue
+        columns = variation.between(share)
+        compute = BATCH_STEPS.get(step)
+        rows = BatchRows(variation.base, columns, asked)
+        if compute is None or compute(rows) is None:
+            return False
+    return True
+
+
+# Rows of a block in groups that differ in numbers alone, with what those numbers may do.
+
+# Rows of a study that share all but numbers, from which on corners are tried: fewer are quicker one
+# by one. It counts those of the study, not of a block: a row has the same path in any block.
+LEAST_TOGETHER = 16
+_MOST_KEPT = 1024
+Discrete = tuple[float, ...]
+
+
+def key_bounds(study: Study) -> dict[str, tuple[float, float]]:
+    """Least and largest value of each numeric key in SI units, whatever the rows.
+
+    Args:
+        study: The study.
+    """
+    drawn = {tolerance.key: _ends(tolerance) for tolerance in study.tolerances}
+    bounds = {}
+    for entry in input_keys(study):
+        name = entry.key.name
+        if entry.spec.kind != "number":
+            continue
+        if name in drawn:
+            bounds[name] = drawn[name]
+        elif entry.values is not None:
+            bounds[name] = (float(np.min(entry.values)), float(np.max(entry.values)))
+    return {name: ends for name, ends in bounds.items() if ends[0] < ends[1]}
+
+
+def _ends(tolerance: Tolerance) -> tuple[float, float]:
+    if tolerance.kind == "between":
+        return tolerance.low, tolerance.high
+    scale = abs(tolerance.centre) if tolerance.relative else 1.0
+    half = tolerance.width * scale * (tolerance.cut if tolerance.kind == "normal" else 1.0)
+    return tolerance.centre - half, tolerance.centre + half
+
+
+@dataclass(slots=True)
+class Grouping:
+    """How rows of a study are put together.
+
+    Args:
+        study: The study.
+        bounds: Ends of the numeric keys that are tried together.
+        work: Counts designs.
+    """
+
+    study: Study
+    bounds: Mapping[str, tuple[float, float]]
+    work: Work
+    _known: OrderedDict[Discrete, Variation | None] = field(default_factory=OrderedDict)
+
+    @property
+    def entries(self) -> Sequence[InputKey]:
+        """Keys of the rows."""
+        return input_keys(self.study)
+
+    def groups(self, inputs: Inputs, count: int) -> Iterator[Group]:
+        """Groups of N rows in the order of their first rows.
+
+        Args:
+            inputs: What goes into the rows.
+            count: Number of rows.
+        """
+        fixed = [e.key.name for e in self.entries if e.key.name not in self.bounds]
+        for rows in _alike([np.asarray(inputs[name], np.float64) for name in fixed], count):
+            numbers = {name: np.asarray(inputs[name], np.float64)[rows] for name in self.bounds}
+            shared = tuple(float(inputs[name][rows[0]]) for name in fixed)
+            found = None
+            if self.bounds:
+                found = self._variation(shared, row_assignments(self.study, inputs, int(rows[0])))
+            yield Group(rows, numbers, self._maker(inputs, rows), found)
+
+    def _maker(self, inputs: Inputs, rows: IndexArray) -> Callable[[int], Design]:
+        def made(place: int) -> Design:
+            return design_of(self.study, row_assignments(self.study, inputs, int(rows[place])))
+
+        return made
+
+    def _variation(self, shared: Discrete, first: Mapping[str, YamlValue]) -> Variation | None:
+        if shared not in self._known:
+            self._known[shared] = variation(self.corner_maker(first), self.bounds)
+            if len(self._known) > _MOST_KEPT:
+                self._known.popitem(last=False)
+        return self._known[shared]
+
+    def corner_maker(self, first: Mapping[str, YamlValue]) -> Callable[[Corner], Design]:
+        """Designs of one combination of the other keys.
+
+        Args:
+            first: All keys of one row, as a design file says them.
+        """
+        written = {entry.key.name: entry for entry in self.entries}
+
+        def make(corner: Corner) -> Design:
+            self.work.designs += 1
+            numbers = {
+                name: written[name].key.written(value, written[name].kind)
+                for name, value in corner.items()
+            }
+            return design_of(self.study, {**first, **numbers})
+
+        return make
+
+
+def _alike(columns: Sequence[FloatArray], count: int) -> list[IndexArray]:
+    """Rows that are equal in all columns, in the order of the first of each."""
+    if not columns:
+        return [np.arange(count)]
+    table = np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
+    _, first, which = np.unique(table, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(which.reshape(-1), kind="stable")
+    parts = np.split(order, np.cumsum(np.bincount(which.reshape(-1)))[:-1])
+    return [parts[place] for place in np.argsort(first, kind="stable")]

@@ -28,9 +28,17 @@ from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.exploration.block_groups import LEAST_TOGETHER, Grouping, key_bounds
-from dqforge.optimizer.exploration.block_rows import BlockRows, Column, put_losses
-from dqforge.optimizer.exploration.group_rows import Group, fill_group, goes_together
+from dqforge.optimizer.exploration.block_rows import (
+    LEAST_TOGETHER,
+    BlockRows,
+    Column,
+    Group,
+    Grouping,
+    fill_group,
+    goes_together,
+    key_bounds,
+    put_losses,
+)
 from dqforge.optimizer.exploration.row_block import (
     INPUT_COLUMN,
     OUTPUT_COLUMN,
@@ -60,9 +68,9 @@ from dqforge.optimizer.variant_steps.outputs import (
     output_named,
     study_outputs,
 )
-from dqforge.optimizer.variant_steps.step_cache import Work
 from dqforge.optimizer.variant_steps.variation import (
     BatchRows,
+    Work,
     batch_keys,
     point_weights,
     variation,

@@ -35,13 +35,14 @@ from dqforge.optimizer.field_weakening.error_bounds import (
     STRIPS,
     CertifiedDomain,
     Enclosed,
+    LargestTorque,
     boxes_between,
     enclose,
     halved,
+    largest_torque,
     limit_range,
 )
 from dqforge.optimizer.field_weakening.form import WeakeningReference, WeakeningRegion
-from dqforge.optimizer.field_weakening.largest_torque import LargestTorque, largest_torque
 from dqforge.optimizer.field_weakening.voltage_region import (
     FLUX_SHARE,
     ROUNDING,

@@ -17,9 +17,9 @@ from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.single_precision import SinglePolynomial
-from dqforge.optimizer.curves.two_family_levelling import Aims, level
 from dqforge.optimizer.field_weakening.certificate import SurfaceCertificate, certify_step
 from dqforge.optimizer.field_weakening.form import (
+    Aims,
     Mtpa,
     SingleSurface,
     SurfaceErrors,
@@ -30,6 +30,7 @@ from dqforge.optimizer.field_weakening.form import (
     fit_limit,
     fit_mtpa,
     in_double,
+    level,
     surface_errors,
 )
 from dqforge.optimizer.field_weakening.voltage_region import (

@@ -17,7 +17,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.firmware import own_values
+from dqforge.optimizer.firmware import firmware_method
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     DriveValues,
@@ -26,17 +26,15 @@ from dqforge.optimizer.firmware.configuration import (
     PiGains,
 )
 from dqforge.optimizer.firmware.firmware_method import (
+    FLOAT32_DIGITS,
     NOTICED,
     Asked,
     Price,
     Shortfall,
     closed_form_currents,
-    other_periods,
-)
-from dqforge.optimizer.firmware.own_values import (
-    FLOAT32_DIGITS,
     field_origins,
     float32_value,
+    other_periods,
     rounded,
 )
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
@@ -163,7 +161,7 @@ def kept(value: float, asked_by: str) -> float:
 
 def number(own: Mapping[str, OwnValue], name: str) -> float | None:
     """A member (``motor.r``) as a number, None without one."""
-    return own_values.number(own, f"params.{name}")
+    return firmware_method.number(own, f"params.{name}")
 
 
 # What the parameters of Infineon's motor-ctrl-lib amount to in SI units, by its own rules where

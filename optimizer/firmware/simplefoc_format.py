@@ -15,8 +15,16 @@ from dqforge.optimizer.firmware.configuration import (
     OwnValue,
     PiGains,
 )
-from dqforge.optimizer.firmware.firmware_method import Asked, Price, Shortfall, q_current_alone
-from dqforge.optimizer.firmware.own_values import Fields, field_origins, number, rounded
+from dqforge.optimizer.firmware.firmware_method import (
+    Asked,
+    Fields,
+    Price,
+    Shortfall,
+    field_origins,
+    number,
+    q_current_alone,
+    rounded,
+)
 
 VERSION = "2.4"
 BEFORE = f"before {VERSION}"  # Version of files with ``phase_inductance``, one for both axes.

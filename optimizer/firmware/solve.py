@@ -9,11 +9,10 @@ from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Protocol
 
 from dqforge.machines.design.numerical import numerical_errors
-from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.errors import InputError, NoSolutionError, shown
 from dqforge.machines.names import Firmware
 from dqforge.machines.places import about
 from dqforge.machines.records import dataclass
-from dqforge.machines.wording import shown
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     CurrentLoops,
@@ -23,24 +22,27 @@ from dqforge.optimizer.firmware.configuration import (
     PiGains,
     SpeedController,
     SpeedEstimate,
+    Winding,
+    current_loop,
+    speed_loop,
 )
 from dqforge.optimizer.firmware.firmware_method import (
+    METHODS,
     Asked,
     FirmwareMethod,
     JudgedFirmware,
     JudgedLoop,
     Shortfall,
     asked,
+    check_drivable,
     judge,
     judged_loop,
     mechanics_of,
 )
-from dqforge.optimizer.firmware.own_values import METHODS, check_drivable
-from dqforge.optimizer.firmware.sampled_structure import Winding, current_loop, speed_loop
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
-    from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
+    from dqforge.optimizer.firmware.gain_search import FirmwareLoops
     from dqforge.optimizer.loops.loop_gains import LoopGains
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.firmware import own_values
+from dqforge.optimizer.firmware import firmware_method
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     DriveValues,
@@ -22,16 +22,14 @@ from dqforge.optimizer.firmware.configuration import (
     PiGains,
 )
 from dqforge.optimizer.firmware.firmware_method import (
+    FLOAT32_DIGITS,
     Asked,
     Price,
     Shortfall,
     closed_form_currents,
-    other_periods,
-)
-from dqforge.optimizer.firmware.own_values import (
-    FLOAT32_DIGITS,
     field_origins,
     float32_value,
+    other_periods,
     rounded,
 )
 
@@ -147,7 +145,7 @@ def kept(value: float, asked_by: str) -> float:
 def number(own: Mapping[str, OwnValue], name: str) -> float | None:
     """A value of the motor (``Rs_Ohm``) or the board (``M1_...``) as a number, None without one."""
     full = f"USER_{name}" if name.startswith("M1_") else MOTOR_PREFIX + name
-    return own_values.number(own, full)
+    return firmware_method.number(own, full)
 
 
 def known(own: Mapping[str, OwnValue], name: str, otherwise: Number) -> float:

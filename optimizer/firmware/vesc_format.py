@@ -28,10 +28,12 @@ from dqforge.optimizer.firmware.firmware_method import (
     Price,
     Shortfall,
     closed_form_currents,
+    field_origins,
     judge,
+    number,
     other_periods,
+    rounded,
 )
-from dqforge.optimizer.firmware.own_values import field_origins, number, rounded
 
 VERSION = "7.01"
 _LAST_OF_TWO = "5.03"

@@ -45,6 +45,7 @@ from dqforge.optimizer.loops.pi_methods import (
 )
 from dqforge.optimizer.loops.plants import (
     DisturbanceResponse,
+    Edges,
     PiLoop,
     SpeedLoop,
     StepResponse,
@@ -56,7 +57,6 @@ from dqforge.optimizer.loops.plants import (
     speed_step,
 )
 from dqforge.optimizer.sampled_systems import LoopMargins, loop_margins
-from dqforge.optimizer.speed_measurement import Edges
 
 ComplexArray = NDArray[np.complex128]
 

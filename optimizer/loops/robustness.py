@@ -4,34 +4,46 @@ and what would hold.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dqforge.machines.design.settings import CurrentLoopSettings, SpeedLoopSettings
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.settings import (
+    CurrentLoopSettings,
+    SpeedLoopSettings,
+    ToleranceName,
+    Tolerances,
+)
+from dqforge.machines.dq_machines.synchronous import LinearMachine, torque_from_flux
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof
-from dqforge.optimizer.loops.integer_gains import CurrentControl, largest_pole
+from dqforge.optimizer.loops.integer_gains import CurrentControl, TurningMachines, largest_pole
 from dqforge.optimizer.loops.loop_gains import LoopGains, speed_delay
 from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
 from dqforge.optimizer.loops.pi_methods import (
     CURRENT_DELAY,
     BatchMargins,
+    DriveVariants,
     PlantBatch,
     Settings,
     batch_margins,
     calmer,
     close_loops,
     current_pi,
+    current_plants,
     largest_factor,
     loop_advice,
     speed_pi,
+    speed_plants,
     vendor_inductance,
 )
-from dqforge.optimizer.loops.tolerance_box import Axis, BoxPoints, DriveBox
+from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 
 FloatArray = NDArray[np.float64]
 
@@ -327,3 +339,287 @@ def speed_robustness(box: DriveBox, gains: LoopGains, current_gains: LoopGains) 
         return speed_pi(inertia, machine.friction, t_sum, trial)
 
     return _kept("control.speed_loop", gains, settings, plants, points, formula)
+
+
+# The box of drives that a design's tolerances allow: its corners, points inside, and the plants at
+# them.
+#
+# How each tolerance enters:
+#
+# - ``r_s``, ``l_d``, ``l_q``: the winding. Where a machine saturates and its gains do not follow,
+#   the inductance reaches from the least to the largest incremental one along the current reference
+#   besides.
+# - ``v_dc``: gain 1 + d of the voltage; the duty cycles are computed with another dc-link
+#   voltage than the one that acts.
+# - ``dead_time``: what the compensation gets wrong, t_e, leaves a voltage of f_sw t_e V_dc against
+#   (or, if too much is compensated, along) each phase current. Its fundamental, 4/pi of that, is a
+#   resistance of 4 f_sw t_e V_dc/(pi I) at the amplitude I (describing function of a relay); it is
+#   added with its sign, at the smallest current of the design.
+# - ``psi_pm``: the torque that a commanded torque makes, and the back-EMF that
+#   the feedforward leaves over.
+# - ``inertia``: the mechanics.
+#
+# Each reaches from its lower to its upper deviation, which need not be of the same size; 0, the
+# data, lies between them.
+
+Axis = Literal["i_d", "i_q"]
+_NAMES: tuple[ToleranceName, ...] = get_args(ToleranceName)
+SAMPLES = 400  # Random points inside the box that are checked besides its corners.
+_SEED = 20_261_121
+
+
+@dataclass(frozen=True, slots=True)
+class BoxPoints:
+    """Deviations of M drives: relative ones, and the error of the dead time in s.
+
+    ``deviations`` has shape (M, K) for the K ``names``; the first ``corners`` rows are the corners
+    of the box, the last of the rows behind them the data themselves. ``loaded`` marks, per row, the
+    full current.
+    """
+
+    names: tuple[str, ...]
+    deviations: FloatArray
+    corners: int
+    loaded: NDArray[np.bool_]
+
+    def of(self, name: str) -> FloatArray:
+        """Deviations of one parameter, shape (M,); zeros where it has none."""
+        if name not in self.names:
+            return np.zeros(len(self.deviations))
+        return np.asarray(self.deviations[:, self.names.index(name)], dtype=np.float64)
+
+    def text(self, row: int) -> str:
+        """A point in words, such as ``l_q -20 %, r_s +30 %``."""
+        parts = [
+            _part(name, float(value))
+            for name, value in zip(self.names, self.deviations[row], strict=True)
+        ]
+        parts += ["full current"] if self.loaded[row] else []
+        return ", ".join(parts) or "the data themselves"
+
+
+def _part(name: str, value: float) -> str:
+    if name == "dead_time":
+        return f"dead_time {value * 1e6:+.3g} us"
+    return f"{name} {100.0 * value:+.3g} %"
+
+
+def box_points(limits: dict[str, tuple[float, float]], *, loads: bool = False) -> BoxPoints:
+    """Corners of a box, random points inside it (the same every time), and the data themselves.
+
+    Args:
+        limits: Lower and upper deviation by parameter; parameters with none are left out.
+        loads: Whether every point is taken at no load and at full current.
+    """
+    names = tuple(name for name, (low, high) in limits.items() if high > low)
+    low, high = (np.array([limits[name][side] for name in names]) for side in (0, 1))
+    corners = np.array(list(itertools.product(*zip(low, high, strict=True)))).reshape(
+        2 ** len(names), len(names)
+    )
+    inside = np.random.default_rng(_SEED).uniform(low, high, (SAMPLES if names else 0, len(names)))
+    rest = np.vstack([inside, np.zeros((1, len(names)))])
+    if not loads:
+        return BoxPoints(
+            names,
+            np.vstack([corners, rest]),
+            len(corners),
+            np.zeros(len(corners) + len(rest), np.bool_),
+        )
+    loaded = np.repeat(
+        [False, True, False, True], [len(corners), len(corners), len(rest), len(rest)]
+    )
+    return BoxPoints(names, np.vstack([corners, corners, rest, rest]), 2 * len(corners), loaded)
+
+
+@dataclass(frozen=True, slots=True)
+class DriveBox:
+    """Tolerances of a design around the inductances that its loops are tuned for.
+
+    ``nominal`` are l_d and l_q in H, ``spread`` the largest over them along the current reference,
+    where the gains do not follow it (1 otherwise).
+    """
+
+    design: Design
+    tolerances: Tolerances
+    nominal: tuple[float, float]
+    spread: tuple[float, float] = (1.0, 1.0)
+
+    def inductance_limits(self, axis: Axis) -> tuple[float, float]:
+        """Least and largest deviation of an axis's inductance, with what saturation adds."""
+        low, high = self.tolerances.limits("l_d" if axis == "i_d" else "l_q")
+        spread = self.spread[0 if axis == "i_d" else 1]
+        return low, spread * (1.0 + high) - 1.0
+
+    def _limits(self, axis: Axis) -> dict[str, tuple[float, float]]:
+        t = self.tolerances
+        return {
+            "r_s": t.limits("r_s"),
+            "l_d" if axis == "i_d" else "l_q": self.inductance_limits(axis),
+            "v_dc": t.limits("v_dc"),
+            "dead_time": t.limits("dead_time"),
+        }
+
+    def named_limits(self) -> tuple[tuple[ToleranceName, float, float], ...]:
+        """Parameters that the design lets deviate, with the least and the largest
+        deviation (relative, or in s).
+        """
+        found = ((name, *self.tolerances.limits(name)) for name in _NAMES)
+        return tuple((name, low, high) for name, low, high in found if high > low)
+
+    def current_points(self, axis: Axis) -> BoxPoints:
+        """Corners and points inside of what the current loop of one axis depends on."""
+        return box_points(self._limits(axis))
+
+    def turning_points(self) -> BoxPoints:
+        """The same for both current loops together."""
+        return box_points({**self._limits("i_d"), **self._limits("i_q")})
+
+    def zero_limits(self) -> dict[str, tuple[float, float]]:
+        """What the loop of the zero-sequence current depends on.
+
+        Its inductance has no tolerance of its own; it moves as far as that of d or q may, whichever
+        is further.
+        """
+        limits = self._limits("i_q")
+        sides = zip(limits.pop("l_q"), self._limits("i_d")["l_d"], strict=True)
+        (low_q, low_d), (high_q, high_d) = sides
+        return {**limits, "l_0": (min(low_q, low_d), max(high_q, high_d))}
+
+    def zero_points(self) -> BoxPoints:
+        """Corners and points inside of what the loop of the zero-sequence current depends on."""
+        return box_points(self.zero_limits())
+
+    def phase_points(self, *, zero: bool) -> BoxPoints:
+        """The same for all current loops of a phase machine, with or without a zero sequence."""
+        both = {**self._limits("i_d"), **self._limits("i_q")}
+        return box_points({**both, **(self.zero_limits() if zero else {})})
+
+    def zero_plants(self, points: BoxPoints, inductance: float) -> PlantBatch:
+        """Plants of the loop of the zero-sequence current around an inductance in H."""
+        return current_plants(
+            self.resistance(points),
+            inductance * (1.0 + points.of("l_0")),
+            self.design.control.t_s,
+            1.0 + points.of("v_dc"),
+        )
+
+    def turning_machines(self, points: BoxPoints, omega_e: FloatArray) -> TurningMachines:
+        """Windings at M points, each at S electrical speeds in rad/s, points by speeds in one
+        row.
+        """
+
+        def spread(column: FloatArray) -> FloatArray:
+            return np.repeat(column, omega_e.size)
+
+        return TurningMachines(
+            r_s=spread(self.resistance(points)),
+            l_d=spread(self.nominal[0] * (1.0 + points.of("l_d"))),
+            l_q=spread(self.nominal[1] * (1.0 + points.of("l_q"))),
+            gain=spread(1.0 + points.of("v_dc")),
+            omega_e=np.tile(omega_e, len(points.deviations)),
+        )
+
+    def speed_points(self) -> BoxPoints:
+        """The same for the speed loop; salient machines at no load and at full current."""
+        t = self.tolerances
+        salient = self.design.machine.saliency != 0.0 and self.design.strategy == "mtpa"
+        both = salient and any(t.limits(name) != (0.0, 0.0) for name in ("l_d", "l_q", "psi_pm"))
+        limits = self._limits("i_q")
+        limits |= {"l_d": t.limits("l_d")} if salient else {}
+        limits |= {"psi_pm": t.limits("psi_pm"), "inertia": t.limits("inertia")}
+        return box_points(limits, loads=both)
+
+    @property
+    def dead_time_resistance(self) -> float:
+        """Resistance in Ohm that each second of the dead time's rest adds at the smallest current
+        and a voltage gain of 1.
+        """
+        inverter = self.design.inverter
+        return 4.0 / np.pi * inverter.f_sw * inverter.v_dc / self.tolerances.low_current
+
+    def resistance(self, points: BoxPoints) -> FloatArray:
+        """Resistance in Ohm at points, with what the dead time adds, shape (M,)."""
+        resistance = self.design.machine.r_s * (1.0 + points.of("r_s"))
+        if "dead_time" not in points.names:
+            return resistance
+        inverter = self.design.inverter
+        voltage = inverter.f_sw * points.of("dead_time") * inverter.v_dc * (1.0 + points.of("v_dc"))
+        return resistance + 4.0 / np.pi * voltage / self.tolerances.low_current
+
+    def current_loop_plants(
+        self, axis: Axis, points: BoxPoints, inductance: float | None = None
+    ) -> PlantBatch:
+        """Plants of a current loop; around another ``inductance`` in H where that is given."""
+        place, name = (0, "l_d") if axis == "i_d" else (1, "l_q")
+        middle = self.nominal[place] if inductance is None else inductance
+        return current_plants(
+            self.resistance(points),
+            middle * (1.0 + points.of(name)),
+            self.design.control.t_s,
+            1.0 + points.of("v_dc"),
+        )
+
+    def speed_loop_plants(
+        self, points: BoxPoints, current_gains: tuple[float, float]
+    ) -> PlantBatch:
+        """Plants of the speed loop around a current loop with given gains (V/A and V/(A s))."""
+        machine, control = self.design.machine, self.design.control
+        assert control.speed_loop is not None
+        assert machine.inertia is not None
+        constant = (
+            machine.torque_per_ampere * machine.pole_pairs * machine.psi_pm * points.of("psi_pm")
+        )
+        variants = DriveVariants(
+            r_s=self.resistance(points),
+            l_q=self.nominal[1] * (1.0 + points.of("l_q")),
+            inertia=machine.inertia * (1.0 + points.of("inertia")),
+            gain=1.0 + points.of("v_dc"),
+            torque_factor=self.torque_factor(points),
+            back_emf=constant,
+        )
+        ratio, filter_time = control.speed_loop.ratio, control.speed_loop.filter_time
+        return speed_plants(
+            variants, machine.friction, control.t_s, current_gains, ratio, filter_time
+        )
+
+    def torque_factor(self, points: BoxPoints) -> FloatArray:
+        """Torque over commanded torque, shape (M,): by the magnets at no load,
+        by all of it at full current.
+
+        A machine without magnets has no torque at no load; its factor there is that
+        of its reluctance torque.
+        """
+        machine = self.design.machine
+        by_magnet = 1.0 + points.of("psi_pm")
+        if not points.loaded.any():
+            return by_magnet
+        locus = mtpa_locus(machine, self.design.i_max)
+        i_d, i_q = locus.i_d[-1:], locus.i_q[-1:]
+        psi_d, psi_q = machine.flux(i_d, i_q)
+        changed_d = machine.psi_pm * by_magnet + (psi_d - machine.psi_pm) * (1.0 + points.of("l_d"))
+        # The inductance that saturation adds belongs to the loop at low current,
+        # not to the torque at full current.
+        of_q = np.clip(points.of("l_q"), *self.tolerances.limits("l_q"))
+        changed_q = psi_q * (1.0 + of_q)
+        before = torque_from_flux(machine.pole_pairs, psi_d, psi_q, i_d, i_q)
+        factor = torque_from_flux(machine.pole_pairs, changed_d, changed_q, i_d, i_q) / before
+        everywhere = points.loaded if machine.psi_pm > 0.0 else np.ones_like(points.loaded)
+        return np.asarray(np.where(everywhere, factor, by_magnet), dtype=np.float64)
+
+
+def drive_box(
+    design: Design, nominal: tuple[float, float], largest: tuple[float, float]
+) -> DriveBox:
+    """The design's box.
+
+    Of a design without tolerances the inductances that saturation lets appear, alone.
+
+    Args:
+        design: The design.
+        nominal, largest: (l_d, l_q) in H that the loops are tuned for, and the largest ones along
+            the current reference.
+    """
+    tolerances = design.control.tolerances or Tolerances()
+    follows = design.control.current_loop.schedule or isinstance(design.machine, LinearMachine)
+    spread = (1.0, 1.0) if follows else (largest[0] / nominal[0], largest[1] / nominal[1])
+    return DriveBox(design, tolerances, nominal, spread)

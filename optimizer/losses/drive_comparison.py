@@ -49,7 +49,7 @@ from dqforge.optimizer.losses.drive_budget import (
     waveform_averages,
 )
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
-from dqforge.optimizer.operating_points.local_terms import LossCoefficients
+from dqforge.optimizer.operating_points.mtpa_locus import LossCoefficients
 from dqforge.optimizer.operating_points.points import loss_coefficients, optimal_points
 
 _EQUAL_LOSS = 1e-9

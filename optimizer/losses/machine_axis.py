@@ -1,7 +1,7 @@
 """Budgets of many drives with linear machines at once: a machine, a link voltage, a dead time and a
 carrier for each, the device and all the rest in common.
 
-The budgets are those of `dqforge.optimizer.losses.point_comparison.compare_points`, a row per
+The budgets are those of `dqforge.optimizer.losses.phase_comparison.compare_points`, a row per
 drive. The rows' points stand side by side as one list, so that averages over the electrical period
 are taken of all of them together; what differs between rows alone scales them: duty cycles know
 voltages over that of the link, energies of one table a power of it.

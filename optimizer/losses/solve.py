@@ -11,7 +11,7 @@ from dqforge.machines.losses.machine_budget import Mission
 
 if TYPE_CHECKING:
     from dqforge.optimizer.losses.drive_comparison import Alternatives, MissionComparison
-    from dqforge.optimizer.losses.point_comparison import LossComparison
+    from dqforge.optimizer.losses.phase_comparison import LossComparison
 
 
 @on_design("losses")
@@ -25,7 +25,7 @@ def solve_losses(design: Design) -> LossComparison | None:
     if losses is None or not losses.points:
         return None
     from dqforge.optimizer.losses.drive_budget import BudgetOptions
-    from dqforge.optimizer.losses.point_comparison import compare_points
+    from dqforge.optimizer.losses.phase_comparison import compare_points
 
     return compare_points(
         design.machine,

@@ -15,12 +15,13 @@ from dqforge.machines.names import OBSERVER_KEYS
 from dqforge.machines.plants.drive_motion import plants
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.pi_methods import largest_factor
-from dqforge.optimizer.observed_drive.drive_cases import (
+from dqforge.optimizer.observed_drive.drive_model import (
+    DriveData,
     Estimator,
+    ObservedDrive,
     PositionEstimator,
     SpeedEstimator,
 )
-from dqforge.optimizer.observed_drive.drive_model import DriveData, ObservedDrive
 from dqforge.optimizer.observed_drive.speed_range import SteadyDrives, steady_drives
 from dqforge.optimizer.observers.parts import LARGEST_TURN, SteadyObserver, steady_observer
 from dqforge.optimizer.observers.pll import FASTEST, PllGains
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray
     from dqforge.machines.design.design import Design
     from dqforge.optimizer.loops.loop_gains import LoopGains
-    from dqforge.optimizer.observed_drive.drive_cases import DriveCases
+    from dqforge.optimizer.observed_drive.drive_model import DriveCases
     from dqforge.optimizer.observed_drive.speed_range import SpeedPi
     from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
     from dqforge.optimizer.sampled_systems import ComplexArray

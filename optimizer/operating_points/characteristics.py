@@ -25,13 +25,15 @@ from dqforge.machines.topologies.linear_range import (
     overmodulation_of,
 )
 from dqforge.machines.topologies.topology import TOPOLOGIES
-from dqforge.optimizer.operating_points.ends_of_data.boundary import least_flux_current, make_limits
-from dqforge.optimizer.operating_points.local_terms import (
+from dqforge.optimizer.operating_points.ends_of_data import least_flux_current, make_limits
+from dqforge.optimizer.operating_points.mtpa_locus import (
+    Active,
     LossCoefficients,
+    MtpaLocus,
     intervals_of,
+    mtpa_locus,
     region_that_holds,
 )
-from dqforge.optimizer.operating_points.mtpa_locus import Active, MtpaLocus, mtpa_locus
 from dqforge.optimizer.operating_points.points import (
     DriveLosses,
     OptimalPoints,

@@ -14,18 +14,22 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import FitSettings
-from dqforge.machines.dq_machines.current_region import CurrentRegion
-from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, copper_loss
+from dqforge.machines.dq_machines.synchronous import (
+    CurrentRegion,
+    LinearMachine,
+    Machine,
+    copper_loss,
+)
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Strategy
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.operating_points.local_terms import region_that_holds
 from dqforge.optimizer.operating_points.mtpa_locus import (
     Active,
     id0_currents,
     mtpa_at_current,
     mtpa_currents,
     mtpa_locus,
+    region_that_holds,
 )
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
 

@@ -19,8 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.current_region import CurrentRegion
-from dqforge.machines.dq_machines.synchronous import Machine, copper_loss, torque_from_flux
+from dqforge.machines.dq_machines.synchronous import (
+    CurrentRegion,
+    Machine,
+    copper_loss,
+    torque_from_flux,
+)
 from dqforge.machines.errors import InputError
 from dqforge.machines.losses.constant_device import (
     REFERENCE_TEMPERATURE,
@@ -34,25 +38,23 @@ from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.linear_range import amplitude_fits
-from dqforge.optimizer.operating_points.ends_of_data.data_limit import hold_by_data
-from dqforge.optimizer.operating_points.local_terms import (
+from dqforge.optimizer.operating_points.ends_of_data import hold_by_data
+from dqforge.optimizer.operating_points.mtpa_locus import (
+    Active,
+    BoolArray,
+    IndexArray,
     LossCoefficients,
+    Problem,
+    State,
     Terms,
     cross_of_gradients,
     current_terms,
+    free_locus,
     loss_terms,
     newton_step,
     region_that_holds,
     torque_terms,
     voltage_terms,
-)
-from dqforge.optimizer.operating_points.mtpa_locus import (
-    Active,
-    BoolArray,
-    IndexArray,
-    Problem,
-    State,
-    free_locus,
 )
 from dqforge.optimizer.operating_points.point_solver import solve_chunk
 

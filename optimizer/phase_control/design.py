@@ -24,7 +24,7 @@ from dqforge.machines.topologies.regions import VOLTAGE_ROWS, voltage_bounds
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.loops.loop_gains import LoopGains, analyse_current_loop, tune_current_loop
-from dqforge.optimizer.loops.tolerance_box import DriveBox
+from dqforge.optimizer.loops.robustness import DriveBox
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.phase_control.judged_box import JudgedLoops, judge_loops
 from dqforge.optimizer.phase_control.limited_shapes import LimitedFit, fit_limited

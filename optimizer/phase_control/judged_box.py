@@ -25,8 +25,7 @@ from dqforge.machines.names import CurrentFrame
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import POWER_INVARIANT, clarke_matrix
-from dqforge.optimizer.loops.robustness import Worst
-from dqforge.optimizer.loops.tolerance_box import BoxPoints, DriveBox
+from dqforge.optimizer.loops.robustness import BoxPoints, DriveBox, Worst
 from dqforge.optimizer.phase_control.phase_controller import HarmonicGains, PhaseControl, PhaseShape
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # Of the largest speed, at which the loop is judged.

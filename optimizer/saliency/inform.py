@@ -23,8 +23,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.plants.drive_motion import next_flux, plants
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals, park
-from dqforge.optimizer.estimators.solve import TunedTracker
-from dqforge.optimizer.estimators.tracker import Tracker, TrackerLoop
+from dqforge.optimizer.estimators import Tracker, TrackerLoop, TunedTracker
 from dqforge.optimizer.observers.models.matsui_model import ObserverRun
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair, limited
 from dqforge.optimizer.observers.sampled_machine import (

@@ -24,7 +24,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import InjectionWave
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals, park
-from dqforge.optimizer.estimators.tracker import Tracker, TrackerLoop
+from dqforge.optimizer.estimators import Tracker, TrackerLoop
 from dqforge.optimizer.observers.parts import (
     Arithmetic,
     ObserverState,

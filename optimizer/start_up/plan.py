@@ -28,9 +28,9 @@ from dqforge.machines.design.settings import StartUpSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, linearised
 from dqforge.machines.names import AlignmentName, StartUpMethodName
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.estimators.solve import TunedTracker, solve_tracker
+from dqforge.optimizer.application import alignment_damping, alignment_time, swing_time
+from dqforge.optimizer.estimators import TunedTracker, solve_tracker
 from dqforge.optimizer.observers.conditions import lost_voltage
-from dqforge.optimizer.start_up.alignment import alignment_damping, alignment_time, swing_time
 
 USUAL_LOAD = 0.3  # Largest load torque of a design that names none, over the largest torque.
 STEEPEST = 0.6  # sin delta of the ramp at the largest load, where it chooses its current.

@@ -19,7 +19,7 @@ from dqforge.machines.phase_machines.frame_choice import controlled_frame
 from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.estimators.solve import TunedTracker, solve_tracker, tune_tracker
+from dqforge.optimizer.estimators import TunedTracker, solve_tracker, tune_tracker
 from dqforge.optimizer.observers.conditions import lost_voltage
 from dqforge.optimizer.sampled_systems import ComplexArray
 from dqforge.optimizer.start_up.plan import (

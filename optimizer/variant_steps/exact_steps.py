@@ -18,7 +18,7 @@ from dqforge.optimizer.control_design.gain_set import gains_or_reason, solve_cur
 from dqforge.optimizer.current_reference.fit import signed_designs
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.loops.loop_gains import LoopGains
-from dqforge.optimizer.losses.point_comparison import LossComparison, compare_points
+from dqforge.optimizer.losses.phase_comparison import LossComparison, compare_points
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.variant_steps.outputs import (
@@ -31,8 +31,7 @@ from dqforge.optimizer.variant_steps.outputs import (
     drive_table,
     loss_drive,
 )
-from dqforge.optimizer.variant_steps.step_cache import StepCache, Work, key_of
-from dqforge.optimizer.variant_steps.variation import used_settings
+from dqforge.optimizer.variant_steps.variation import StepCache, Work, key_of, used_settings
 
 Numbers = Mapping[str, float]  # Values by name of the output, in SI units.
 

@@ -9,10 +9,13 @@ of these numbers, so that what holds at all corners holds between them.
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+import pickle
+from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import field, fields, replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +44,7 @@ from dqforge.optimizer.losses.machine_axis import (
     budgets_over_machines,
     drive_axis,
 )
-from dqforge.optimizer.losses.point_comparison import LossComparison
+from dqforge.optimizer.losses.phase_comparison import LossComparison
 from dqforge.optimizer.machine_batch.batch_currents import (
     currents_of_size,
     fit_references,
@@ -59,7 +62,6 @@ from dqforge.optimizer.variant_steps.outputs import (
     loss_columns,
     mapped,
 )
-from dqforge.optimizer.variant_steps.step_cache import key_of
 
 MACHINE_FIELDS = (
     "r_s",
@@ -598,16 +600,6 @@ def _loss_rows(
     )
 
 
-# What can be computed for many machines at once.
-BATCH_STEPS: Mapping[Step, Callable[[BatchRows], Filled | None]] = {
-    "limit": batch_limits,
-    "fit": batch_fits,
-    "current-loops": batch_current_loops,
-    "speed-loop": batch_all_loops,
-    "losses": batch_losses,
-}
-
-
 # Losses of rows from what was computed for many modulators and frequencies at once, for one
 # design, or for many machines.
 
@@ -620,6 +612,22 @@ def point_weights(points: Sequence[LoadPoint]) -> FloatArray:
     """
     given = np.array([point.weight for point in points])
     return np.asarray(given / np.sum(given))
+
+
+# Which factor of a flux map a key of a study changes, found by scaling one map to the other.
+
+# Columns of `ScaledMachines` that are factors of the map.
+SCALE_FIELDS = ("magnet", "inductance_d", "inductance_q", "current")
+SCALED_FIELDS = (*SCALE_FIELDS, "r_s", "i_max")  # All its columns.
+
+# What can be computed for many machines at once.
+BATCH_STEPS: Mapping[Step, Callable[[BatchRows], Filled | None]] = {
+    "limit": batch_limits,
+    "fit": batch_fits,
+    "current-loops": batch_current_loops,
+    "speed-loop": batch_all_loops,
+    "losses": batch_losses,
+}
 
 
 def of_comparison(found: LossComparison) -> LossRows:
@@ -663,11 +671,6 @@ def of_table(table: LossTable, losses: LossSettings, places: IndexArray) -> Loss
     )
 
 
-# Which factor of a flux map a key of a study changes, found by scaling one map to the other.
-
-# Columns of `ScaledMachines` that are factors of the map.
-SCALE_FIELDS = ("magnet", "inductance_d", "inductance_q", "current")
-SCALED_FIELDS = (*SCALE_FIELDS, "r_s", "i_max")  # All its columns.
 _EQUAL = 1e-12
 
 
@@ -706,3 +709,81 @@ def _close(one: FloatArray, other: FloatArray) -> bool:
         return False
     apart = float(np.max(np.abs(one - other), initial=0.0))
     return apart <= _EQUAL * float(np.max(np.abs(other), initial=0.0))
+
+
+# Steps of a study that are computed once for all rows with the same inputs, and how many were.
+#
+# A step is given a design from which everything has been taken that it does not look at, so that
+# the key of what it found is exactly what it was made of. What is kept never changes a number: a
+# row that finds its step here gets what it would have computed.
+
+Result = TypeVar("Result")
+_MOST_KEPT = 512  # Results of one kind of step that are kept, the latest used ones.
+
+
+@dataclass(slots=True)
+class Work:
+    """How often each step was computed.
+
+    Args:
+        designs: Designs that were read and checked.
+        limits: Largest torques, one machine at a time.
+        fits: Current references, one machine at a time.
+        gain_sets: Sets of gains, one design at a time.
+        budget_calls: Loss budgets: calls, whatever the number of points, modulators and frequencies
+            of each.
+        batches: Calls of the formulas for many machines at once.
+    """
+
+    designs: int = 0
+    limits: int = 0
+    fits: int = 0
+    gain_sets: int = 0
+    budget_calls: int = 0
+    batches: int = 0
+
+
+def key_of(inputs: object) -> Hashable:
+    """What two equal inputs share: themselves where they can be hashed, else a digest.
+
+    Args:
+        inputs: Frozen dataclasses and tuples; a flux map in them is known by its numbers.
+    """
+    return hashlib.sha256(pickle.dumps(inputs, protocol=5)).digest()
+
+
+@dataclass(slots=True)
+class StepCache(Generic[Result]):
+    """Results by their inputs; of a refused step the error, without a place in any file."""
+
+    _kept: OrderedDict[Hashable, Result | DqforgeError] = field(default_factory=OrderedDict)
+
+    def of(self, key: Hashable, compute: Callable[[], Result]) -> Result:
+        """What ``compute`` gives, computed where nothing is kept for the key.
+
+        Raises:
+            DqforgeError: As ``compute``; a new one each time, for its place to be found.
+        """
+        if key not in self._kept:
+            self._kept[key] = _outcome(compute)
+            if len(self._kept) > _MOST_KEPT:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        found = self._kept[key]
+        if isinstance(found, DqforgeError):
+            raise _again(found)
+        return found
+
+
+def _outcome(compute: Callable[[], Result]) -> Result | DqforgeError:
+    try:
+        return compute()
+    except DqforgeError as error:
+        return error.with_traceback(None)
+
+
+def _again(error: DqforgeError) -> DqforgeError:
+    """The same refusal, to be given a place of its own."""
+    again = type(error)(error.message, source=error.source, line=error.line, column=error.column)
+    again.section = error.section
+    return again

@@ -6,7 +6,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from dqforge.reports.pages.console import LOADING, QUICK_S, stage, status
+from dqforge.reports.pages.answer import LOADING, QUICK_S, stage, status
 
 if TYPE_CHECKING:
     from dqforge.reports.answers import (

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dqforge.reports.back_emf import CaptureRequest, capture_tables, plain_capture, read_capture
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import shares, stage
+from dqforge.reports.pages.answer import Answer, shares, stage
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,11 +6,9 @@ from dataclasses import replace
 
 from dqforge.machines.design.catalogue import OPTION
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.plausibility.figures import MARK
+from dqforge.machines.design.plausible_figures import MARK
 from dqforge.machines.names import SPEED_OBSERVER, TRACKER_NAMES
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Answer, Table, stage
 from dqforge.reports.plain_design import plain_design
 
 
@@ -40,7 +38,7 @@ def answer_check(design: Design) -> Answer:
     first, others = _values(design), []
     first = replace(first, notes=(*first.notes, *leaving)) if leaving else first
     if design.control.current_loop.switches:
-        from dqforge.optimizer.current_feedback.regulator_runs import regulator_plan
+        from dqforge.optimizer.current_feedback import regulator_plan
         from dqforge.reports.current_feedback.tables import settings_table
 
         others.append(settings_table(regulator_plan(design)))

@@ -9,15 +9,13 @@ from dqforge.machines.design.catalogue import OPTION
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.reports.command_line.designs import load
-from dqforge.reports.comparison.firmware_side import firmware_side
 from dqforge.reports.comparison.sides_compared import (
     compare_sides,
     comparison_tables,
     plain_comparison,
 )
-from dqforge.reports.comparison.sources import is_written, read_side
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
+from dqforge.reports.comparison.sources import firmware_side, is_written, read_side
+from dqforge.reports.pages.answer import Answer, stage
 
 
 def answer_compare(first: str, second: str, settings: Sequence[str] | None = None) -> Answer:

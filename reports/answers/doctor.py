@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from dqforge.reports.operating_system.packages import Package
 from dqforge.reports.operating_system.ways_to_get import (
     COMPILERS,
     LEAST_FREE,
     WAYS,
     Machine,
+    Package,
     Program,
     Trial,
     look,
 )
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Answer, Table, stage
 from dqforge.reports.plain_data import PlainData
 
 _NAMES = {"c": "C compiler", "c++": "C++ compiler"}

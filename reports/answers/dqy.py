@@ -10,8 +10,7 @@ from dqforge.machines.units.quantities import parse_option
 from dqforge.optimizer.waveforms.comparison import compare_waveforms, with_point
 from dqforge.reports.flashing_choice.question import what_to_flash
 from dqforge.reports.flashing_choice.tables import flash_tables, plain_flash
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.waveforms.tables import plain_waveforms, waveform_tables
 

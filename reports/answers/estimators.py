@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.design.design import Design
 from dqforge.reports.estimator_comparison.observer_errors import estimator_tables, plain_comparison
-from dqforge.reports.estimator_comparison.pair_files import pair_files
-from dqforge.reports.estimator_comparison.question import which_estimators
+from dqforge.reports.estimator_comparison.question import pair_files, which_estimators
 from dqforge.reports.output.folder import ESTIMATORS
 from dqforge.reports.pages.answer import Answer, Files
 

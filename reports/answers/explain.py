@@ -24,8 +24,7 @@ from dqforge.reports.firmware_files.plain import (
     plain_pi,
 )
 from dqforge.reports.firmware_files.recognised import known_files, read_configuration, recognised
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import Answer, stage
 
 _MADE_HERE = "made by dqforge"
 _HEAD = 2000  # Characters at the begin of a file in which it says who made it.

@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import DqforgeError, InputError
 from dqforge.machines.records import dataclass
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Answer, Table, stage
 from dqforge.reports.study_engine.engine_settings import EngineSettings, TlsFiles
 
 if TYPE_CHECKING:
@@ -21,7 +19,7 @@ if TYPE_CHECKING:
     from dqforge.machines.exploration.study import Study
     from dqforge.optimizer.exploration.row_block import RowSource
     from dqforge.optimizer.exploration.study_plan import StudyPlan
-    from dqforge.optimizer.study_search.searched_study import SearchedStudy
+    from dqforge.optimizer.study_search import SearchedStudy
     from dqforge.optimizer.yields import FixedHeader
     from dqforge.reports.exploration.study_view import StudyView
     from dqforge.reports.plain_data import PlainData
@@ -158,7 +156,7 @@ def _searched(study: Study, plan: StudyPlan, request: StudyRequest) -> SearchedS
     """The rows of a study as its search chooses them; None where it has a grid."""
     if study.search is None:
         return None
-    from dqforge.optimizer.study_search.searched_study import SearchedStudy
+    from dqforge.optimizer.study_search import SearchedStudy
 
     if request.reuse:
         raise InputError("--reuse: a search computes all rows that it chooses; leave it out")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
-from dqforge.optimizer.firmware.own_values import check_drivable
+from dqforge.optimizer.firmware.firmware_method import check_drivable
 from dqforge.optimizer.firmware.solve import FirmwareFit, method_of
 from dqforge.reports.firmware.target import MOST_BYTES, TARGETS, decoded_file
 from dqforge.reports.firmware_files.plain import (
@@ -20,13 +20,12 @@ from dqforge.reports.firmware_files.plain import (
     target_named,
 )
 from dqforge.reports.output.folder import EXISTING, FIRMWARE, FIRMWARES
-from dqforge.reports.pages.answer import Answer, Files
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import Answer, Files, stage
 from dqforge.reports.run import solved_files
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
-    from dqforge.reports.pages.table import Table
+    from dqforge.reports.pages.answer import Table
     from dqforge.reports.plain_data import PlainData
 
 

@@ -9,12 +9,11 @@ from dqforge.optimizer.certificates.current_reference import certify
 from dqforge.optimizer.current_reference.fit import alternatives, signed_designs
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.field_weakening.fit import solve_weakening
-from dqforge.optimizer.negative_torques import solve_negative
 from dqforge.optimizer.operating_points.solve import current_choice
+from dqforge.optimizer.solution import solve_negative
 from dqforge.reports.current_reference.capability import fit_tables, negative_tables
 from dqforge.reports.field_weakening.header import weakening_tables
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.session.drives import Fit
 
 

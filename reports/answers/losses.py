@@ -13,8 +13,7 @@ from dqforge.reports.current_feedback.question import with_regulators
 from dqforge.reports.losses.map_tables import losses_tables, plain_losses
 from dqforge.reports.losses.question import LossRequest, answer
 from dqforge.reports.modulation_choice.question import answer_choice
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import Answer, stage
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

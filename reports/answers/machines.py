@@ -6,8 +6,7 @@ Nothing heavy is imported, and no drive is loaded: a list is there at once.
 from __future__ import annotations
 
 from dqforge.machines.files.library_files import DESIGNS
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Answer, Table
 
 
 def answer_machines(name: str | None) -> Answer:

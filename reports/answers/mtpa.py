@@ -13,8 +13,7 @@ from dqforge.optimizer.overmodulation import solve_overmodulation
 from dqforge.reports.operating_points.plain import mtpa_tables, plain_curves
 from dqforge.reports.operating_points.question import Request, answer
 from dqforge.reports.overmodulation.tables import overmodulation_tables, plain_overmodulation
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.plain_data import PlainData
 
 if TYPE_CHECKING:

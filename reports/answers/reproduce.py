@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dqforge.reports.output.folder import FIGURES
-from dqforge.reports.pages.answer import Answer, Files
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import Answer, Files, stage
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.papers.reproduction import reproduce
 

@@ -11,8 +11,7 @@ from dqforge.machines.design.design import Design
 from dqforge.reports.current_feedback.question import answer_regulator
 from dqforge.reports.firmware.design_simulation import simulate_with_firmware
 from dqforge.reports.output.folder import SIMULATION, SWITCHED, default_folder, refuse_other_design
-from dqforge.reports.pages.answer import Answer, Files
-from dqforge.reports.pages.console import shares, stage
+from dqforge.reports.pages.answer import Answer, Files, shares, stage
 from dqforge.reports.simulation.design_run import require_scenario, simulation_files
 from dqforge.reports.simulation.tables import plain_simulation, simulation_tables
 

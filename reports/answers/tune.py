@@ -8,19 +8,18 @@ from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.control_design.observed_refusal import require_observed
 from dqforge.reports.loops.proven_text import gains_tables
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.session.result import Tuning
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dqforge.optimizer.control_design.gain_set import GainSet
-    from dqforge.optimizer.estimator_comparison.capture_range import ObserverEvidence
+    from dqforge.optimizer.estimator_comparison.candidate import ObserverEvidence
     from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
     from dqforge.optimizer.observers.proof import ObserverProof
     from dqforge.optimizer.six_step.design import SixStepDesign
-    from dqforge.reports.pages.table import Table
+    from dqforge.reports.pages.answer import Table
     from dqforge.reports.plain_data import PlainData
 
 
@@ -88,7 +87,7 @@ def _observer(
     """Proof and evidence of a position observer, and what is shown of the latter."""
     if gains.position is None:
         return None, None, []
-    from dqforge.optimizer.estimator_comparison.capture_range import observer_evidence
+    from dqforge.optimizer.estimator_comparison.candidate import observer_evidence
     from dqforge.optimizer.observers.proof import prove
     from dqforge.reports.estimator_comparison.observer_errors import capture_table, warm_table
 

@@ -13,14 +13,13 @@ from dqforge.reports.operating_system.host_compiler import require_compiler
 from dqforge.reports.output.recomputation import Recomputation, recompute
 from dqforge.reports.output.recomputation_text import recomputation_text
 from dqforge.reports.output.stored_proof import check_stored_proof, stored_proof_text
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.plain_data import PlainData
+from dqforge.reports.result import WrittenHeaders, read_folder, verify_written
 from dqforge.reports.verification.cortex_m import verify_on_target
 from dqforge.reports.verification.cross_tools import target_of
 from dqforge.reports.verification.host import Verification
 from dqforge.reports.verification.text import plain_verification, target_text, verification_text
-from dqforge.reports.written_headers import WrittenHeaders, read_folder, verify_written
 
 
 def answer_verify(folder: Path, target: str | None) -> Answer:

@@ -11,8 +11,8 @@ from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.harness import title
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.capability import Capability, ReportPart
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import LOOPS, render
 from dqforge.reports.plain_data import PlainData
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import field
-from typing import Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +14,13 @@ from dqforge import __version__
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.records import dataclass
+from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.observers.parts import Arithmetic
 from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.solution import Solution
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +183,24 @@ class Constant:
     bits: int | None = None
 
 
+# What every emitted file says of itself: its prefix, the design, the tool's version
+# and the input's checksum.
+
+
+def title(design: Design) -> PlainData:
+    """First lines of a header: ``prefix``, ``macro`` (the prefix in capitals), ``name``,
+    ``version``, ``digest``.
+    """
+    prefix = design.export.prefix
+    return {
+        "prefix": prefix,
+        "macro": prefix.upper(),
+        "name": design.name,
+        "version": __version__,
+        "digest": design.digest,
+    }
+
+
 @dataclass(frozen=True, slots=True)
 class ConstantGroup:
     """Constants that belong together, with a title and lines of comment."""
@@ -214,19 +237,93 @@ def singles_from(values: Any, most: int) -> SingleArray:
     return array
 
 
-# What every emitted file says of itself: its prefix, the design, the tool's version
-# and the input's checksum.
+# A kind of header beside the main one: its files, its data, its way back and its harness.
+
+SWEEP_POINTS = 20_000
 
 
-def title(design: Design) -> PlainData:
-    """First lines of a header: ``prefix``, ``macro`` (the prefix in capitals), ``name``,
-    ``version``, ``digest``.
+SWEEP_SEED = 7
+
+R = TypeVar("R")
+M = TypeVar("M")
+
+
+@dataclass(frozen=True, slots=True)
+class HeaderKind(Generic[R, M]):
+    """One kind of header.
+
+    Args:
+        name: Part of the file names ``<prefix>_<name>.h`` and of the key ``<name>_header`` in
+            ``result.json``.
+        files: Names and bytes of its files for a result.
+        plain: What ``result.json`` says of it, from which alone its model is built again; None
+            where the result has no header of this kind.
+        read: Model from its plain data and the whole result; raises InputError where they are not
+            what dqforge writes.
+        programme: Harness, inputs and results of a model.
+        vectors: Whether ``<prefix>_<name>_vectors.h`` is written too, with a function
+            ``<prefix>_<name>_mismatches``.
     """
-    prefix = design.export.prefix
-    return {
-        "prefix": prefix,
-        "macro": prefix.upper(),
-        "name": design.name,
-        "version": __version__,
-        "digest": design.digest,
-    }
+
+    name: str
+    files: Callable[[Solution, R], dict[str, bytes]]
+    plain: Callable[[Solution, R], PlainData | None]
+    read: Callable[[Mapping[str, Any], Mapping[str, Any]], M]
+    programme: Callable[[M], Programme]
+    vectors: bool = True
+
+    @property
+    def key(self) -> str:
+        """Key of its plain data in ``result.json``."""
+        return f"{self.name}_header"
+
+    def file_names(self, prefix: str) -> list[str]:
+        """Names of its files."""
+        return [
+            f"{prefix}_{self.name}.h",
+            *([f"{prefix}_{self.name}_vectors.h"] if self.vectors else []),
+        ]
+
+
+F = TypeVar("F")
+
+
+def integer_kinds(
+    name: str,
+    width_of: Callable[[F], int],
+    files: Callable[[Solution, F], dict[str, bytes]],
+    plain: Callable[[F], PlainData],
+    read: Callable[[Mapping[str, Any], int, Mapping[str, Any]], M],
+    programme: Callable[[M], Programme],
+) -> tuple[HeaderKind[tuple[F, ...], M], ...]:
+    """Headers ``<prefix>_<name>_q15.h`` and ``<prefix>_<name>_q31.h`` of a result that is a fit
+    per fixed-point format.
+
+    Args:
+        name: What comes before the format.
+        width_of: Bits of the codes of a fit.
+        files, plain, programme: As of `HeaderKind`, of one fit.
+        read: Model from its plain data, the bits of its codes and the whole result.
+    """
+
+    def kind(width: int) -> HeaderKind[tuple[F, ...], M]:
+        def found(fits: tuple[F, ...]) -> F | None:
+            return next((fit for fit in fits if width_of(fit) == width), None)
+
+        def files_of(solution: Solution, fits: tuple[F, ...]) -> dict[str, bytes]:
+            fit = found(fits)
+            return {} if fit is None else files(solution, fit)
+
+        def plain_of(_: Solution, fits: tuple[F, ...]) -> PlainData | None:
+            fit = found(fits)
+            return None if fit is None else plain(fit)
+
+        return HeaderKind(
+            name=f"{name}_q{width - 1}",
+            files=files_of,
+            plain=plain_of,
+            read=lambda own, result: read(own, width, result),
+            programme=programme,
+        )
+
+    return tuple(kind(width) for width in FIXED_WIDTHS.values())

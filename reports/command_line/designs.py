@@ -19,8 +19,19 @@ from dqforge.machines.data_sheet.sheet_values import (
     next_asked,
 )
 from dqforge.machines.errors import InputError
-from dqforge.reports.pages.answer import OUT, Answer, Files, check_figure_path, write_all
-from dqforge.reports.pages.console import LOADING, QUICK_S, progress, show, stage, status
+from dqforge.reports.pages.answer import (
+    LOADING,
+    OUT,
+    QUICK_S,
+    Answer,
+    Files,
+    check_figure_path,
+    progress,
+    show,
+    stage,
+    status,
+    write_all,
+)
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -48,7 +59,7 @@ def load(name: str, settings: Sequence[str] | None = None) -> Design:
     """
     from dqforge.machines.design import catalogue
     from dqforge.machines.design import catalogue as loader
-    from dqforge.reports.pages.console import stage
+    from dqforge.reports.pages.answer import stage
 
     stage("reading the design")
     from_library = not Path(name).exists() and name in catalogue.names()
@@ -285,7 +296,7 @@ def respond(
 
     Args:
         command: Its name, for JSON.
-        ask: Reads and computes; names its stages by `dqforge.reports.pages.console.stage`.
+        ask: Reads and computes; names its stages by `dqforge.reports.pages.answer.stage`.
         json: Whether JSON is printed instead of tables.
         plot: File to draw into; refused before anything is computed where it could not be written.
         out: Folder for files, where the command writes any; None for none.
@@ -345,7 +356,7 @@ def _listed(files: Files | None, out: Path | None, written: Written | None) -> P
     """What was written, with hashes; nothing for commands that write nothing."""
     if files is None or out is None or written is None:
         return {}
-    from dqforge.reports.output.manifest import sha256
+    from dqforge.reports.output.folder import sha256
 
     contents = files.contents.items()
     listed = [{"name": name, "sha256": sha256(content)} for name, content in contents]

@@ -22,8 +22,8 @@ from typer import Argument, Exit, Option, echo
 from dqforge import __version__
 from dqforge.machines.data_sheet.sheet_values import SHEET_VALUES, SheetValue
 from dqforge.machines.errors import DqforgeError
+from dqforge.machines.files.input_files import line_of
 from dqforge.machines.files.library_files import DESIGNS, STUDIES
-from dqforge.machines.lately_read import line_of
 from dqforge.reports.operating_system import system
 from dqforge.reports.operating_system.system import spell_out
 
@@ -71,7 +71,7 @@ def exit_code(command: Callable[[], object], locate: Callable[[DqforgeError], No
         code = 0  # the reader of a pipe has left; there is nobody to tell
         _drop_output()
     except ImportError as error:
-        from dqforge.reports.operating_system.packages import without_package
+        from dqforge.reports.operating_system.ways_to_get import without_package
 
         missing = without_package(error)
         if missing is None:

@@ -23,7 +23,7 @@ from dqforge.reports.capability import Capabilities, Quantity, Value
 from dqforge.reports.comparison.sources import Side
 from dqforge.reports.firmware.target import TextFile
 from dqforge.reports.firmware_files.plain import DRIVE_KEYS
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.plain_data import PlainData
 
 # Numbers have nine digits; losses and points that agree in this share are the same.

@@ -16,13 +16,12 @@ from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray
 from dqforge.optimizer.fixed_control.design import FixedControlFit
 from dqforge.optimizer.fixed_control.transforms import IDLE, FixedControl, TurnSteps
-from dqforge.reports.c_code.harness import Programme, single_from, title
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
+from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, Programme, single_from, title
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.control.fixed_model import input_names, output_names, row_inputs, row_results
 from dqforge.reports.observers.speed_loop_text import margin_words
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData
 

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.current_feedback.regulator_runs import regulator_plan, run_regulator
-from dqforge.optimizer.current_feedback.solve import (
+from dqforge.optimizer.current_feedback import (
     load_points,
+    regulator_plan,
+    run_regulator,
     solve_current_feedback,
     solve_loads,
     speed_points,
@@ -24,8 +25,7 @@ from dqforge.reports.current_feedback.tables import (
     plain_run,
     point_table,
 )
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import Answer, stage
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import SampledRuleName
-from dqforge.machines.plants.current_regulators.sampled_rules import (
+from dqforge.machines.plants.regulator_rules import (
     ACTIVE,
     FAR,
     RuleConstants,
@@ -22,13 +22,19 @@ from dqforge.machines.plants.current_regulators.sampled_rules import (
 )
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.losses.drive_budget import PARTS
-from dqforge.reports.c_code.harness import Programme, single_from, title
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind
+from dqforge.reports.c_code.harness import (
+    SWEEP_POINTS,
+    SWEEP_SEED,
+    HeaderKind,
+    Programme,
+    single_from,
+    title,
+)
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.capability import Capability, Draw, ReportPart, Rows
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import SERIES, new_figure, style
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import CURRENT_FEEDBACK as CHAPTER
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
@@ -40,12 +46,13 @@ if TYPE_CHECKING:
 
     from dqforge.machines.arrays import FloatArray
     from dqforge.machines.design.design import Design
-    from dqforge.optimizer.current_feedback.regulator_runs import (
+    from dqforge.optimizer.current_feedback import (
+        CurrentFeedback,
         DesignPattern,
+        LoadRuns,
         RegulatorPlan,
         RegulatorRun,
     )
-    from dqforge.optimizer.current_feedback.solve import CurrentFeedback, LoadRuns
     from dqforge.optimizer.losses.drive_budget import DriveBudget
     from dqforge.optimizer.solution import Solution
 

@@ -18,8 +18,7 @@ from dqforge.optimizer.current_reference.fit import Alternative, ReferenceFit
 from dqforge.optimizer.current_reference.forms import ReferenceErrors
 from dqforge.optimizer.current_reference.solve import COVERED, DataUse, Trial
 from dqforge.optimizer.curves.single_precision import PiecewisePolynomial
-from dqforge.optimizer.negative_torques import NegativeHalf
-from dqforge.optimizer.solution import Solution
+from dqforge.optimizer.solution import NegativeHalf, Solution
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.capability import (
     Capability,
@@ -35,6 +34,7 @@ from dqforge.reports.current_reference.figures import ROUNDING
 from dqforge.reports.current_reference.plain import data_lines, plain_fit, to_plain
 from dqforge.reports.operating_points.html import operating_table
 from dqforge.reports.operating_points.plain import plain_curves
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import (
     NARROW,
     HtmlTable,
@@ -58,7 +58,6 @@ from dqforge.reports.pages.labels import (
     significant,
     watts,
 )
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import ERRORS, REFERENCE, proof_title, proven_text
 from dqforge.reports.plain_data import PlainData
 

@@ -40,10 +40,8 @@ from dqforge.optimizer.curves.single_precision import (
     SingleArray,
     SinglePolynomial,
 )
-from dqforge.optimizer.negative_torques import NegativeHalf
-from dqforge.optimizer.solution import Solution
-from dqforge.reports.c_code.harness import Programme, title
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
+from dqforge.optimizer.solution import NegativeHalf, Solution
+from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, Programme, title
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.operating_points.plain import plain_curves, plain_speed
 from dqforge.reports.pages.labels import operation_text

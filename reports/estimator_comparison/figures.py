@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.optimizer.estimator_comparison.capture_range import HALF_TURN, LOCKED, CaptureMap
+from dqforge.optimizer.estimator_comparison.candidate import HALF_TURN, LOCKED, CaptureMap
 from dqforge.optimizer.estimator_comparison.solve import NOBODY, EstimatorComparison
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT
 from dqforge.reports.pages.figures_style import FAINT, MAP_INK, MUTED, SERIES, new_figure, style

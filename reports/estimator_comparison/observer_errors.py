@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.estimator_comparison.capture_range import LOCKED, CaptureMap
+from dqforge.optimizer.estimator_comparison.candidate import LOCKED, CaptureMap
 from dqforge.optimizer.estimator_comparison.solve import (
     BY_SALIENCY,
     NOBODY,
@@ -27,15 +27,20 @@ from dqforge.optimizer.observers.judgement import ANGLE_LIMIT, SPEED_LIMIT
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.observers.position_header import dead_time_text, error_text, observer_files
 from dqforge.reports.observers.tracker_header import tracker_files
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.measured_cost import CallCost, cost_of_calls
 
 if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray
     from dqforge.machines.design.design import Design
-    from dqforge.optimizer.estimator_comparison.candidate import EstimatorFigures, Question, Slopes
-    from dqforge.optimizer.estimator_comparison.capture_range import WarmErrors, WarmState
+    from dqforge.optimizer.estimator_comparison.candidate import (
+        EstimatorFigures,
+        Question,
+        Slopes,
+        WarmErrors,
+        WarmState,
+    )
     from dqforge.optimizer.estimator_comparison.compared import ComparedEstimator, ComparedStart
     from dqforge.reports.plain_data import PlainData
 

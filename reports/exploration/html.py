@@ -22,11 +22,11 @@ from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.exploration.row_block import OUTPUT_COLUMN, STATES, ColumnSpec
 from dqforge.optimizer.study_results.acceptance import AcceptedRange, NamedRow, Share
 from dqforge.reports.exploration.study_view import StudyView, shown_unit
-from dqforge.reports.page_frame import FIGURES, FOLDING, ListedFile, files_table, page_scripts
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import BLUE, RED, SKY
 from dqforge.reports.pages.html_text import HtmlTable, Row, count
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import DataFile, data_file, panels_text, render
+from dqforge.reports.run_folder import FIGURES, FOLDING, ListedFile, files_table, page_scripts
 from dqforge.reports.study_store.part_store import label, value_text
 
 if TYPE_CHECKING:

@@ -23,10 +23,8 @@ from dqforge.optimizer.study_results.acceptance import (
     StudySummary,
     WorstRow,
 )
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import Answer, Table, stage
 from dqforge.reports.pages.figures_style import BLUE, ORANGE, PALE, TEAL, new_figure, style
-from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData, finite
 from dqforge.reports.study_store.part_store import label, people_unit
 from dqforge.reports.study_store.summary_files import plain_sensitivities

@@ -17,14 +17,21 @@ from dqforge.optimizer.field_weakening.fit import DomainBorders, SurfaceTrial, W
 from dqforge.optimizer.field_weakening.form import SingleSurface, WeakeningReference
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE, STEPS, DropReference
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.c_code.harness import Programme, single_from, singles_from, title
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind
+from dqforge.reports.c_code.harness import (
+    SWEEP_POINTS,
+    SWEEP_SEED,
+    HeaderKind,
+    Programme,
+    single_from,
+    singles_from,
+    title,
+)
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.capability import Capability, Draw, Quantity, ReportPart, Rows
 from dqforge.reports.figure_data.scaled import DrawnGrid, draw_filled
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import MAP_INK, MAP_MUTED, label_in_unit, new_figure, style
 from dqforge.reports.pages.html_text import HtmlTable, Row, count, symbols
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import AGAINST, plain_certificate, render
 from dqforge.reports.pages.templating import WEAKENING as CHAPTER
 from dqforge.reports.plain_data import PlainData, shortest

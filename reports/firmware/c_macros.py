@@ -14,10 +14,9 @@ from itertools import accumulate
 from typing import NoReturn
 from xml.sax.saxutils import escape, quoteattr
 
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, shown
 from dqforge.machines.files.positioned_xml import Element, parsed
 from dqforge.machines.records import dataclass
-from dqforge.machines.wording import shown
 from dqforge.reports.firmware.target import IN_RANGE, in_range
 
 MOST_DEFINITIONS = 20_000

@@ -26,7 +26,7 @@ from dqforge.reports.six_step.drive_run import simulate_six_step
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
     from dqforge.machines.plants.scenario import Scenario
-    from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
+    from dqforge.optimizer.firmware.gain_search import FirmwareLoops
     from dqforge.reports.simulation.recorded_run import Progress, Simulator
 
 

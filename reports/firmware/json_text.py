@@ -7,9 +7,8 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any, NoReturn
 
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, shown
 from dqforge.machines.records import dataclass
-from dqforge.machines.wording import shown
 from dqforge.reports.firmware.target import IN_RANGE, in_range
 
 Path = tuple[str | int, ...]

@@ -22,8 +22,6 @@ from dqforge.optimizer.firmware.configuration import (
     PiRule,
     SpeedEstimate,
     SpeedKind,
-)
-from dqforge.optimizer.firmware.sampled_structure import (
     estimate_ratio,
     filter_share,
     whole_ratio,

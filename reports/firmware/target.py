@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, shown
 from dqforge.machines.files.input_files import read_regular_file
-from dqforge.machines.loaded_by_name import LoadedByName
-from dqforge.machines.names import Firmware
+from dqforge.machines.names import Firmware, LoadedByName
 from dqforge.machines.plants.scenario import ControlMode, Profile, Scenario
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.machines.wording import shown
 from dqforge.reports.firmware.loop_code import (
     PREFIX,
     loop_bytes,

@@ -19,9 +19,8 @@ from dqforge.reports.capability import Capability, Outcome, ReportPart, Rows
 from dqforge.reports.firmware.target import TARGETS, FileTitle, Target, TextFile, decoded_file
 from dqforge.reports.firmware_files.recognised import Targets, in_file, read_file, together
 from dqforge.reports.loops.firmware_text import pole_text
-from dqforge.reports.pages.answer import read_output
+from dqforge.reports.pages.answer import Table, read_output
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import Chapter
 
 if TYPE_CHECKING:

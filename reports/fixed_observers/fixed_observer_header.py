@@ -14,17 +14,23 @@ from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
     FixedPositionObserver,
 )
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.reports.c_code.harness import Programme, title
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind, integer_kinds
+from dqforge.reports.c_code.harness import (
+    SWEEP_POINTS,
+    SWEEP_SEED,
+    HeaderKind,
+    Programme,
+    integer_kinds,
+    title,
+)
 from dqforge.reports.capability import Capability
 from dqforge.reports.control.fixed_header import fixed_basics
 from dqforge.reports.fixed_observers.fixed_observer_model import (
+    fixed_observer_from,
     input_names,
     output_names,
     row_inputs,
     row_results,
 )
-from dqforge.reports.fixed_observers.fixed_observer_reading import fixed_observer_from
 from dqforge.reports.pages.templating import render
 
 if TYPE_CHECKING:

@@ -12,13 +12,19 @@ from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
-from dqforge.reports.c_code.harness import Programme, title
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind, integer_kinds
+from dqforge.reports.c_code.harness import (
+    SWEEP_POINTS,
+    SWEEP_SEED,
+    HeaderKind,
+    Programme,
+    integer_kinds,
+    title,
+)
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.capability import Capability, ReportPart, Rows
 from dqforge.reports.fixed_reference.mesh_reading import mesh_from
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import REFERENCE, render
 
 if TYPE_CHECKING:

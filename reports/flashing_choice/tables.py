@@ -15,7 +15,7 @@ from dqforge.optimizer.flashing_choice import (
     RippleFigures,
     Trade,
 )
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.plain_data import PlainData
 
 _RPM = 30.0 / math.pi

@@ -13,12 +13,18 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.frame_tables import COLUMNS, DENSE, FrameCandidate, FrameTable, FrameTables
-from dqforge.reports.c_code.harness import Programme, singles_from, title
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind
+from dqforge.reports.c_code.harness import (
+    SWEEP_POINTS,
+    SWEEP_SEED,
+    HeaderKind,
+    Programme,
+    singles_from,
+    title,
+)
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.capability import Capability, Quantity, ReportPart
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, ceiling, share
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import WAVEFORMS as CHAPTER
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest

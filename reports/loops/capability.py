@@ -12,9 +12,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.loops.schedule.schedule_fit import GAIN_NAMES, GainEvaluator
-from dqforge.reports.c_code.harness import Programme, single_from, singles_from, title
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind
+from dqforge.optimizer.loops.schedule_fit import GAIN_NAMES, GainEvaluator
+from dqforge.reports.c_code.harness import (
+    SWEEP_POINTS,
+    SWEEP_SEED,
+    HeaderKind,
+    Programme,
+    single_from,
+    singles_from,
+    title,
+)
 from dqforge.reports.capability import (
     Capability,
     Draw,
@@ -84,9 +91,9 @@ if TYPE_CHECKING:
     from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof
     from dqforge.optimizer.control_design.gain_set import GainSet
     from dqforge.optimizer.curves.single_precision import SingleArray
+    from dqforge.optimizer.loops.gain_schedule import GainSchedule
     from dqforge.optimizer.loops.integer_gains import PerUnitGains
     from dqforge.optimizer.loops.loop_gains import LoopGains
-    from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule
     from dqforge.optimizer.solution import Solution
 
 

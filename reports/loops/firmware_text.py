@@ -21,12 +21,11 @@ if TYPE_CHECKING:
         ProvenSensitivity,
     )
     from dqforge.optimizer.control_design.gain_set import GainSet
-    from dqforge.optimizer.firmware.configuration import PiGains
-    from dqforge.optimizer.firmware.firmware_loops import FirmwareLoop, FirmwareLoops
+    from dqforge.optimizer.firmware.configuration import PiGains, TurningAxes
     from dqforge.optimizer.firmware.firmware_method import JudgedLoop, Price, Shortfall
-    from dqforge.optimizer.firmware.sampled_structure import TurningAxes
+    from dqforge.optimizer.firmware.gain_search import FirmwareLoop, FirmwareLoops
+    from dqforge.optimizer.loops.gain_schedule import AxisSchedule, GainSchedule
     from dqforge.optimizer.loops.robustness import LoopRobustness, RobustSet
-    from dqforge.optimizer.loops.schedule.gain_schedule import AxisSchedule, GainSchedule
     from dqforge.reports.plain_data import PlainData
 
 

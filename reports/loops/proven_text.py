@@ -35,8 +35,8 @@ from dqforge.reports.observers.speed_loop_text import (
     plain_observer_errors,
     plain_tracker,
 )
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.labels import significant
-from dqforge.reports.pages.table import Table
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design

@@ -15,7 +15,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.losses.drive_budget import PARTS
 from dqforge.optimizer.losses.drive_comparison import Alternatives, MissionComparison, MissionRun
-from dqforge.optimizer.losses.point_comparison import LossComparison
+from dqforge.optimizer.losses.phase_comparison import LossComparison
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.capability import Capability, Draw, ReportPart, Rows, Tile
 from dqforge.reports.losses.map_tables import (

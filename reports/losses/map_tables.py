@@ -12,8 +12,8 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.losses.drive_budget import PARTS
 from dqforge.optimizer.losses.drive_comparison import Alternatives, MissionComparison, MissionRun
-from dqforge.optimizer.losses.phase_comparison import PhaseBudget
-from dqforge.optimizer.losses.point_comparison import LossComparison
+from dqforge.optimizer.losses.phase_comparison import LossComparison, PhaseBudget
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.labels import (
     WITHOUT_BRIDGE,
     friction_text,
@@ -23,7 +23,6 @@ from dqforge.reports.pages.labels import (
     shown_parts,
     three_decimals,
 )
-from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
 
 if TYPE_CHECKING:

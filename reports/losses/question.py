@@ -26,7 +26,7 @@ from dqforge.optimizer.losses.loss_map import solve_map
 from dqforge.optimizer.losses.solve import mission_comparison
 from dqforge.reports.losses.map_tables import map_tables, mission_tables, plain_map, plain_mission
 from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.options import map_size
+from dqforge.reports.pages.labels import map_size
 
 _DEFAULT_MODULATIONS: tuple[ModulationName, ...] = ("spwm", "svpwm", "dpwm1", "ddt-gdpwm")
 

@@ -184,3 +184,8 @@ GROUPS: tuple[Callable[[Solution], list[ConstantGroup]], ...] = (
 def constant_groups(solution: Solution) -> list[ConstantGroup]:
     """All groups that a solution has."""
     return [group for groups in GROUPS for group in groups(solution)]
+
+
+# All dialects of the main header.
+
+DIALECTS = {dialect.name: dialect for dialect in (NEUTRAL,)}

@@ -18,8 +18,7 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.modulation_choice.rule import Leaf, Rule, SimplifiedChoice
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, PricedRule
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.c_code.harness import Programme, title
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind
+from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, HeaderKind, Programme, title
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.capability import Capability, Draw, ReportPart
 from dqforge.reports.modulation_choice.rule_model import (

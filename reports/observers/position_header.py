@@ -19,8 +19,7 @@ from dqforge.optimizer.observers.judgement import (
     SPEED_LIMIT,
     ObserverJudgement,
 )
-from dqforge.reports.c_code.harness import Programme, title
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
+from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, Programme, title
 from dqforge.reports.observers.float32_model import (
     gains_from,
     observer_inputs,

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dqforge.optimizer.estimators.solve import TunedTracker
+    from dqforge.optimizer.estimators import TunedTracker
     from dqforge.optimizer.loops.loop_gains import LoopGains
     from dqforge.optimizer.loops.observed_margins import (
         CornerJudgement,

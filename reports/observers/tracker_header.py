@@ -9,13 +9,31 @@ from textwrap import wrap as folded
 from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.estimators.registry import TRACKERS
-from dqforge.optimizer.estimators.solve import TunedTracker
+from dqforge.optimizer.estimators import TRACKERS, TunedTracker
 from dqforge.optimizer.observers.tuning import PositionObserver
-from dqforge.reports.c_code.harness import Constant, ConstantGroup, Programme, title
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind
+from dqforge.reports.c_code.harness import (
+    SWEEP_POINTS,
+    SWEEP_SEED,
+    Constant,
+    ConstantGroup,
+    HeaderKind,
+    Programme,
+    title,
+)
 from dqforge.reports.capability import Capability, Outcome, ReportPart
-from dqforge.reports.observers.float32_model import gains_from, plain_gains_of
+from dqforge.reports.observers.float32_model import (
+    EmittedTracker,
+    ReducedOrderGains,
+    gains_from,
+    plain_gains_of,
+    plain_speed_observer,
+    speed_observer_from,
+    speed_observer_gains,
+    speed_observer_inputs,
+    speed_observer_outputs,
+    tracker_inputs,
+    tracker_outputs,
+)
 from dqforge.reports.observers.position_header import (
     EmittedObserver,
     observer_files,
@@ -24,14 +42,6 @@ from dqforge.reports.observers.position_header import (
     plain_observer,
     position_parts,
 )
-from dqforge.reports.observers.speed_float32_model import (
-    ReducedOrderGains,
-    plain_speed_observer,
-    speed_observer_from,
-    speed_observer_gains,
-    speed_observer_inputs,
-    speed_observer_outputs,
-)
 from dqforge.reports.observers.speed_loop_text import (
     added_text,
     heard_text,
@@ -39,11 +49,7 @@ from dqforge.reports.observers.speed_loop_text import (
     tracker_part,
     tuned_text,
 )
-from dqforge.reports.observers.tracker_float32_model import (
-    EmittedTracker,
-    tracker_inputs,
-    tracker_outputs,
-)
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import (
     NARROW,
     HtmlTable,
@@ -55,7 +61,6 @@ from dqforge.reports.pages.html_text import (
     symbols,
 )
 from dqforge.reports.pages.labels import NEGLIGIBLE
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import LOOPS, render
 
 if TYPE_CHECKING:

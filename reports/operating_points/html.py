@@ -9,9 +9,9 @@ from dqforge.optimizer.operating_points.solve import Curves
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.capability import Capability
 from dqforge.reports.operating_points.plain import mtpa_tables, plain_curves
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, heading_cells, number, share
 from dqforge.reports.pages.labels import watts
-from dqforge.reports.pages.table import Table
 
 _SHARES_OF_TORQUE = (0.1, 0.25, 0.5, 0.75, 1.0)
 

@@ -17,7 +17,7 @@ from dqforge.optimizer.operating_points.characteristics import (
 )
 from dqforge.optimizer.operating_points.mtpa_locus import Active, MtpaLocus
 from dqforge.optimizer.operating_points.points import DriveLosses, OptimalPoints
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.plain_data import PlainData
 
 _RPM = 30.0 / math.pi

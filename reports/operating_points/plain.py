@@ -10,8 +10,8 @@ from dqforge.machines.design.design import Design
 from dqforge.optimizer.operating_points.current_choice import OperatingPoints, SpeedPoint
 from dqforge.optimizer.operating_points.mtpa_locus import PerUnitBase
 from dqforge.optimizer.operating_points.solve import Curves
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.labels import significant
-from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
 
 

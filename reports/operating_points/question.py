@@ -36,7 +36,7 @@ from dqforge.reports.operating_points.map_tables import (
     points_tables,
 )
 from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.options import map_size
+from dqforge.reports.pages.labels import map_size
 
 _CURVE_ROWS = 11
 

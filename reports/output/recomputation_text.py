@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dqforge.reports.output.line_comparison import BOUND
-from dqforge.reports.output.recomputation import Recomputation
+from dqforge.reports.output.recomputation import BOUND, Recomputation
 from dqforge.reports.run_folder import INPUT_DESIGN
 
 _NAMED = 4

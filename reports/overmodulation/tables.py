@@ -9,8 +9,8 @@ import numpy as np
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.operating_points.characteristics import Characteristics
 from dqforge.optimizer.overmodulation import LargestTorque, Overmodulation
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row
-from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
 
 _RPM = 30.0 / math.pi

@@ -5,11 +5,17 @@ and files.
 from __future__ import annotations
 
 import os
+import re
+import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field
+import textwrap
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from threading import Event, Lock, Thread
+from typing import TYPE_CHECKING, Protocol
 
 from dqforge.machines.errors import InputError, WritingError
 from dqforge.machines.files.input_files import read_regular_file
@@ -17,9 +23,9 @@ from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from rich.progress import Progress, TaskID
 
     from dqforge.machines.design.design import Design
-    from dqforge.reports.pages.table import Table
     from dqforge.reports.plain_data import PlainData
 
 
@@ -45,6 +51,18 @@ class Files:
     options: Mapping[str, str] = field(default_factory=dict)
     given: Mapping[str, bytes] = field(default_factory=dict)
     follow: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A titled table of text: ``columns`` are the headings with units, ``rows`` the cells,
+    ``notes`` lines below.
+    """
+
+    title: str
+    columns: tuple[str, ...] = ()
+    rows: tuple[tuple[str, ...], ...] = ()
+    notes: tuple[str, ...] = field(default_factory=tuple)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,3 +207,303 @@ def write_all(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
         for temporary in made:
             temporary.unlink(missing_ok=True)
     return paths
+
+
+# Tables for the terminal: results become rows of text here, and nowhere are they computed.
+
+# What stands between two columns, and beside the first and the last, in characters.
+_BETWEEN, _EDGES = 3, 2
+# A longer cell is a sentence, which may take several lines.
+_SHORT = 24
+# A table with no more rows than this is turned rather than parted where it is too wide.
+_FEW_ROWS = 4
+_LEAST_SENTENCE = 20
+_GLUE = "\x1f"
+NUMBER_AND_UNIT = re.compile(r"(?<=\d) (?=[^\W\d_]|[%°Ω/])")
+
+
+def fitted(table: Table, room: int) -> list[Table]:
+    """The table for a terminal of ``room`` characters: no number is parted from itself or its unit.
+
+    Headings and sentences take several lines first; where that is not enough, a table of few rows
+    is turned, so that a row becomes a column, and any other is parted, with its first column
+    repeated. A single cell wider than the terminal stays whole.
+    """
+    notes = [line for note in table.notes for line in _paragraph(note, room)]
+    table = replace(table, title="\n".join(_paragraph(table.title, room)), notes=tuple(notes))
+    if not table.columns:
+        return [table]
+    widths = _widths(table, room)
+    if widths is not None:
+        return [_wrapped(table, widths)]
+    turned = _turned(table)
+    if len(table.rows) <= _FEW_ROWS and _widths(turned, room) is not None:
+        return fitted(turned, room)
+    return _parted(table, room)
+
+
+def _cells(table: Table) -> list[list[str]]:
+    """Headings and cells by column."""
+    return [[table.columns[k], *(row[k] for row in table.rows)] for k in range(len(table.columns))]
+
+
+def _sentence(cell: str) -> bool:
+    return len(cell) > _SHORT and " " in cell
+
+
+def _lines(text: str, width: int) -> list[str]:
+    """A text in lines of a width, broken at spaces, but not between a number and its unit."""
+    glued = NUMBER_AND_UNIT.sub(_GLUE, text)
+    lines = textwrap.wrap(glued, max(width, 1), break_long_words=False, break_on_hyphens=False)
+    return [line.replace(_GLUE, " ") for line in lines] or [""]
+
+
+def _paragraph(text: str, width: int) -> list[str]:
+    """Lines of a text that may have lines of its own, those that fit as they are."""
+    lines = text.split("\n")
+    return [
+        part for line in lines for part in ([line] if len(line) <= width else _lines(line, width))
+    ]
+
+
+def _longest(lines: Sequence[str]) -> int:
+    return max(len(line) for line in lines)
+
+
+def _least(title: str, cells: Sequence[str]) -> int:
+    """The least width of a column: short cells whole, words of headings and sentences."""
+    whole = [len(cell) for cell in cells if not _sentence(cell)]
+    words = [_longest(_lines(text, 1)) for text in [title, *filter(_sentence, cells)]]
+    room = [min(len(cell), _LEAST_SENTENCE) for cell in cells if _sentence(cell)]
+    return max([*whole, *words, *room])
+
+
+def _widths(table: Table, room: int) -> list[int] | None:
+    """Widths of the columns within a terminal; None where they do not fit beside each other."""
+    columns = _cells(table)
+    natural = [_longest(column) for column in columns]
+    left = room - _EDGES - _BETWEEN * (len(columns) - 1)
+    if sum(natural) <= left:
+        return natural
+    least = [_least(column[0], column[1:]) for column in columns]
+    left -= sum(least)
+    if left < 0:
+        return None
+    wanted = [most - few for most, few in zip(natural, least, strict=True)]
+    return [few + left * want // sum(wanted) for few, want in zip(least, wanted, strict=True)]
+
+
+def _wrapped(table: Table, widths: Sequence[int]) -> Table:
+    """Headings and sentences in lines of these widths."""
+
+    def cell(text: str, width: int) -> str:
+        return "\n".join(_lines(text, width)) if len(text) > width else text
+
+    rows = [tuple(map(cell, row, widths)) for row in table.rows]
+    return replace(table, columns=tuple(map(cell, table.columns, widths)), rows=tuple(rows))
+
+
+def _turned(table: Table) -> Table:
+    """Rows as columns, headed by their first cell."""
+    heading, *others = _cells(table)
+    return replace(table, columns=tuple(heading), rows=tuple(map(tuple, others)))
+
+
+def _parted(table: Table, room: int) -> list[Table]:
+    """Several tables of as many columns as fit, each behind the first column."""
+    parts: list[Table] = []
+    taken: list[int] = []
+    for k in range(1, len(table.columns)):
+        if taken and _widths(_chosen(table, [0, *taken, k]), room) is None:
+            parts.append(_chosen(table, [0, *taken]))
+            taken = []
+        taken.append(k)
+    parts.append(_chosen(table, [0, *taken]))
+    shown = []
+    for place, part in enumerate(parts):
+        title = table.title if place == 0 else ""
+        notes = table.notes if place == len(parts) - 1 else ()
+        widths = _widths(part, room) or [_least(c[0], c[1:]) for c in _cells(part)]
+        shown.append(_wrapped(replace(part, title=title, notes=notes), widths))
+    return shown
+
+
+def _chosen(table: Table, kept: Sequence[int]) -> Table:
+    """A table of some of its columns."""
+    rows = tuple(tuple(row[k] for k in kept) for row in table.rows)
+    return replace(table, columns=tuple(table.columns[k] for k in kept), rows=rows)
+
+
+# The terminal: tables as text and a sign of life for long work; colour and motion only where a
+# person is looking.
+
+_PIPE_WIDTH = 160
+# Tables are fitted to the terminal before they are drawn; what no table can hold is left whole.
+_NEVER_FULL = 100_000
+_REFRESH_S = 0.1
+QUICK_S = 1.0  # What takes no longer shows no sign of life.
+
+# The stage that every command begins with: the import of its own modules.
+LOADING = "loading what the command needs"
+
+
+def show(tables: Sequence[Table]) -> None:
+    """Print tables to stdout; text from a design file is never read as markup."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    class Terminal(Console):
+        """A console that leaves it to the command line what a closed pipe means."""
+
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError
+
+    console = Terminal(
+        width=None if sys.stdout.isatty() else _PIPE_WIDTH, highlight=False, soft_wrap=False
+    )
+    room, console.width = console.width, _NEVER_FULL
+    for table in tables:
+        for part in fitted(table, room):
+            if part.title:
+                console.print(Text(part.title, style="bold"))
+            if part.columns:
+                headed = any(part.columns)
+                grid = RichTable(
+                    box=box.SIMPLE_HEAD if headed else None, show_header=headed, pad_edge=False
+                )
+                for column in part.columns:
+                    grid.add_column(Text(column), no_wrap=True)
+                for row in part.rows:
+                    grid.add_row(*(Text(cell) for cell in row))
+                console.print(grid)
+            for note in part.notes:
+                console.print(Text(note, style="dim"))
+        console.print()
+
+
+_moving = Lock()  # Held by what moves on the terminal, of which there is room for one.
+
+
+class Display(Protocol):
+    """What moves on the terminal: the name of the stage under way, and the
+    share of it that is done.
+    """
+
+    def name(self, text: str) -> None:
+        """Name the stage that begins."""
+
+    def move(self, share: float) -> None:
+        """Show the share of the stage that is done."""
+
+
+_shown: ContextVar[Display | None] = ContextVar("_shown", default=None)
+
+
+def stage(text: str) -> None:
+    """Name what begins now, where a person is looking; silent elsewhere."""
+    display = _shown.get()
+    if display is not None:
+        display.name(text)
+
+
+def shares() -> Callable[[float], None] | None:
+    """What is told the share of a stage that is done; None where nobody is looking."""
+    display = _shown.get()
+    return None if display is None else display.move
+
+
+@contextmanager
+def _display(display: Display) -> Iterator[None]:
+    token = _shown.set(display)
+    try:
+        yield
+    finally:
+        _shown.reset(token)
+
+
+@dataclass(slots=True)
+class _Spinner:
+    """A line beside a turning mark."""
+
+    text: str
+
+    def name(self, text: str) -> None:
+        self.text = text
+
+    def move(self, share: float) -> None:
+        self.text = f"{self.text.partition(',')[0]}, {100.0 * share:.0f} %"
+
+    def spin(self, after: float, done: Event) -> None:
+        """Turn until the work is done; quick work shows nothing."""
+        if done.wait(after):
+            return
+        from rich.console import Console
+        from rich.markup import escape
+
+        text = self.text
+        with Console(stderr=True).status(escape(text)) as shown:
+            while not done.wait(_REFRESH_S):
+                if self.text != text:
+                    text = self.text
+                    shown.update(escape(text))
+
+
+@contextmanager
+def status(text: str, after: float = 0.0) -> Iterator[None]:
+    """Show a spinner on a terminal while the block runs, once it has run for ``after`` s.
+
+    The text is that of the last `stage`, first ``text``. Silent in a pipe,
+    and within another spinner or a bar.
+    """
+    if not sys.stderr.isatty() or not _moving.acquire(blocking=False):
+        yield
+        return
+    done, spinner = Event(), _Spinner(text)
+    thread = Thread(target=spinner.spin, args=(after, done), daemon=True)
+    thread.start()
+    try:
+        with _display(spinner):
+            yield
+    finally:
+        done.set()
+        thread.join()
+        _moving.release()
+
+
+@dataclass(slots=True)
+class _Bar:
+    """A bar with a name."""
+
+    bar: Progress
+    task: TaskID
+
+    def name(self, text: str) -> None:
+        self.bar.update(self.task, description=text)
+
+    def move(self, share: float) -> None:
+        self.bar.update(self.task, completed=share)
+
+
+@contextmanager
+def progress(text: str) -> Iterator[Callable[[float], None] | None]:
+    """Show a bar on a terminal, moved by a callback for the share that is done.
+
+    None and silent in a pipe.
+
+    Its name is that of the last `stage`, first ``text``.
+    """
+    if not sys.stderr.isatty() or not _moving.acquire(blocking=False):
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    try:
+        with Progress(console=Console(stderr=True), transient=True) as bar:
+            shown = _Bar(bar, bar.add_task(text, total=1.0))
+            with _display(shown):
+                yield shown.move
+    finally:
+        _moving.release()

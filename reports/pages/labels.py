@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.design.settings import LoadPoint
+from dqforge.machines.errors import InputError
 from dqforge.machines.names import Core, NumberFormat
 from dqforge.machines.units.quantities import format_quantity
 
 if TYPE_CHECKING:
     from dqforge.optimizer.losses.drive_budget import DriveBudget
-    from dqforge.optimizer.losses.point_comparison import LossComparison
+    from dqforge.optimizer.losses.phase_comparison import LossComparison
     from dqforge.optimizer.operating_points.current_choice import SpeedPoint
 
 
@@ -160,3 +162,23 @@ def three_decimals(value: float) -> str:
     if not math.isfinite(value):
         return "-"
     return f"{value:.3g}" if 0.0 < abs(value) < 10.0 else f"{value + 0.0:.1f}"
+
+
+# Options of commands that are written as text.
+
+_MOST_CELLS = 2000
+
+
+def map_size(text: str) -> tuple[int, int]:
+    """Numbers of torques and speeds of the option --map.
+
+    An `InputError` where it is not understood.
+    """
+    match = re.fullmatch(r"(\d{1,4})x(\d{1,4})", text.strip(), re.IGNORECASE)
+    sizes = (int(match[1]), int(match[2])) if match else (0, 0)
+    if not all(2 <= size <= _MOST_CELLS for size in sizes):
+        raise InputError(
+            f"--map: expected NxM with 2 to {_MOST_CELLS} torques and speeds such as 40x60, got "
+            f"'{text}'"
+        )
+    return sizes

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -69,17 +69,15 @@ def _paper001(*, figures: bool) -> Reproduced:
 
 
 def _paper002(*, figures: bool) -> Reproduced:
-    from dqforge.reports.papers import paper002 as plain
-    from dqforge.reports.papers import paper002 as recomputed
-    from dqforge.reports.papers import paper002 as tables
+    from dqforge.reports.papers.paper002 import tables
 
-    found = recomputed.reproduce_paper()
+    found = tables.reproduce_paper()
     drawn: dict[str, Callable[[], Figure]] = {}
     if figures:
-        from dqforge.reports.papers.paper002 import figures_of
+        from dqforge.reports.papers.paper002.tables import figures_of
 
         drawn = figures_of(found)
-    return Reproduced(tables.reproduction_tables(found), plain.plain_reproduction(found), drawn)
+    return Reproduced(tables.reproduction_tables(found), tables.plain_reproduction(found), drawn)
 
 
 def reproduce(paper: str, *, figures: bool) -> Reproduced:

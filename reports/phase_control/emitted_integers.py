@@ -16,8 +16,7 @@ from dqforge.optimizer.fixed_control.transforms import IDLE, FixedControl
 from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
 from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
 from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
-from dqforge.reports.c_code.harness import Programme, title
-from dqforge.reports.c_code.header_kind import SWEEP_SEED, HeaderKind, integer_kinds
+from dqforge.reports.c_code.harness import SWEEP_SEED, HeaderKind, Programme, integer_kinds, title
 from dqforge.reports.capability import Capability, Outcome, ReportPart
 from dqforge.reports.control.fixed_header import (
     control_fixed_files,
@@ -30,7 +29,7 @@ from dqforge.reports.control.fixed_header import (
     plain_fixed_evidence,
     sweep_rows,
 )
-from dqforge.reports.control.fixed_reading import fixed_control_from
+from dqforge.reports.control.fixed_model import fixed_control_from
 from dqforge.reports.control.header import (
     ControlModel,
     control_files,
@@ -39,16 +38,16 @@ from dqforge.reports.control.header import (
     plain_control,
 )
 from dqforge.reports.fixed_reference.mesh_reading import mesh_from
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import LOOPS, render
 from dqforge.reports.phase_control.fixed_phase_model import (
     phase_inputs,
+    phase_integers_from,
     phase_outputs,
     phase_results,
     phase_rows,
 )
-from dqforge.reports.phase_control.fixed_phase_reading import phase_integers_from
 from dqforge.reports.phase_control.float32_model import PhaseControlModel, PhaseControlState
 from dqforge.reports.phase_control.header import (
     phase_control_files,

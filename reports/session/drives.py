@@ -38,7 +38,6 @@ from dqforge.optimizer.current_reference.fit import (
 from dqforge.optimizer.current_reference.forms import ReferenceErrors
 from dqforge.optimizer.current_reference.solve import FitChoice, Trial, solve_fit
 from dqforge.optimizer.field_weakening.fit import WeakeningFit, solve_weakening
-from dqforge.optimizer.negative_torques import NegativeHalf, solve_negative
 from dqforge.optimizer.operating_points import characteristics as of_machines
 from dqforge.optimizer.operating_points.characteristics import (
     DriveMap,
@@ -53,6 +52,7 @@ from dqforge.optimizer.operating_points.characteristics import (
 )
 from dqforge.optimizer.operating_points.mtpa_locus import Active
 from dqforge.optimizer.operating_points.solve import current_choice
+from dqforge.optimizer.solution import NegativeHalf, solve_negative
 from dqforge.reports.current_reference.plain import plain_fit, plain_negative
 from dqforge.reports.field_weakening.header import plain_weakening_fit
 from dqforge.reports.operating_points.map_tables import plain_map

@@ -18,7 +18,7 @@ from dqforge.reports.firmware_files.design_made import design_from_files
 from dqforge.reports.firmware_files.plain import plain_explained, plain_fit
 from dqforge.reports.firmware_files.recognised import read_configuration
 from dqforge.reports.firmware_files.settled import require_settling
-from dqforge.reports.output.manifest import sha256
+from dqforge.reports.output.folder import sha256
 from dqforge.reports.pages.answer import write_all
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.run import solved_files

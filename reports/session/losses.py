@@ -27,7 +27,7 @@ from dqforge.optimizer import solution as solved
 from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import LossMap as FoundMap
 from dqforge.optimizer.losses.loss_map import budget_options, solve_map
-from dqforge.optimizer.losses.point_comparison import LossComparison, compare_points
+from dqforge.optimizer.losses.phase_comparison import LossComparison, compare_points
 from dqforge.optimizer.waveforms.comparison import (
     RuleCurrents,
     WaveformComparison,
@@ -36,17 +36,20 @@ from dqforge.optimizer.waveforms.comparison import (
 from dqforge.reports.back_emf import CaptureReading, plain_capture
 from dqforge.reports.losses.map_tables import plain_losses, plain_map
 from dqforge.reports.output.folder import RUN, write_output
-from dqforge.reports.output.line_comparison import first_difference
-from dqforge.reports.output.recomputation import Recomputation, read_listed, recompute
+from dqforge.reports.output.recomputation import (
+    Recomputation,
+    first_difference,
+    read_listed,
+    recompute,
+)
 from dqforge.reports.plain_data import PlainData
-from dqforge.reports.result import plain_solution
+from dqforge.reports.result import plain_solution, verify_folder
 from dqforge.reports.run import export_design
 from dqforge.reports.run_folder import INPUT_DESIGN
 from dqforge.reports.session.drives import asked_of, numbers, together, whole
 from dqforge.reports.session.result import DrawnResult, Result, Tuning, dataset
 from dqforge.reports.verification.host import Verification
 from dqforge.reports.waveforms.tables import plain_waveforms
-from dqforge.reports.written_headers import verify_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from dqforge.machines.design.design import Design
-    from dqforge.optimizer.estimator_comparison.capture_range import ObserverEvidence
+    from dqforge.optimizer.estimator_comparison.candidate import ObserverEvidence
     from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
     from dqforge.optimizer.observers.proof import ObserverProof
     from dqforge.reports.simulation.design_run import DriveSimulation, StepFigures
@@ -285,7 +285,7 @@ def tune(design: Design) -> Tuning:
     """
     gains = solve_gains(design)
     require_observed(design, gains)
-    from dqforge.optimizer.estimator_comparison.capture_range import observer_evidence
+    from dqforge.optimizer.estimator_comparison.candidate import observer_evidence
     from dqforge.optimizer.fixed_phase_control.solve import solve_integers
     from dqforge.optimizer.observers.proof import prove
 

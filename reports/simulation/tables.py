@@ -12,8 +12,8 @@ from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.capability import Capability, Draw, Outcome, ReportPart
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import SIMULATION as CHAPTER
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.simulation.design_run import DriveSimulation

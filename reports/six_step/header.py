@@ -17,11 +17,10 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.six_step.control import FAULTS, STAGES, SixStepGains
 from dqforge.optimizer.six_step.sectors import BlockGains
-from dqforge.reports.c_code.harness import Programme, title
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind
+from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, HeaderKind, Programme, title
 from dqforge.reports.capability import Capability, Draw, Outcome, ReportPart
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import Chapter, render
 from dqforge.reports.plain_data import PlainData, shortest
 from dqforge.reports.six_step.float32_model import six_step_inputs, six_step_outputs

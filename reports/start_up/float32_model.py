@@ -15,7 +15,7 @@ import numpy as np
 
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
-from dqforge.optimizer.estimators.tracker import Tracker
+from dqforge.optimizer.estimators import Tracker
 from dqforge.reports.c_code.harness import SINGLE, rotation, wrap
 from dqforge.reports.control.header import ControlModel, ControlState
 from dqforge.reports.phase_control.float32_model import PhaseControlModel, PhaseControlState

@@ -14,7 +14,7 @@ import numpy as np
 from dqforge.machines.records import dataclass
 from dqforge.reports.c_code.harness import SINGLE, title
 from dqforge.reports.c_code.numbers import float_literal
-from dqforge.reports.observers.tracker_float32_model import EmittedTracker
+from dqforge.reports.observers.float32_model import EmittedTracker
 from dqforge.reports.observers.tracker_header import plain_tracker_gains, tracker_files
 from dqforge.reports.pages.templating import render
 from dqforge.reports.phase_control.emitted_integers import phase_control_of

@@ -7,11 +7,11 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.reports.c_code.header_kind import HeaderKind
+from dqforge.reports.c_code.harness import HeaderKind
 from dqforge.reports.capability import Capability, Outcome, ReportPart
 from dqforge.reports.observers.tracker_header import tracker_from
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import LOOPS
 from dqforge.reports.start_up.header import (
     method_words,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.estimators.registry import TRACKERS
+from dqforge.optimizer.estimators import TRACKERS
 from dqforge.optimizer.observers.parts import cast
 from dqforge.reports.c_code.harness import SINGLE, Programme, single_from
 from dqforge.reports.observers.position_header import observer_from
@@ -21,9 +21,9 @@ from dqforge.reports.start_up.float32_model import StartUpModel
 from dqforge.reports.start_up.header import HEARING, LOW_FILE, MEMBERS, OUTPUTS, SEEN, recorded
 
 if TYPE_CHECKING:
-    from dqforge.optimizer.estimators.tracker import Tracker
+    from dqforge.optimizer.estimators import Tracker
     from dqforge.optimizer.observers.parts import ObserverMethod
-    from dqforge.reports.observers.tracker_float32_model import EmittedTracker
+    from dqforge.reports.observers.float32_model import EmittedTracker
 
 _FAULT = InputError("startup_header is not what dqforge writes; run the design again")
 

@@ -22,7 +22,7 @@ from dqforge.optimizer.exploration.row_block import (
     RowBlock,
     RowSource,
 )
-from dqforge.reports.pages.console import shares, stage
+from dqforge.reports.pages.answer import shares, stage
 
 Column = FloatArray | NDArray[np.int32]
 

@@ -15,15 +15,14 @@ import numpy as np
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.exploration.row_block import INPUT_COLUMN, STATES
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import stage
 from dqforge.reports.study_engine.engine_settings import EngineSettings, StudyOutcome
 from dqforge.reports.study_engine.run_study import computing, opened_run
 from dqforge.reports.study_store.part_file import PartColumns
 from dqforge.reports.study_store.part_store import PartStore
 
 if TYPE_CHECKING:
-    from dqforge.optimizer.study_search.search_rows import SearchRows
-    from dqforge.optimizer.study_search.searched_study import GenerationRows, SearchedStudy
+    from dqforge.optimizer.study_search import GenerationRows, SearchedStudy, SearchRows
 
 _CRASHED = STATES.index("crashed")
 

@@ -32,8 +32,7 @@ from dqforge.optimizer.exploration.row_block import (
     RowSource,
 )
 from dqforge.reports.operating_system.host_compiler import flush_folder
-from dqforge.reports.output.folder import remove_empty_folders
-from dqforge.reports.output.manifest import find_manifest, sha256
+from dqforge.reports.output.folder import find_manifest, remove_empty_folders, sha256
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.run_folder import MANIFEST
 from dqforge.reports.study_store.part_file import (

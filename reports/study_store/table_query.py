@@ -17,14 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import BoolArray
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, close_matches, shown
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import parse_quantity
 from dqforge.machines.units.registry import DIMENSIONS
-from dqforge.machines.wording import close_matches, shown
 from dqforge.optimizer.exploration.row_block import INPUT_COLUMN, OUTPUT_COLUMN, STATES, ColumnSpec
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Answer, Table
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.study_store.part_file import (
     INDEX,

@@ -26,7 +26,7 @@ from dqforge.optimizer.exploration.row_block import (
     row_keys,
 )
 from dqforge.reports.output.folder import RUN, write_output
-from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.answer import stage
 from dqforge.reports.run import RunOutput, export_design
 from dqforge.reports.study_store.part_file import FRONT, INDEX, KEY, WINNERS, StoreError, read_whole
 from dqforge.reports.study_store.part_store import PartStore, input_names, study_from

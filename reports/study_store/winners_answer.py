@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Answer, Table
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.study_store.part_file import INDEX
 from dqforge.reports.study_store.part_store import PartStore

@@ -21,12 +21,11 @@ from dqforge.optimizer.waveforms.firmware_fit import (
     PhasePolynomials,
     PhaseReference,
 )
-from dqforge.reports.c_code.harness import Programme, title
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED, HeaderKind
+from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, HeaderKind, Programme, title
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.capability import Capability, Draw, Quantity, ReportPart
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, ceiling, quantity, share, symbols
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import WAVEFORMS as CHAPTER
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.files.input_files import read_regular_file
-from dqforge.machines.lately_read import line_of, remember
+from dqforge.machines.files.input_files import line_of, read_regular_file, remember
 
 
 def test_lines_are_those_that_were_read(tmp_path: Path) -> None:

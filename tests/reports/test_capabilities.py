@@ -27,12 +27,11 @@ from dqforge.reports.capability import Capabilities, Outcome, asked_for, header_
 from dqforge.reports.comparison.sides_compared import compare_sides
 from dqforge.reports.comparison.sources import solved_side
 from dqforge.reports.report import chapters
-from dqforge.reports.result import plain_outcome
+from dqforge.reports.result import plain_outcome, programmes, read_folder, verify_folder
 from dqforge.reports.run import RunOutput, export_design, run_design
 from dqforge.reports.summary import run_tables
 from dqforge.reports.verification.cortex_m import verify_on_target
 from dqforge.reports.verification.host import verify_files
-from dqforge.reports.written_headers import programmes, read_folder, verify_folder
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 MACHINE = replace(SURFACE, omega_m_max=900.0)

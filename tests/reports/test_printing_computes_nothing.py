@@ -24,17 +24,13 @@ ROOMS_THAT_ASK = {
 
 # Modules that ask the optimizer, and why; what they find, others print.
 ORCHESTRATORS = {
-    "comparison.firmware_side": "judges the loops of a firmware's file that is to be compared",
-    "comparison.sources": "solves a design that is to be compared",
-    "estimator_comparison.pair_files": "solves the design of the pair for its headers",
+    "comparison.sources": "solves a design, or judges the loops of a file, that is to be compared",
     "current_feedback.question": "answers a question: what a current regulator does and loses",
     "estimator_comparison.question": "answers a question: which estimators, and what they cost",
-    "exploration.question": "says which columns of a study the rows together are asked of",
     "exploration.viewing": "goes through the parts of a study for what is shown of it",
-    "firmware_files.calmer_loop": "tunes a slower speed loop where firmware does not settle",
+    "firmware_files.settled": "tunes a slower speed loop where firmware does not settle",
     "firmware_files.design_made": "finds the phase-locked loop of a file that becomes a design",
     "firmware.design_simulation": "solves a design, and runs the loops of its firmware beside it",
-    "flashing_choice.row_files": "solves the currents of a salient machine on the row's topology",
     "flashing_choice.question": "answers a question: what to flash, with all that can be run here",
     "losses.question": "answers a question: losses over a map or a mission",
     "modulation_choice.question": "answers a question: the choice of modulator and frequency",
@@ -49,30 +45,25 @@ ORCHESTRATORS = {
 # Modules that evaluate emitted C in its own arithmetic, for test vectors and to compare with the
 # compiled C.
 MODELS = {
-    "control.fixed_model": "the control functions in integers, step by step",
-    "control.fixed_reading": "proves again what is read back",
+    "control.fixed_model": "the control functions in integers, step by step, and proven again",
     "firmware.loop_code": "the loops of other firmware in C, by the rules they are judged by",
     "fixed_observers.fixed_observer_model": "the observers in integers, step by step",
-    "fixed_observers.fixed_observer_reading": "proves again what is read back",
     "fixed_reference.mesh_reading": "proves again what is read back",
     "modulation_choice.rule_model": "the choice of modulator in single precision",
     "phase_control.fixed_phase_model": "the control of phases in integers, step by step",
     "firmware.simplefoc.reader": "what a file amounts to, by the function that serves a design",
-    "firmware.st.writer": "counts of currents, in which older versions of the files hold them",
+    "firmware.st.target": "counts of currents, in which older versions of the files hold them",
     "firmware.vesc.reader": "what a file amounts to, by the function that serves a design",
     "output.stored_proof": "proves again what is read back",
-    "phase_control.fixed_phase_reading": "proves again what is read back",
     "six_step.float32_model": "control of a six-step drive in single precision",
-    "observers.float32_model": "position observers in single precision",
-    "observers.speed_float32_model": "the speed observer in single precision",
-    "observers.tracker_float32_model": "trackers of the position in single precision",
+    "observers.float32_model": "observers of position and speed, and trackers, in single precision",
     "start_up.tried": "the state machine of a start in single precision",
     "waveforms.float32_model": "phase currents in single precision",
 }
 
 # Modules of the firmware of others that work out what a file amounts to, by the functions that
 # serve a design.
-READERS = ("reader", "project")
+READERS = ("reader",)
 
 
 def reads_firmware(name: str) -> bool:
@@ -147,9 +138,6 @@ def functions_of_orchestrators(source: str) -> list[str]:
 def test_modules_that_print_ask_nobody_who_asks() -> None:
     runs = {
         "estimator_comparison.tried_starts",
-        "firmware_files.settled",
-        "flashing_choice.counted_cycles",
-        "flashing_choice.simulated_rows",
         "study_store.winners_answer",
     }
     asks = {*ORCHESTRATORS, "output.recomputation", *runs}

@@ -23,10 +23,10 @@ from dqforge.machines.design.design import Design, InputValue
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.page_frame import ListedFile
 from dqforge.reports.pages.figures_style import BLUE, ORANGE, PART_COLOURS, SKY, TEAL
 from dqforge.reports.pages.html_text import count, number, quantity, share, symbols
 from dqforge.reports.report import render_report
+from dqforge.reports.run_folder import ListedFile
 from dqforge.reports.summary import run_tables
 from dqforge.reports.verification.host import Check, Verification
 

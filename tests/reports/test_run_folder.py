@@ -13,8 +13,7 @@ from urllib.parse import unquote
 from drives import SURFACE, make_design
 
 from dqforge.machines.design.design import DesignFiles
-from dqforge.reports.output.folder import RUN, write_output
-from dqforge.reports.output.manifest import read_manifest
+from dqforge.reports.output.folder import RUN, read_manifest, write_output
 from dqforge.reports.run import run_design
 from dqforge.reports.run_folder import MANIFEST, listed_files
 

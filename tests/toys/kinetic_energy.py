@@ -12,11 +12,10 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.c_code.harness import Programme, single_from, title
-from dqforge.reports.c_code.header_kind import HeaderKind
+from dqforge.reports.c_code.harness import HeaderKind, Programme, single_from, title
 from dqforge.reports.capability import Capability, Draw, Outcome, Quantity, ReportPart, Tile
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import quantity
-from dqforge.reports.pages.table import Table
 from dqforge.reports.pages.templating import Chapter, render
 from dqforge.reports.plain_data import PlainData, shortest
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dqforge.machines.design.sections.control import ControlSection
 from dqforge.machines.design.sections.export import ExportSection
 from dqforge.machines.design.sections.inverter import InverterSection
-from dqforge.machines.design.sections.simulation.schema import SimulationSection
+from dqforge.machines.design.sections.simulation_schema import SimulationSection
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import SIX_STEP_METHODS
 from dqforge.machines.places import KeyPath

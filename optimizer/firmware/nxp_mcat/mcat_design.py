@@ -12,19 +12,22 @@ from dqforge.optimizer.firmware.firmware_method import (
     Asked,
     Price,
     Shortfall,
+    needed,
     q_current_alone,
 )
-from dqforge.optimizer.firmware.nxp_mcat.mcat_names import (
+from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import (
     EDITIONS,
     FLOAT_2025,
+    FRACTION_BITS,
+    ROOT_3,
     SPEED_I,
     SPEED_P,
+    TURN,
     Edition,
     constants,
+    printed,
 )
-from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import FRACTION_BITS, ROOT_3, TURN, printed
 from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import McatSheet, kind_of
-from dqforge.optimizer.firmware.own_values import needed
 
 # Share of the linear range that MCAT leaves to the current loop: low-side shunts need the rest.
 LARGEST_SHARE = 0.9

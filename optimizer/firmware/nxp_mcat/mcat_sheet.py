@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
 
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.firmware import own_values
+from dqforge.optimizer.firmware import firmware_method
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     DriveValues,
@@ -19,28 +19,26 @@ from dqforge.optimizer.firmware.configuration import (
     OwnValue,
     PiGains,
 )
-from dqforge.optimizer.firmware.nxp_mcat.mcat_names import (
+from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import (
     EDITIONS,
     FIXED_2019,
     FIXED_2022,
     FLOAT_2019,
     FLOAT_2022,
     FLOAT_2025,
+    OLD_PLACES,
     PROJECT_INPUTS,
     PROJECT_MACROS,
     SPEED_I,
     SPEED_P,
     Edition,
     constants,
-    numbers,
-    torque_constant,
-)
-from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import (
-    OLD_PLACES,
     counts,
     half_step,
     held,
+    numbers,
     printed,
+    torque_constant,
 )
 
 TURN = 2.0 * math.pi
@@ -86,7 +84,7 @@ class McatSheet:
 
     def number(self, key: str) -> float | None:
         """A value as it stands there, None where it is missing or no number."""
-        return own_values.number(self.own, key)
+        return firmware_method.number(self.own, key)
 
     def constant(self, macro: str) -> float | None:
         """A constant as the firmware computes with it: in fixed point what its integer holds."""

@@ -17,7 +17,7 @@ from dqforge.optimizer.firmware.configuration import (
     SpeedController,
     SpeedEstimate,
 )
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
+from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, needed
 from dqforge.optimizer.firmware.infineon_format import (
     FIRMWARE,
     KEYS,
@@ -32,7 +32,6 @@ from dqforge.optimizer.firmware.infineon_format import (
     number,
     shortfalls,
 )
-from dqforge.optimizer.firmware.own_values import needed
 
 _HOME = "Infineon/REF_MTR_48V30A_GaN motor-ctrl-lib 4.5 OperationalCode/"
 

@@ -30,7 +30,7 @@ from dqforge.optimizer.firmware.firmware_method import (
     Shortfall,
     judge,
 )
-from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
+from dqforge.optimizer.firmware.moteus_format import (
     FILTER,
     FIRMWARE,
     KV_FLUX,

@@ -16,11 +16,15 @@ from dqforge.optimizer.firmware.configuration import (
     SpeedController,
     SpeedEstimate,
 )
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
+from dqforge.optimizer.firmware.firmware_method import MAX_SPEED, Asked, FirmwareMethod
 from dqforge.optimizer.firmware.nxp_mcat.mcat_design import own_values, shortfalls
-from dqforge.optimizer.firmware.nxp_mcat.mcat_names import EDITIONS, FIXED_2022, FLOAT_2025, Edition
+from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import (
+    EDITIONS,
+    FIXED_2022,
+    FLOAT_2025,
+    Edition,
+)
 from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import ROOT_3, McatFile, McatSheet
-from dqforge.optimizer.firmware.own_values import MAX_SPEED
 
 _HOME = "nxp-mcuxpresso/mcux-motor_control"
 

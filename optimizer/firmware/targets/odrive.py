@@ -2,7 +2,7 @@
 controller in N m on the speed of the encoder's PLL.
 
 Sources: `SOURCES`; the properties and what they amount to are in
-`dqforge.optimizer.firmware.one_bandwidth.odrive_keys`.
+`dqforge.optimizer.firmware.odrive_format`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dqforge.optimizer.firmware.firmware_method import (
     Shortfall,
     judge,
 )
-from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
+from dqforge.optimizer.firmware.moteus_format import (
     bandwidth_asked,
     d_current_missing,
     field_weakening_missing,
@@ -37,7 +37,7 @@ from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
     rounded_down,
     saturation_unknown,
 )
-from dqforge.optimizer.firmware.one_bandwidth.odrive_keys import (
+from dqforge.optimizer.firmware.odrive_format import (
     FIRMWARE,
     HIGH_CURRENT,
     MEASURED_INDUCTANCE,

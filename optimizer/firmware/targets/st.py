@@ -12,11 +12,16 @@ from dqforge.optimizer.firmware.configuration import (
     OwnValue,
     PiGains,
 )
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
-from dqforge.optimizer.firmware.own_values import CURRENT_SENSING, needed, number
-from dqforge.optimizer.firmware.st_format.st_keys import VERSION, MtpaTable
-from dqforge.optimizer.firmware.st_format.st_loops import profile, shortfalls, table_for
-from dqforge.optimizer.firmware.st_format.st_scales import (
+from dqforge.optimizer.firmware.firmware_method import (
+    CURRENT_SENSING,
+    Asked,
+    FirmwareMethod,
+    needed,
+    number,
+)
+from dqforge.optimizer.firmware.st_keys import VERSION, MtpaTable
+from dqforge.optimizer.firmware.st_loops import profile, shortfalls, table_for
+from dqforge.optimizer.firmware.st_scales import (
     FULL,
     LARGEST,
     LOW_SHARE,

@@ -18,8 +18,7 @@ from dqforge.optimizer.firmware.configuration import (
     SpeedController,
     SpeedEstimate,
 )
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
-from dqforge.optimizer.firmware.own_values import INERTIA, needed
+from dqforge.optimizer.firmware.firmware_method import INERTIA, Asked, FirmwareMethod, needed
 from dqforge.optimizer.firmware.ti_format import (
     BANDWIDTHS,
     BOARD_PREFIX,

@@ -18,8 +18,7 @@ from dqforge.optimizer.firmware.configuration import (
     SpeedController,
     SpeedEstimate,
 )
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Shortfall
-from dqforge.optimizer.firmware.own_values import number
+from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Shortfall, number
 from dqforge.optimizer.firmware.vesc_format import (
     KEYS,
     LOOP_RATES,

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from dqforge.optimizer.firmware.firmware_method import FLOAT32_DIGITS
 from dqforge.optimizer.firmware.infineon_format import (
     KEYS,
     TABLE,
@@ -16,11 +17,9 @@ from dqforge.optimizer.firmware.infineon_format import (
     Kind,
     Place,
 )
-from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS
 from dqforge.optimizer.firmware.targets.infineon import INFINEON
 from dqforge.reports.firmware.c_macros import with_values
-from dqforge.reports.firmware.infineon.names import member
-from dqforge.reports.firmware.infineon.reader import assignments, read, recognise
+from dqforge.reports.firmware.infineon.reader import assignments, member, read, recognise
 from dqforge.reports.firmware.target import Target, c_float
 from dqforge.reports.pages.templating import render
 

@@ -6,9 +6,10 @@ import re
 from dataclasses import replace
 from pathlib import PurePath
 
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, shown
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import Configuration, Origin
-from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
+from dqforge.optimizer.firmware.moteus_format import (
     FILTER,
     GEAR,
     KNOWN,
@@ -17,7 +18,6 @@ from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
     WHOLE,
     configuration,
 )
-from dqforge.reports.firmware.moteus.config_lines import ConfigLine, config_lines
 from dqforge.reports.firmware.target import no_number, plain_number
 
 ENDING = ".moteus.cfg"
@@ -221,3 +221,63 @@ def _fields(found: Configuration, origins: dict[str, Origin]) -> dict[str, Origi
                 if f"{own}.{gain}" in origins
             }
     return origins | fields
+
+
+# Lines of moteus' console in a file: which of them set a value, and where.
+
+# Empty lines, comments, other commands, and the end of what ``conf enumerate`` answers.
+_SET = re.compile(r"(?P<lead>\s*(?:conf\s+set\s+)?)(?P<key>[A-Za-z]\w*(?:\.\w+)+)(?P<rest>.*)")
+_OTHER = re.compile(r"\s*(?:(?:conf|tel|d|aux[12]|id)\b.*|OK\s*|#.*)?")
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigLine:
+    """A line that sets a value.
+
+    ``lead`` is what stands before the key (with ``conf set`` or without), ``tail`` what stands
+    behind the value; ``number`` is that of the line, from 1.
+    """
+
+    lead: str
+    key: str
+    value: str
+    tail: str
+    number: int
+
+
+def config_lines(text: str, place: str) -> list[ConfigLine]:
+    """The lines of a text that set values, in their order.
+
+    Args:
+        text: Of the file.
+        place: Its path, for messages.
+
+    Raises:
+        InputError: A line is none of moteus' console, or lacks its value; with its number.
+    """
+    found = []
+    for number, line in enumerate(text.split("\n"), 1):
+        match = _SET.fullmatch(line)
+        if match is None:
+            if not _OTHER.fullmatch(line) or re.match(r"\s*conf\s+set\b", line):
+                raise InputError(
+                    f"{shown(line.strip()[:40])} is neither 'conf set NAME VALUE' nor 'NAME "
+                    "VALUE'; save the file again with moteus_tool --dump-config",
+                    source=place,
+                    line=number,
+                )
+            continue
+        found.append(_line(match, number, place))
+    return found
+
+
+def _line(match: re.Match[str], number: int, place: str) -> ConfigLine:
+    code, mark, comment = match["rest"].partition("#")
+    value = code.strip()
+    if not value or " " in value or not code[0].isspace():
+        what = "has no value" if not value else f"has {shown(value[:40])} for its value"
+        raise InputError(
+            f"{match['key']} {what}; write one number behind it", source=place, line=number
+        )
+    after = code[len(code) - len(code.lstrip()) + len(value) :] + mark + comment
+    return ConfigLine(match["lead"], match["key"], value, after, number)

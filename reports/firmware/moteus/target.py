@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import GEAR, KNOWN, OF_OUTPUT
-from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS
+from dqforge.optimizer.firmware.firmware_method import FLOAT32_DIGITS
+from dqforge.optimizer.firmware.moteus_format import GEAR, KNOWN, OF_OUTPUT
 from dqforge.optimizer.firmware.targets.moteus import MOTEUS
-from dqforge.reports.firmware.moteus.config_lines import ConfigLine, config_lines
-from dqforge.reports.firmware.moteus.reader import ENDING, read, recognise
+from dqforge.reports.firmware.moteus.reader import ENDING, ConfigLine, config_lines, read, recognise
 from dqforge.reports.firmware.target import Target, number_text, plain_number
 
 if TYPE_CHECKING:

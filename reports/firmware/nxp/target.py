@@ -8,7 +8,7 @@ from decimal import ROUND_HALF_UP, Decimal
 from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.firmware.nxp_mcat.mcat_names import (
+from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import (
     FLAGS,
     INPUTS,
     MACROS,
@@ -20,8 +20,15 @@ from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import McatFile
 from dqforge.optimizer.firmware.targets.nxp import NXP
 from dqforge.reports.firmware.c_macros import read_macros, with_values
 from dqforge.reports.firmware.json_text import JsonText, with_json_values
-from dqforge.reports.firmware.nxp.comments import line_inputs, motor_of, objects, with_inputs
-from dqforge.reports.firmware.nxp.reader import read, read_file, recognise
+from dqforge.reports.firmware.nxp.reader import (
+    line_inputs,
+    motor_of,
+    objects,
+    read,
+    read_file,
+    recognise,
+    with_inputs,
+)
 from dqforge.reports.firmware.target import Target
 from dqforge.reports.pages.templating import render
 

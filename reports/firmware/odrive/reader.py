@@ -8,12 +8,7 @@ from typing import NoReturn
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, Origin
-from dqforge.optimizer.firmware.one_bandwidth.odrive_keys import (
-    HIGH_CURRENT,
-    KINDS,
-    configuration,
-)
-from dqforge.optimizer.firmware.one_bandwidth.odrive_sentences import GIMBAL
+from dqforge.optimizer.firmware.odrive_format import GIMBAL, HIGH_CURRENT, KINDS, configuration
 from dqforge.reports.firmware.json_text import JsonText, parsed_json
 
 # Where ODrive 0.6 (Pro, S1, Micro) keeps its motor; its backups name it in one key each.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from dqforge.optimizer.firmware.one_bandwidth.odrive_keys import KINDS
+from dqforge.optimizer.firmware.odrive_format import KINDS
 from dqforge.optimizer.firmware.targets.odrive import ODRIVE
 from dqforge.reports.firmware.json_text import parsed_json, with_json_values
 from dqforge.reports.firmware.odrive.reader import ENDING, chosen_axis, path_of, read, recognise

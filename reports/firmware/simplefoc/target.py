@@ -9,13 +9,15 @@ from dqforge.optimizer.firmware.simplefoc_format import LOOP_PERIOD, MEMBERS, SI
 from dqforge.optimizer.firmware.targets.simplefoc import SIMPLEFOC
 from dqforge.reports.c_code.numbers import comment_text
 from dqforge.reports.firmware.c_macros import with_values
-from dqforge.reports.firmware.simplefoc.reader import read, recognise
-from dqforge.reports.firmware.simplefoc.script import is_script, script
-from dqforge.reports.firmware.simplefoc.sketch import (
+from dqforge.reports.firmware.simplefoc.reader import (
     CONSTRUCTOR,
     ENUMERATORS,
     VOLTAGES,
     Sketch,
+    is_script,
+    read,
+    recognise,
+    script,
     sketch_of,
 )
 from dqforge.reports.firmware.target import Target, c_float

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import PurePath
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import Configuration, Origin, OwnValue
-from dqforge.optimizer.firmware.own_values import number
-from dqforge.optimizer.firmware.st_format.st_keys import (
+from dqforge.optimizer.firmware.firmware_method import number
+from dqforge.optimizer.firmware.st_keys import (
     COUNTED,
     HEADERS,
     MOTOR_FILE,
@@ -21,17 +22,27 @@ from dqforge.optimizer.firmware.st_format.st_keys import (
     VERSION,
     WHOLE,
 )
-from dqforge.optimizer.firmware.st_format.st_scales import (
+from dqforge.optimizer.firmware.st_scales import (
     CONVENTIONS,
     integers,
     joined,
     printed,
     st_configuration,
 )
-from dqforge.reports.firmware.c_macros import Definition, Macros, read_macros
+from dqforge.reports.firmware.c_macros import (
+    Definition,
+    Macros,
+    elements,
+    parsed_xml,
+    read_macros,
+    with_attribute,
+)
 from dqforge.reports.firmware.json_text import JsonText, parsed_json
-from dqforge.reports.firmware.st.names import BEYOND, FIELDS, POSSIBLE
-from dqforge.reports.firmware.st.project import is_project, read_project
+from dqforge.reports.firmware.target import plain_number
+
+if TYPE_CHECKING:
+    from dqforge.machines.files.positioned_xml import Element
+
 
 # Macros of the firmware that its parameter headers use.
 KNOWN = {"SPEED_UNIT": "10", "U_01HZ": "10", "_01HZ": "10", "U_RPM": "60", "_RPM": "60"}
@@ -213,3 +224,339 @@ def _inductance(value: float, r_s: float | None, description: object) -> tuple[f
     if value / (r_s or 0.5) > _BETWEEN:
         return printed(1e-3 * value), f"ls {value:g} is taken in mH, as Workbench writes it"
     return value, f"ls {value:g} is taken in H, as exports of the motor profiler have it"
+
+
+# Projects of Workbench 5 (``.stmcx``): variables read, and replaced where they stand.
+
+_ROOT = "STWorkBench"
+
+
+def is_project(text: str) -> bool:
+    """Whether a text is a project of Workbench 5."""
+    return f"<{_ROOT}" in text[:4000]
+
+
+def read_project(text: str, place: str) -> Configuration:
+    """The configuration of the first motor of a project.
+
+    Raises:
+        InputError: It is no XML, has no motor, or a value is impossible; with the line.
+    """
+    found = _variables(text, place)
+    raw: dict[str, OwnValue] = {}
+    for name, variable in VARIABLES.items():
+        element = found.get(name)
+        if element is not None and name not in _unused(found):
+            raw[variable.macro] = _project_value(element, variable.macro, variable.unit, place)
+    own = _as_macros(raw)
+    rate = found.get(EXECUTION_RATE)
+    if rate is not None:
+        own["REGULATION_EXECUTION_RATE"] = _chosen(rate, place)
+    return st_configuration("", own, version="5", origins=_origins(found, own))
+
+
+def with_variables(text: str, own: Mapping[str, OwnValue]) -> str:
+    """The project with the values of a configuration in the variables that it has."""
+    source = "existing file"
+    found = _variables(text, source)
+    raw, unused = _as_variables(own), _unused(found)
+    edits: dict[int, str] = {}
+    for name, variable in VARIABLES.items():
+        value = number(raw, variable.macro)
+        if name in found and name not in unused and value is not None:
+            edits[found[name].start] = f"{printed(value / variable.unit):.6g}"
+    for name in BY_HAND:
+        if name in found:
+            edits[found[name].start] = "true"
+    every = number(own, "REGULATION_EXECUTION_RATE")
+    if EXECUTION_RATE in found and every is not None:
+        items = _items(found[EXECUTION_RATE])
+        if f"{every:g}" in items:
+            edits[found[EXECUTION_RATE].start] = str(items.index(f"{every:g}"))
+    return with_attribute(text, source, "value", edits)
+
+
+def _variables(text: str, place: str) -> dict[str, Element]:
+    """Elements of the first motor's variables by name; of several the first counts."""
+    root = parsed_xml(text, place)
+    systems = [element for element in elements(root) if element.tag == "system"]
+    if not systems:
+        message = "this project has no motor; save it again with Workbench"
+        raise InputError(message, source=place, line=root.line)
+    found: dict[str, Element] = {}
+    for element in elements(systems[0]):
+        name = element.attributes.get("name")
+        if element.tag == "var" and name is not None and "value" in element.attributes:
+            found.setdefault(name, element)
+    if not any(name in found for name in ("Pole Pairs", "Rs")):
+        message = "the first motor of this project has no variables; save it again with Workbench"
+        raise InputError(message, source=place, line=systems[0].line)
+    return found
+
+
+def _unused(found: Mapping[str, Element]) -> tuple[str, ...]:
+    """Variables that Workbench does not look at: those of the other kind of machine, and of the
+    other kind of current measurement.
+    """
+    surface = _tag(found.get(STRUCTURE)) == SURFACE
+    sensors = _tag(found.get(TOPOLOGY)) == SENSORS
+    return (
+        *(("Ld", "Lq") if surface else ("Ls",) if "Lq" in found else ()),
+        *(("Shunt resistor(s) value", "Amplifying network gain") if sensors else ("ICS gain",)),
+    )
+
+
+def _tag(element: Element | None) -> str:
+    """Tag of the item that a list has chosen."""
+    if element is None:
+        return ""
+    items, chosen = _items(element), plain_number(element.attributes["value"])
+    return items[int(chosen)] if chosen is not None and 0 <= chosen < len(items) else ""
+
+
+def _project_value(element: Element, macro: str, unit: float, place: str) -> OwnValue:
+    text, name = element.attributes["value"], element.attributes["name"]
+    value = plain_number(text)
+    if value is None:
+        message = f"{name} is {text[:40]!r}, not a number; write one"
+        raise InputError(message, source=place, line=element.line)
+    low, high = POSSIBLE.get(macro, BEYOND)
+    scaled = printed(value * unit) if unit != 1.0 else value
+    if not low <= scaled <= high:
+        message = f"{name} is {value:g}; write a value from {low / unit:g} to {high / unit:g}"
+        raise InputError(message, source=place, line=element.line)
+    if macro in WHOLE and not scaled.is_integer():
+        message = f"{name} is {value:g}; write a whole number"
+        raise InputError(message, source=place, line=element.line)
+    return int(scaled) if scaled.is_integer() else scaled
+
+
+def _as_macros(raw: dict[str, OwnValue]) -> dict[str, OwnValue]:
+    """Variables as macros: one inductance with a ratio, a rate for a period, shared dividers."""
+    own = dict(raw)
+    l_d, l_q = number(own, "Ld"), number(own, "Lq")
+    if l_q:
+        own["LS"] = l_q
+        if l_d:
+            own["ld_lq_ratio"] = printed(l_d / l_q)
+    if "sensor_slope" in own:
+        own |= {"RSHUNT": 1, "AMPLIFICATION_GAIN": own["sensor_slope"]}
+    own.setdefault("NOMINAL_BUS_VOLTAGE_V", own.get("motor_voltage", 0))
+    period = number(own, "speed_period")
+    if period:
+        own["SPEED_LOOP_FREQUENCY_HZ"] = round(1.0 / period)
+    for gain, divider, shared in (
+        ("PID_FLUX_KP_DEFAULT", "flux_kp_divider", "TF_KPDIV"),
+        ("PID_FLUX_KI_DEFAULT", "flux_ki_divider", "TF_KIDIV"),
+    ):
+        value, own_divider, other = number(own, gain), number(own, divider), number(own, shared)
+        if value is not None and own_divider and other and own_divider != other:
+            own[gain] = value * other / own_divider
+    for name in OWN_NAMES:
+        own.pop(name, None)
+    if not number(own, "NOMINAL_BUS_VOLTAGE_V"):
+        own.pop("NOMINAL_BUS_VOLTAGE_V", None)
+    return own
+
+
+def _as_variables(own: Mapping[str, OwnValue]) -> dict[str, OwnValue]:
+    raw = dict(own)
+    inductance, ratio = number(own, "LS"), number(own, "ld_lq_ratio")
+    if inductance is not None:
+        raw |= {"Lq": inductance, "Ld": inductance * (1.0 if ratio is None else ratio)}
+    rate = number(own, "SPEED_LOOP_FREQUENCY_HZ")
+    if rate:
+        raw["speed_period"] = 1.0 / rate
+    shunt, gain = number(own, "RSHUNT"), number(own, "AMPLIFICATION_GAIN")
+    if shunt is not None and gain is not None:
+        raw["sensor_slope"] = shunt * gain
+    raw["flux_kp_divider"] = own.get("TF_KPDIV", "")
+    raw["flux_ki_divider"] = own.get("TF_KIDIV", "")
+    raw["motor_voltage"] = own.get("NOMINAL_BUS_VOLTAGE_V", "")
+    return raw
+
+
+def _items(element: Element) -> list[str]:
+    return [item.attributes.get("tag", "") for item in elements(element) if item.tag == "item"]
+
+
+def _chosen(element: Element, place: str) -> int:
+    items, text = _items(element), element.attributes["value"]
+    place_of = plain_number(text)
+    if place_of is None or not 0 <= place_of < len(items) or not items[int(place_of)].isdigit():
+        message = f"{EXECUTION_RATE} is {text[:40]!r}, none of its items; save the project again"
+        raise InputError(message, source=place, line=element.line)
+    return int(items[int(place_of)])
+
+
+def _origins(found: Mapping[str, Element], own: Mapping[str, OwnValue]) -> dict[str, Origin]:
+    by_macro = dict(_named(found))
+    origins = {}
+    for field, (macro, conversion) in FIELDS.items():
+        other = "MOTOR_MAX_SPEED_RPM" if macro == "MAX_APPLICATION_SPEED_RPM" else macro
+        element = by_macro.get(macro, by_macro.get(other))
+        if element is not None and (macro in own or other in own):
+            text = element.attributes["value"]
+            origins[field] = Origin(element.attributes["name"], text, element.line, conversion)
+    return origins
+
+
+def _named(found: Mapping[str, Element]) -> Iterator[tuple[str, Element]]:
+    for name, variable in VARIABLES.items():
+        if name in found:
+            yield variable.macro, found[name]
+    if EXECUTION_RATE in found:
+        yield "REGULATION_EXECUTION_RATE", found[EXECUTION_RATE]
+    if "SpeedCtrl - Execution rate" in found:
+        yield "SPEED_LOOP_FREQUENCY_HZ", found["SpeedCtrl - Execution rate"]
+
+
+# Variables of Workbench 5 and the macros that they are, and which values are possible.
+
+MILLI = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A variable of a project: the macro that it is, and its unit in that of the macro."""
+
+    macro: str
+    unit: float = 1.0
+
+
+VARIABLES = {
+    "Pole Pairs": Variable("POLE_PAIR_NUM"),
+    "Max Rated Speed": Variable("MOTOR_MAX_SPEED_RPM"),
+    "Nominal Current": Variable("NOMINAL_CURRENT_A"),
+    "Nominal DC Voltage": Variable("motor_voltage"),
+    "Nominal voltage": Variable("NOMINAL_BUS_VOLTAGE_V"),
+    "Rs": Variable("RS"),
+    "Ls": Variable("LS", MILLI),
+    "Ld": Variable("Ld", MILLI),
+    "Lq": Variable("Lq", MILLI),
+    "B-EmfConstant": Variable("MOTOR_VOLTAGE_CONSTANT"),
+    "inertia": Variable("inertia"),
+    "friction": Variable("friction"),
+    "Shunt resistor(s) value": Variable("RSHUNT"),
+    "Amplifying network gain": Variable("AMPLIFICATION_GAIN"),
+    "ICS gain": Variable("sensor_slope"),
+    "PWM frequency": Variable("PWM_FREQUENCY"),
+    "Dead time": Variable("SW_DEADTIME_NS"),
+    "Torque - P dividend": Variable("PID_TORQUE_KP_DEFAULT"),
+    "Torque - P divisor": Variable("TF_KPDIV"),
+    "Torque - I dividend": Variable("PID_TORQUE_KI_DEFAULT"),
+    "Torque - I divisor": Variable("TF_KIDIV"),
+    "Flux - P dividend": Variable("PID_FLUX_KP_DEFAULT"),
+    "Flux - P divisor": Variable("flux_kp_divider"),
+    "Flux - I dividend": Variable("PID_FLUX_KI_DEFAULT"),
+    "Flux - I divisor": Variable("flux_ki_divider"),
+    "SpeedCtrl - Execution rate": Variable("speed_period", MILLI),
+    "SpeedCtrl - P dividend": Variable("PID_SPEED_KP_DEFAULT"),
+    "SpeedCtrl - P divisor": Variable("SP_KPDIV"),
+    "SpeedCtrl - I dividend": Variable("PID_SPEED_KI_DEFAULT"),
+    "SpeedCtrl - I divisor": Variable("SP_KIDIV"),
+    "Main - ObsPLL - F1": Variable("F1"),
+    "Main - ObsPLL - F2": Variable("F2"),
+    "Main - ObsPLL - G1": Variable("GAIN1"),
+    "Main - ObsPLL - G2": Variable("GAIN2"),
+    "Main - ObsPLL - P dividend": Variable("PLL_KP_GAIN"),
+    "Main - ObsPLL - P divisor": Variable("PLL_KPDIV"),
+    "Main - ObsPLL - I dividend": Variable("PLL_KI_GAIN"),
+    "Main - ObsPLL - I divisor": Variable("PLL_KIDIV"),
+    "Main - ObsPLL - Average speed FIFO depth for speed loop": Variable("STO_FIFO_DEPTH_UNIT"),
+    "SL - Minimum start-up output speed": Variable("OBS_MINIMUM_SPEED_RPM"),
+}
+
+# A list whose value is the place of the chosen item.
+EXECUTION_RATE = "Torque&Flux - Execution rate"
+
+# List of the kinds of machine, and the tag of those without saliency, which have Ls alone.
+STRUCTURE, SURFACE = "I/SM-PMSM", "0"
+
+# List of the kinds of current measurement, and the tag of sensors without a shunt.
+TOPOLOGY, SENSORS = "Current reading topology", "2"
+
+# What is no macro of the headers and is turned into those that are.
+OWN_NAMES = (
+    "Ld",
+    "Lq",
+    "motor_voltage",
+    "speed_period",
+    "flux_kp_divider",
+    "flux_ki_divider",
+    "sensor_slope",
+)
+
+# What must be true for Workbench to leave gains as they are.
+BY_HAND = (
+    "Torque&Flux - Manual editing enabled",
+    "SpeedCtrl_Manual_editing",
+    "Main - ObsPLL - Manual editing enabled",
+)
+
+# Least and largest value of a macro; all others lie between -65536 and 65536.
+POSSIBLE = {
+    "POLE_PAIR_NUM": (1.0, 200.0),
+    "RS": (1e-6, 1e3),
+    "LS": (1e-9, 10.0),
+    "MOTOR_VOLTAGE_CONSTANT": (0.0, 1e5),
+    "MOTOR_MAX_SPEED_RPM": (1.0, 1e6),
+    "MAX_APPLICATION_SPEED_RPM": (1.0, 1e6),
+    "NOMINAL_CURRENT_A": (1e-3, 1e5),
+    "IQMAX_A": (1e-3, 1e5),
+    "NOMINAL_BUS_VOLTAGE_V": (1.0, 2e4),
+    "RSHUNT": (1e-6, 100.0),
+    "AMPLIFICATION_GAIN": (1e-3, 1e4),
+    "ADC_REFERENCE_VOLTAGE": (0.1, 20.0),
+    "VBUS_PARTITIONING_FACTOR": (1e-5, 10.0),
+    "PWM_FREQUENCY": (100.0, 1e7),
+    "REGULATION_EXECUTION_RATE": (1.0, 100.0),
+    "SPEED_LOOP_FREQUENCY_HZ": (1.0, 1e5),
+    "SW_DEADTIME_NS": (0.0, 1e5),
+    "SEGDIV": (0.0, 32767.0),
+    "STO_FIFO_DEPTH_UNIT": (1.0, 1024.0),
+    "STO_FIFO_DEPTH_DPP": (1.0, 1024.0),
+    "ld_lq_ratio": (1e-3, 1e3),
+    "inertia": (0.0, 1e11),
+    "friction": (0.0, 1e10),
+} | dict.fromkeys(
+    (
+        *("TF_KPDIV", "TF_KIDIV", "SP_KPDIV", "SP_KIDIV", "PLL_KPDIV", "PLL_KIDIV", "F1", "F2"),
+        *("flux_kp_divider", "flux_ki_divider"),
+    ),
+    (1.0, 65536.0),
+)
+
+BEYOND = (-65536.0, 65536.0)
+
+# Macros behind the values of a configuration, and how they are converted.
+FIELDS = {
+    "pole_pairs": ("POLE_PAIR_NUM", ""),
+    "r_s": ("RS", ""),
+    "l_d": ("LS", "times ld_lq_ratio where there is one"),
+    "l_q": ("LS", ""),
+    "psi_pm": ("MOTOR_VOLTAGE_CONSTANT", "sqrt(2/3) 60/(2 pi 1000 p)"),
+    "inertia": ("inertia", "1e-6 kg m^2"),
+    "viscous": ("friction", "1e-6 N m s/rad"),
+    "i_max": ("NOMINAL_CURRENT_A", ""),
+    "omega_m_max": ("MAX_APPLICATION_SPEED_RPM", "rpm to rad/s"),
+    "v_dc": ("NOMINAL_BUS_VOLTAGE_V", ""),
+    "f_sw": ("PWM_FREQUENCY", ""),
+    "dead_time": ("SW_DEADTIME_NS", "ns to s"),
+    "t_s": ("REGULATION_EXECUTION_RATE", "over PWM_FREQUENCY"),
+    "t_speed": ("SPEED_LOOP_FREQUENCY_HZ", "its reciprocal"),
+    "shunt": ("RSHUNT", ""),
+    "sense_gain": ("AMPLIFICATION_GAIN", ""),
+    "sense_reference": ("ADC_REFERENCE_VOLTAGE", ""),
+    "current_q.kp": ("PID_TORQUE_KP_DEFAULT", "over TF_KPDIV, times v_dc/sqrt(3) over full scale"),
+    "current_q.ki": (
+        "PID_TORQUE_KI_DEFAULT",
+        "over TF_KIDIV, times v_dc/sqrt(3) f over full scale",
+    ),
+    "current_d.kp": ("PID_FLUX_KP_DEFAULT", "over TF_KPDIV, times v_dc/sqrt(3) over full scale"),
+    "current_d.ki": ("PID_FLUX_KI_DEFAULT", "over TF_KIDIV, times v_dc/sqrt(3) f over full scale"),
+    "speed.kp": ("PID_SPEED_KP_DEFAULT", "over SP_KPDIV, full scale/32768 per 0.1 Hz"),
+    "speed.ki": ("PID_SPEED_KI_DEFAULT", "over SP_KIDIV, full scale/32768 f per 0.1 Hz"),
+    "pll.kp": ("PLL_KP_GAIN", "over PLL_KPDIV, per control period"),
+    "pll.ki": ("PLL_KI_GAIN", "over PLL_KIDIV, per control period"),
+}

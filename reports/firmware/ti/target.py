@@ -6,13 +6,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS
+from dqforge.optimizer.firmware.firmware_method import FLOAT32_DIGITS
 from dqforge.optimizer.firmware.targets.ti import TI
 from dqforge.optimizer.firmware.ti_format import BOARD_PREFIX, KEYS, MOTOR_PREFIX
 from dqforge.reports.firmware.c_macros import Macros, with_values
 from dqforge.reports.firmware.target import Target, c_float
-from dqforge.reports.firmware.ti.names import prefixes_of
-from dqforge.reports.firmware.ti.reader import chosen_motor, found_as, read, recognise
+from dqforge.reports.firmware.ti.reader import chosen_motor, found_as, prefixes_of, read, recognise
 from dqforge.reports.pages.templating import render
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from dqforge.optimizer.firmware.targets.vesc import VESC
 from dqforge.optimizer.firmware.vesc_format import KEYS, SIGNIFICANT
 from dqforge.reports.firmware.c_macros import read_macros, with_texts, with_values
 from dqforge.reports.firmware.target import Target, number_text
-from dqforge.reports.firmware.vesc.names import FORMER, define
-from dqforge.reports.firmware.vesc.reader import is_xml, read, recognise
+from dqforge.reports.firmware.vesc.reader import FORMER, define, is_xml, read, recognise
 from dqforge.reports.pages.templating import render
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import drive_budget
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.papers.paper000.load_test import (
     ALTERNATIVES,
     CLOCK_MHZ,

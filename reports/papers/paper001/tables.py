@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, TEAL, new_figure, style
-from dqforge.reports.pages.table import Table
 from dqforge.reports.papers.paper001.bench_sensorless import (
     CAUSES,
     PRINTED_ANGLE,

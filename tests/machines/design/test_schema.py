@@ -30,7 +30,7 @@ from dqforge.machines.entries.rules import (
     check_prefix,
     plain_text,
 )
-from dqforge.machines.units.kind_words import words_pattern
+from dqforge.machines.units.registry import words_pattern
 
 
 def _properties(schema: Any, path: str = "") -> Iterator[tuple[str, dict[str, Any]]]:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.dq_machines.flux_map import FluxMap
+from dqforge.machines.dq_machines.synchronous import CurrentRegion
 from dqforge.machines.flux_maps.building import build_flux_map
 from dqforge.machines.flux_maps.fit import flux_map_of_maps
 from dqforge.machines.flux_maps.flux_points import FluxPoints

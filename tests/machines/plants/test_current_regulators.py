@@ -14,7 +14,8 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import SampledRuleName
 from dqforge.machines.plants.current_feedback import best_states, simulate_currents
-from dqforge.machines.plants.current_regulators.sampled_rules import (
+from dqforge.machines.plants.fed_machine import I_D, I_Q, BridgeDrive, build_plant
+from dqforge.machines.plants.regulator_rules import (
     ACTIVE,
     LEGS,
     RuleConstants,
@@ -24,7 +25,7 @@ from dqforge.machines.plants.current_regulators.sampled_rules import (
     switching_table,
     unit_vectors,
 )
-from dqforge.machines.plants.current_regulators.schemes import (
+from dqforge.machines.plants.regulator_schemes import (
     LEAST_WIDTH,
     Circle,
     Sampled,
@@ -37,7 +38,6 @@ from dqforge.machines.plants.current_regulators.schemes import (
     steady_trajectory,
     times_within,
 )
-from dqforge.machines.plants.fed_machine import I_D, I_Q, BridgeDrive, build_plant
 
 SALIENT = LinearMachine(pole_pairs=3, r_s=2.35, l_d=1.2e-3, l_q=2.4e-3, psi_pm=0.06, i_max=6.4)
 DRIVE = BridgeDrive(SALIENT, 180.0)

@@ -8,9 +8,14 @@ import re
 import pytest
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.units.kind_words import kind_words, without_kind, words_pattern
 from dqforge.machines.units.quantities import kind_said, read_quantity
-from dqforge.machines.units.registry import COMPOUNDS, SYMBOLS
+from dqforge.machines.units.registry import (
+    COMPOUNDS,
+    SYMBOLS,
+    kind_words,
+    without_kind,
+    words_pattern,
+)
 
 PLACES = {
     "line-to-line": (

@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, close_matches, shown
 from dqforge.machines.units.quantities import format_quantity, parse_quantity, read_quantity
 from dqforge.machines.units.registry import DIMENSIONS, SYMBOLS
-from dqforge.machines.wording import close_matches, shown
 
 # Expected values follow from the definitions of the units: 1 rpm = 2 pi/60 rad/s, 1 Hz of
 # bandwidth = 2 pi rad/s.

@@ -22,7 +22,7 @@ from dqforge.optimizer.axis_margins import (
     prove_margins,
     sensitivity_claim,
 )
-from dqforge.optimizer.loops.tolerance_box import box_points
+from dqforge.optimizer.loops.robustness import box_points
 
 LOW = 10.0  # A, at which the dead time outweighs the winding
 

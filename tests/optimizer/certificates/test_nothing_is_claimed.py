@@ -20,7 +20,7 @@ from dqforge.optimizer.certificates.ball_arrays import Balls
 from dqforge.optimizer.certificates.current_reference import UNKNOWN, Interval, certify
 from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.field_weakening import certificate as surface
-from dqforge.optimizer.field_weakening import largest_torque as dual
+from dqforge.optimizer.field_weakening import error_bounds as dual
 from dqforge.optimizer.field_weakening.certificate import certify_surface
 from dqforge.optimizer.field_weakening.fit import WeakeningFit, fit_weakening
 from dqforge.optimizer.field_weakening.voltage_region import TORQUE_SHARE

@@ -28,7 +28,7 @@ from dqforge.optimizer.changing_loops import (
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.loops.integer_gains import inductance_range
 from dqforge.optimizer.loops.pi_methods import current_pi
-from dqforge.optimizer.loops.tolerance_box import drive_box
+from dqforge.optimizer.loops.robustness import drive_box
 
 R, L, T = 0.4, 2e-3, 1e-4  # Ohm, H, s: the least inductance
 

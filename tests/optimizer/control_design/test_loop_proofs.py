@@ -21,7 +21,7 @@ from dqforge.optimizer.control_design import gain_set as loop_proofs
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.loops.integer_gains import inductance_range
 from dqforge.optimizer.loops.pi_methods import close_loops
-from dqforge.optimizer.loops.tolerance_box import DriveBox, drive_box
+from dqforge.optimizer.loops.robustness import DriveBox, drive_box
 from dqforge.optimizer.speed_box import prove_speed_loop, speed_box, speed_numbers
 
 TOLERANCES = Tolerances(

@@ -25,7 +25,7 @@ from dqforge.optimizer.control_design.gain_set import (
     solve_gains,
     turning_proof,
 )
-from dqforge.optimizer.loops.tolerance_box import DriveBox, drive_box
+from dqforge.optimizer.loops.robustness import DriveBox, drive_box
 
 MACHINE = LinearMachine(
     pole_pairs=3, r_s=2.35, l_d=1.61e-3, l_q=1.74e-3, psi_pm=0.06, i_max=6.4, inertia=2e-4,

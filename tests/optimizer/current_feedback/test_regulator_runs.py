@@ -9,14 +9,14 @@ import pytest
 from current_feedback_design import feedback_design
 
 from dqforge.machines.names import FeedbackMethod
-from dqforge.optimizer.current_feedback.regulator_runs import (
+from dqforge.optimizer.current_feedback import (
     METHODS,
     WorkingPoints,
+    load_points,
     modulators_beside,
     regulator_plan,
     run_regulator,
 )
-from dqforge.optimizer.current_feedback.solve import load_points
 from dqforge.optimizer.losses.drive_budget import PARTS
 
 

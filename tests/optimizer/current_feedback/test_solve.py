@@ -15,12 +15,14 @@ from dqforge.machines.plants.current_feedback import (
     slope_ratio,
 )
 from dqforge.optimizer.control_design.gain_set import gains_or_reason, solve_gains
-from dqforge.optimizer.current_feedback.regulator_runs import (
+from dqforge.optimizer.current_feedback import (
     bridge_of,
+    load_points,
     regulator_plan,
     run_regulator,
+    speed_loop,
+    speed_points,
 )
-from dqforge.optimizer.current_feedback.solve import load_points, speed_loop, speed_points
 
 
 def test_defaults_aim_at_the_switching_frequency() -> None:

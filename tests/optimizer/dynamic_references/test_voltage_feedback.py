@@ -32,7 +32,7 @@ from dqforge.optimizer.dynamic_references.voltage_feedback import (
     voltage_feedback,
 )
 from dqforge.optimizer.loops.integer_gains import CurrentControl, TurningMachines, inductance_range
-from dqforge.optimizer.loops.tolerance_box import drive_box
+from dqforge.optimizer.loops.robustness import drive_box
 
 T_S = 1e-4
 OMEGA = 2400.0  # electrical

@@ -14,7 +14,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.plants.drive_motion import plants, steady_voltage
-from dqforge.optimizer.estimator_comparison.capture_range import (
+from dqforge.optimizer.estimator_comparison.candidate import (
     HALF_TURN,
     LOCKED,
     LOST,

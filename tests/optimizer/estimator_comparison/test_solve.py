@@ -43,7 +43,7 @@ from dqforge.optimizer.estimator_comparison.solve import (
     estimator_at_speed,
     winners,
 )
-from dqforge.optimizer.estimators.registry import TRACKERS
+from dqforge.optimizer.estimators import TRACKERS
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import observe
 

@@ -15,8 +15,7 @@ from scipy.optimize import brentq
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import linearised
-from dqforge.optimizer.estimator_comparison.candidate import EstimatorFigures
-from dqforge.optimizer.estimator_comparison.capture_range import HALF_TURN, LOCKED
+from dqforge.optimizer.estimator_comparison.candidate import HALF_TURN, LOCKED, EstimatorFigures
 from dqforge.optimizer.estimator_comparison.compared import (
     SteadyDrives,
     estimators,
@@ -24,7 +23,7 @@ from dqforge.optimizer.estimator_comparison.compared import (
     tracker_candidates,
 )
 from dqforge.optimizer.estimator_comparison.solve import ask, compare_estimators
-from dqforge.optimizer.estimators.solve import tune_tracker
+from dqforge.optimizer.estimators import tune_tracker
 from dqforge.optimizer.harmonic_trackers import ThirdHarmonic
 from dqforge.optimizer.harmonic_trackers import angle_noise as harmonic_noise
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair

@@ -13,7 +13,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.names import ObserverMethodName
-from dqforge.optimizer.estimator_comparison.capture_range import (
+from dqforge.optimizer.estimator_comparison.candidate import (
     LOAD_SHARES,
     observer_evidence,
     warm_errors,

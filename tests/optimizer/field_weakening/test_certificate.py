@@ -30,6 +30,7 @@ from dqforge.optimizer.field_weakening.enclosures import Bend, Boxes, rounding
 from dqforge.optimizer.field_weakening.error_bounds import (
     CertifiedDomain,
     enclose,
+    largest_torque,
     limit_decrease,
     limit_range,
 )
@@ -39,7 +40,6 @@ from dqforge.optimizer.field_weakening.form import (
     WeakeningReference,
     weakening_region,
 )
-from dqforge.optimizer.field_weakening.largest_torque import largest_torque
 
 LIBRARY = Path(__file__).resolve().parents[3] / "machines" / "library"
 SLOW = pytest.mark.slow

@@ -16,10 +16,10 @@ from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.settings import FirmwareSettings
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.firmware.firmware_loops import FirmwareLoop, FirmwareLoops, firmware_loops
 from dqforge.optimizer.firmware.firmware_method import FirmwareMethod, FreeGains, judge
+from dqforge.optimizer.firmware.gain_search import FirmwareLoop, FirmwareLoops, firmware_loops
 from dqforge.optimizer.loops.integer_gains import inductance_range
-from dqforge.optimizer.loops.tolerance_box import drive_box
+from dqforge.optimizer.loops.robustness import drive_box
 
 DRIVE = """\
 dqforge: 1

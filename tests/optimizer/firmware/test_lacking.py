@@ -13,8 +13,12 @@ from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Firmware
-from dqforge.optimizer.firmware.firmware_method import FirmwareMethod, drive_values
-from dqforge.optimizer.firmware.own_values import METHODS, check_drivable
+from dqforge.optimizer.firmware.firmware_method import (
+    METHODS,
+    FirmwareMethod,
+    check_drivable,
+    drive_values,
+)
 from dqforge.optimizer.firmware.solve import solve_firmware
 
 REMOVABLE = ("  max_speed", "  inertia", "  current_sensing")

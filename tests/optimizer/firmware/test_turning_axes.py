@@ -17,14 +17,12 @@ from dqforge.optimizer.firmware.configuration import (
     DriveValues,
     LoopProfile,
     PiController,
-)
-from dqforge.optimizer.firmware.firmware_method import judge
-from dqforge.optimizer.firmware.sampled_structure import (
     Winding,
     current_loop,
     turning_axes,
     turning_matrix,
 )
+from dqforge.optimizer.firmware.firmware_method import judge
 from dqforge.optimizer.loops.integer_gains import CurrentControl, TurningMachines, closed_matrices
 
 R, L_D, L_Q, T = 0.05, 8e-5, 1.4e-4, 5e-5

@@ -18,7 +18,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ToleranceName, Tolerances
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.loops.tolerance_box import SAMPLES, drive_box
+from dqforge.optimizer.loops.robustness import SAMPLES, drive_box
 
 NAMES: tuple[ToleranceName, ...] = get_args(ToleranceName)
 TEXT = catalogue.read_text("paper001-pmsm-bench").decode()

@@ -21,8 +21,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.loops.integer_gains import inductance_range
 from dqforge.optimizer.loops.loop_gains import analyse_current_loop, tune_current_loop
-from dqforge.optimizer.loops.robustness import RobustSet
-from dqforge.optimizer.loops.tolerance_box import SAMPLES, box_points, drive_box
+from dqforge.optimizer.loops.robustness import SAMPLES, RobustSet, box_points, drive_box
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_at_current
 
 BENCH = LinearMachine(

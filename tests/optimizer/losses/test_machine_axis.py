@@ -29,7 +29,7 @@ from dqforge.optimizer.losses.machine_axis import (
     budgets_over_machines,
     drive_axis,
 )
-from dqforge.optimizer.losses.point_comparison import LossComparison, compare_points
+from dqforge.optimizer.losses.phase_comparison import LossComparison, compare_points
 from dqforge.optimizer.operating_points.points import optimal_points
 
 ROWS = 32

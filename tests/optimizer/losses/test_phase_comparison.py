@@ -19,7 +19,7 @@ from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.losses.drive_budget import PARTS
 from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import solve_map
-from dqforge.optimizer.losses.point_comparison import LossComparison
+from dqforge.optimizer.losses.phase_comparison import LossComparison
 from dqforge.optimizer.losses.solve import mission_comparison, require_losses
 from dqforge.reports.losses.map_tables import losses_tables, plain_losses
 

@@ -22,7 +22,7 @@ from dqforge.machines.names import ModulationName
 from dqforge.optimizer.losses.drive_budget import PARTS, BudgetOptions, drive_budget
 from dqforge.optimizer.losses.drive_comparison import least
 from dqforge.optimizer.losses.machine_axis import calibrate_switching
-from dqforge.optimizer.losses.point_comparison import LossComparison, compare_points
+from dqforge.optimizer.losses.phase_comparison import LossComparison, compare_points
 from dqforge.optimizer.losses.solve import solve_losses
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_currents
 from dqforge.reports.losses.map_figures import loss_tables, plot_losses

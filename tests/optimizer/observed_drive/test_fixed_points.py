@@ -23,8 +23,7 @@ from dqforge.optimizer.observed_drive.design_drive import (
     position_estimator,
     top_speed,
 )
-from dqforge.optimizer.observed_drive.drive_cases import DriveCases, drive_cases
-from dqforge.optimizer.observed_drive.drive_model import ObservedDrive
+from dqforge.optimizer.observed_drive.drive_model import DriveCases, ObservedDrive, drive_cases
 from dqforge.optimizer.observed_drive.speed_range import SteadyDrives, steady_drives
 from dqforge.optimizer.observers.parts import steady_observer
 

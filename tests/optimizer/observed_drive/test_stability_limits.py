@@ -38,9 +38,8 @@ from dqforge.optimizer.observed_drive.design_drive import (
     position_estimator,
     top_speed,
 )
-from dqforge.optimizer.observed_drive.drive_cases import drive_cases
-from dqforge.optimizer.observed_drive.speed_range import SpeedPi, steady_drives
-from dqforge.optimizer.observed_drive.steps_borne import limit_cycle
+from dqforge.optimizer.observed_drive.drive_model import drive_cases
+from dqforge.optimizer.observed_drive.speed_range import SpeedPi, limit_cycle, steady_drives
 
 METHODS: list[ObserverMethodName] = [
     "flux", "extended-emf", "open-loop-flux", "matsui-voltage", "matsui-current", "ekf",

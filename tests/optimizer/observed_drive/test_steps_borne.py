@@ -14,10 +14,14 @@ from dqforge.optimizer.observed_drive.design_drive import (
     position_estimator,
     top_speed,
 )
-from dqforge.optimizer.observed_drive.drive_cases import DriveCases
-from dqforge.optimizer.observed_drive.drive_model import ObservedDrive
-from dqforge.optimizer.observed_drive.speed_range import CornerBox, SpeedPi, cases_of, steady_drives
-from dqforge.optimizer.observed_drive.steps_borne import steps_borne
+from dqforge.optimizer.observed_drive.drive_model import DriveCases, ObservedDrive
+from dqforge.optimizer.observed_drive.speed_range import (
+    CornerBox,
+    SpeedPi,
+    cases_of,
+    steady_drives,
+    steps_borne,
+)
 
 BOX = CornerBox(True, {"psi_pm": (-0.1, 0.1)}, (0.0, 0.5), ())
 

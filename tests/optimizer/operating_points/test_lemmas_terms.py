@@ -21,9 +21,9 @@ from dqforge.optimizer.certificates import ball as enclosures
 from dqforge.optimizer.certificates import ball as exact_conditions
 from dqforge.optimizer.certificates.ball import ORDER, Condition, Local, Task
 from dqforge.optimizer.current_reference.forms import CurrentReference, Proportional
-from dqforge.optimizer.operating_points import local_terms
+from dqforge.optimizer.operating_points import mtpa_locus
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint
-from dqforge.optimizer.operating_points.local_terms import LossCoefficients, Terms
+from dqforge.optimizer.operating_points.mtpa_locus import LossCoefficients, Terms
 
 CONDITIONS: list[Condition] = ["loss", "voltage", "no i_d"]
 
@@ -119,14 +119,14 @@ def squared_voltage(machine: LinearMachine, omega: float) -> Polynomial:
 
 
 def test_torque_terms() -> None:
-    assert_terms(local_terms.torque_terms(IPM, jet(), AT_D, AT_Q), TORQUE)
+    assert_terms(mtpa_locus.torque_terms(IPM, jet(), AT_D, AT_Q), TORQUE)
 
 
 def test_voltage_terms() -> None:
     machine = LinearMachine(4, 0.7, 1.0, 1.0, 1.0, 1.0)
     omega = np.full(AT_D.size, 1.7)
     assert_terms(
-        local_terms.voltage_terms(machine, jet(), AT_D, AT_Q, omega), squared_voltage(machine, 1.7)
+        mtpa_locus.voltage_terms(machine, jet(), AT_D, AT_Q, omega), squared_voltage(machine, 1.7)
     )
 
 
@@ -134,9 +134,9 @@ def test_loss_terms_without_and_with_the_magnitude() -> None:
     square, iron = 0.8, 0.3
     plain = LossCoefficients(np.array(square), np.array(0.0), np.array(iron))
     function = (I_D * I_D + I_Q * I_Q) * square + (PSI_D * PSI_D + PSI_Q * PSI_Q) * iron
-    assert_terms(local_terms.loss_terms(plain, jet(), AT_D, AT_Q, 0.2), function)
+    assert_terms(mtpa_locus.loss_terms(plain, jet(), AT_D, AT_Q, 0.2), function)
     soft, linear = 0.2, 1.3
-    found = local_terms.loss_terms(
+    found = mtpa_locus.loss_terms(
         LossCoefficients(np.array(0.0), np.array(linear), np.array(0.0)), jet(), AT_D, AT_Q, soft
     )
     size = np.sqrt(AT_D**2 + AT_Q**2 + soft**2)
@@ -155,7 +155,7 @@ def test_loss_terms_without_and_with_the_magnitude() -> None:
 
 
 def test_current_terms_and_choice_of_points() -> None:
-    assert_terms(local_terms.current_terms(AT_D, AT_Q), I_D * I_D + I_Q * I_Q)
+    assert_terms(mtpa_locus.current_terms(AT_D, AT_Q), I_D * I_D + I_Q * I_Q)
     taken = LossCoefficients(np.arange(3.0), np.arange(3.0) + 5, np.arange(3.0) + 9).take(
         np.array([2, 0])
     )
@@ -167,24 +167,24 @@ def test_current_terms_and_choice_of_points() -> None:
 
 
 def test_newton_step_solves_both_equations() -> None:
-    first = local_terms.torque_terms(IPM, jet(), AT_D, AT_Q)
-    second = local_terms.current_terms(AT_D, AT_Q)
-    step_d, step_q = local_terms.newton_step(first, second, 3.0, np.full(AT_D.size, 2.0))
+    first = mtpa_locus.torque_terms(IPM, jet(), AT_D, AT_Q)
+    second = mtpa_locus.current_terms(AT_D, AT_Q)
+    step_d, step_q = mtpa_locus.newton_step(first, second, 3.0, np.full(AT_D.size, 2.0))
     for k in range(AT_D.size):
         matrix = np.array([[first.d[k], first.q[k]], [second.d[k], second.q[k]]])
         wanted = np.linalg.solve(matrix, [3.0 - first.value[k], 2.0 - second.value[k]])
         np.testing.assert_allclose([step_d[k], step_q[k]], wanted, rtol=1e-11)
     with np.errstate(all="raise"):
-        step = local_terms.newton_step(second, second, 1.0, 2.0)
+        step = mtpa_locus.newton_step(second, second, 1.0, 2.0)
     assert not np.any(np.isfinite(step))
 
 
 def test_cross_of_gradients_with_its_own() -> None:
     machine = LinearMachine(4, 0.7, 1.0, 1.0, 1.0, 1.0)
     other = squared_voltage(machine, 1.7)
-    found = local_terms.cross_of_gradients(
-        local_terms.torque_terms(IPM, jet(), AT_D, AT_Q),
-        local_terms.voltage_terms(machine, jet(), AT_D, AT_Q, np.full(AT_D.size, 1.7)),
+    found = mtpa_locus.cross_of_gradients(
+        mtpa_locus.torque_terms(IPM, jet(), AT_D, AT_Q),
+        mtpa_locus.voltage_terms(machine, jet(), AT_D, AT_Q, np.full(AT_D.size, 1.7)),
     )
     assert_terms(
         found, TORQUE.by_d() * other.by_q() - TORQUE.by_q() * other.by_d(), ("dd", "dq", "qq")

@@ -18,7 +18,7 @@ from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError
 from dqforge.machines.losses.machine_budget import MachineLoss
 from dqforge.machines.names import ModulationName
-from dqforge.optimizer.operating_points.local_terms import LossCoefficients
+from dqforge.optimizer.operating_points.mtpa_locus import LossCoefficients
 from dqforge.optimizer.operating_points.points import (
     drive_losses,
     loss_coefficients,

@@ -19,13 +19,15 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine, complete_by_symmetry
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, torque_from_flux
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.operating_points.local_terms import (
+from dqforge.optimizer.operating_points.mtpa_locus import (
+    Active,
     LossCoefficients,
     loss_terms,
+    mtpa_currents,
+    mtpa_locus,
     torque_terms,
     voltage_terms,
 )
-from dqforge.optimizer.operating_points.mtpa_locus import Active, mtpa_currents, mtpa_locus
 from dqforge.optimizer.operating_points.points import OptimalPoints, copper_only, optimal_points
 
 BALDOR = SaturatedMachine(2, 0.63, PM_SYRM.flux_map(18.7), 18.7)

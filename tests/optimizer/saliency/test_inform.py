@@ -15,8 +15,7 @@ from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import ObserverMethodName
-from dqforge.optimizer.estimators.registry import TRACKERS
-from dqforge.optimizer.estimators.solve import tune_tracker
+from dqforge.optimizer.estimators import TRACKERS, tune_tracker
 from dqforge.optimizer.observers.parts import EXACT
 from dqforge.optimizer.saliency.inform import (
     LAST,

@@ -15,8 +15,7 @@ from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import InjectionWave
-from dqforge.optimizer.estimators.solve import tune_tracker
-from dqforge.optimizer.estimators.tracker import TrackerEstimator
+from dqforge.optimizer.estimators import TrackerEstimator, tune_tracker
 from dqforge.optimizer.observers.parts import EXACT
 from dqforge.optimizer.saliency.injection import (
     NOISE_ANGLE,

@@ -9,7 +9,7 @@ import pytest
 
 from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.optimizer.estimators.solve import solve_tracker
+from dqforge.optimizer.estimators import solve_tracker
 from dqforge.optimizer.start_up.plan import StartUpPlan, start_up_plan
 from dqforge.optimizer.start_up.solve import solve_start_up
 

@@ -9,7 +9,7 @@ from search_problems import opened, ranges, searched
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.exploration.study import Search
-from dqforge.optimizer.study_search.search_rows import Outcomes
+from dqforge.optimizer.study_search import Outcomes
 
 SEARCH = Search("nlopt", 4, 70, 5)
 BEST = np.array([0.3, -1.2, 0.7])

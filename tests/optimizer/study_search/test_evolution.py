@@ -18,7 +18,7 @@ from dqforge.optimizer.losses.drive_budget import drive_budget
 from dqforge.optimizer.losses.loss_map import budget_options
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.study_results.acceptance import Front, front_of
-from dqforge.optimizer.study_search.search_rows import Outcomes, SearchVariable
+from dqforge.optimizer.study_search import Outcomes, SearchVariable
 
 
 def front_of_all(outcomes: list[Outcomes]) -> Front:

@@ -12,7 +12,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.exploration.study import Search
 from dqforge.optimizer.exploration.row_block import STATES
 from dqforge.optimizer.study_results.acceptance import AcceptedRange, GoalColumn
-from dqforge.optimizer.study_search.search_rows import SearchVariable, generation_batch, outcomes_of
+from dqforge.optimizer.study_search import SearchVariable, generation_batch, outcomes_of
 
 
 def test_outcomes_are_small_where_rows_are_good() -> None:

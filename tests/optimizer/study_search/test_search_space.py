@@ -7,7 +7,7 @@ import pytest
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.exploration.study import Axis
-from dqforge.optimizer.study_search.search_rows import drawn_points, search_variables, values_of
+from dqforge.optimizer.study_search import drawn_points, search_variables, values_of
 
 RANGE = Axis(("f",), ((8e3,), (3e4,), (1e5,)), ((8e3,), (3e4,), (1e5,)), "log")
 LISTED = Axis(("v",), ((400.0,), (500.0,)), ((400.0,), (500.0,)))

@@ -12,8 +12,7 @@ from dqforge.machines.design.catalogue import load
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.variant_steps.step_cache import StepCache, key_of
-from dqforge.optimizer.variant_steps.variation import batch_keys, variation
+from dqforge.optimizer.variant_steps.variation import StepCache, batch_keys, key_of, variation
 
 _BASE = load("paper000-ipmsm-100kw")
 assert isinstance(_BASE.machine, LinearMachine)

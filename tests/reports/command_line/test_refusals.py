@@ -16,7 +16,7 @@ from rich.cells import cell_len
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.errors import InputError
-from dqforge.machines.lately_read import remember
+from dqforge.machines.files.input_files import remember
 from dqforge.reports.command_line.flags import excerpt, exit_code, tell
 
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")

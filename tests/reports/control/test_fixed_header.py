@@ -29,12 +29,17 @@ from dqforge.reports.control.fixed_header import (
     plain_fixed_control,
     plain_fixed_evidence,
 )
-from dqforge.reports.control.fixed_model import input_names, output_names, row_inputs, row_results
-from dqforge.reports.control.fixed_reading import fixed_control_from
+from dqforge.reports.control.fixed_model import (
+    fixed_control_from,
+    input_names,
+    output_names,
+    row_inputs,
+    row_results,
+)
 from dqforge.reports.pages.templating import render
+from dqforge.reports.result import verify_folder
 from dqforge.reports.run import export_design
 from dqforge.reports.verification.host import WARNINGS
-from dqforge.reports.written_headers import verify_folder
 
 STRICT = (
     *WARNINGS,

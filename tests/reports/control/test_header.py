@@ -36,10 +36,9 @@ from dqforge.reports.control.header import (
 )
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.pages.answer import write_all
-from dqforge.reports.result import plain_solution
+from dqforge.reports.result import plain_solution, read_folder, verify_folder
 from dqforge.reports.run import export_design
 from dqforge.reports.verification.host import verify_files
-from dqforge.reports.written_headers import read_folder, verify_folder
 
 
 def bench(modulation: ModulationName = "svpwm", **changes: Any) -> Design:

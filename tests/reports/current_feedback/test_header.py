@@ -15,15 +15,13 @@ from static_checks import DEVIATIONS, program
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.names import FeedbackMethod, SampledRuleName
-from dqforge.optimizer.current_feedback.regulator_runs import (
-    design_patterns,
-    regulator_plan,
-    run_regulator,
-)
-from dqforge.optimizer.current_feedback.solve import (
+from dqforge.optimizer.current_feedback import (
     CurrentFeedback,
+    design_patterns,
     emitted_rule,
     load_points,
+    regulator_plan,
+    run_regulator,
     speed_loop,
 )
 from dqforge.reports.c_code.numbers import float_literal
@@ -35,10 +33,10 @@ from dqforge.reports.current_feedback.tables import (
     settings_files,
 )
 from dqforge.reports.pages.templating import render
+from dqforge.reports.result import verify_folder
 from dqforge.reports.run import export_design
 from dqforge.reports.verification.cortex_m import run_on_target
 from dqforge.reports.verification.host import WARNINGS
-from dqforge.reports.written_headers import verify_folder
 
 RULES: tuple[SampledRuleName, ...] = ("predictive", "circle", "look-up-table")
 

@@ -11,7 +11,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
 from dqforge.machines.names import ObserverMethodName
-from dqforge.optimizer.estimator_comparison.capture_range import ObserverEvidence, observer_evidence
+from dqforge.optimizer.estimator_comparison.candidate import ObserverEvidence, observer_evidence
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.reports.answers.tune import answer_tune
 from dqforge.reports.pages.templating import to_text

@@ -31,8 +31,7 @@ from dqforge.reports.estimator_comparison.observer_errors import (
     steady_rows,
     with_cost,
 )
-from dqforge.reports.estimator_comparison.pair_files import pair_files
-from dqforge.reports.estimator_comparison.question import which_estimators
+from dqforge.reports.estimator_comparison.question import pair_files, which_estimators
 from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.pages.figures_style import save
 from dqforge.reports.pages.templating import to_text

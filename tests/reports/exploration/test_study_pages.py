@@ -47,7 +47,7 @@ from dqforge.reports.exploration.study_view import (
     plot_study,
     shown_unit,
 )
-from dqforge.reports.page_frame import ListedFile
+from dqforge.reports.run_folder import ListedFile
 
 NASTY = "</script><script>alert(1)</script>\u2028&<b>"
 COLUMNS = (

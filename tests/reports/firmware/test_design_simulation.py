@@ -15,7 +15,7 @@ from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.plants.scenario import Scenario, Sensorless
-from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
+from dqforge.optimizer.firmware.gain_search import FirmwareLoops
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.firmware.design_simulation import simulate_loops, simulate_with_firmware
 from dqforge.reports.firmware.target import firmware_simulator

@@ -36,10 +36,11 @@ from dqforge.optimizer.firmware.configuration import (
     PiController,
     SpeedController,
     SpeedEstimate,
+    Winding,
+    current_loop,
+    speed_loop,
 )
-from dqforge.optimizer.firmware.firmware_method import judge, mechanics_of
-from dqforge.optimizer.firmware.own_values import METHODS
-from dqforge.optimizer.firmware.sampled_structure import Winding, current_loop, speed_loop
+from dqforge.optimizer.firmware.firmware_method import METHODS, judge, mechanics_of
 from dqforge.optimizer.sampled_systems import SampledSystem
 from dqforge.reports.firmware.loop_code import loop_bytes, loop_files
 from dqforge.reports.firmware.target import (

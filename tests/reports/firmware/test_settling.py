@@ -25,7 +25,7 @@ from dqforge.machines.errors import VerificationError
 from dqforge.machines.names import Firmware
 from dqforge.machines.plants.scenario import Profile, Scenario
 from dqforge.optimizer.firmware.configuration import LoopProfile
-from dqforge.optimizer.firmware.own_values import METHODS
+from dqforge.optimizer.firmware.firmware_method import METHODS
 from dqforge.reports.firmware.target import (
     Verdict,
     base_speed,

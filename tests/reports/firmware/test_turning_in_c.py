@@ -11,8 +11,7 @@ from firmware_loops import INVERTER, MACHINE, VALUES, odrive
 from scipy.optimize import brentq
 
 from dqforge.machines.plants.scenario import Scenario, constant
-from dqforge.optimizer.firmware.configuration import LoopProfile
-from dqforge.optimizer.firmware.sampled_structure import turning_matrix
+from dqforge.optimizer.firmware.configuration import LoopProfile, turning_matrix
 from dqforge.reports.firmware.target import firmware_simulator, simulate_profile
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import Simulator

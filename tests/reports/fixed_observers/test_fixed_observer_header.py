@@ -29,16 +29,16 @@ from dqforge.reports.fixed_observers.fixed_observer_header import (
     plain_observer_evidence,
 )
 from dqforge.reports.fixed_observers.fixed_observer_model import (
+    fixed_observer_from,
     input_names,
     output_names,
     row_inputs,
     row_results,
 )
-from dqforge.reports.fixed_observers.fixed_observer_reading import fixed_observer_from
 from dqforge.reports.pages.templating import render
+from dqforge.reports.result import verify_folder
 from dqforge.reports.run import export_design
 from dqforge.reports.verification.host import WARNINGS
-from dqforge.reports.written_headers import verify_folder
 
 STRICT = (
     *WARNINGS,

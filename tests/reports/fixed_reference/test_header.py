@@ -30,10 +30,10 @@ from dqforge.reports.fixed_reference.header import (
 )
 from dqforge.reports.fixed_reference.mesh_reading import mesh_from
 from dqforge.reports.pages.templating import render
+from dqforge.reports.result import verify_folder
 from dqforge.reports.run import export_design
 from dqforge.reports.verification.cortex_m import run_on_target
 from dqforge.reports.verification.host import WARNINGS
-from dqforge.reports.written_headers import verify_folder
 
 STRICT = (
     *WARNINGS,

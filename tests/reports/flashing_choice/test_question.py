@@ -24,9 +24,7 @@ from dqforge.optimizer.flashing_choice import (
 )
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.answers.dqy import FLASH_HINT, WaveformRequest, answer_dqy
-from dqforge.reports.flashing_choice.counted_cycles import counted_rows
-from dqforge.reports.flashing_choice.question import what_to_flash
-from dqforge.reports.flashing_choice.simulated_rows import simulated_rows
+from dqforge.reports.flashing_choice.question import counted_rows, simulated_rows, what_to_flash
 from dqforge.reports.flashing_choice.tables import advice_lines, flash_tables, plain_flash
 
 NEEDS_COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")

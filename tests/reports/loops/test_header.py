@@ -16,7 +16,7 @@ import pytest
 
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.loops.schedule.schedule_fit import GainEvaluator
+from dqforge.optimizer.loops.schedule_fit import GainEvaluator
 from dqforge.reports.loops.capability import (
     evaluator_from,
     gains_files,
@@ -25,9 +25,9 @@ from dqforge.reports.loops.capability import (
 )
 from dqforge.reports.pages.answer import write_all
 from dqforge.reports.pages.templating import render
+from dqforge.reports.result import read_folder, verify_folder
 from dqforge.reports.run import RunOutput, export_design, run_design
 from dqforge.reports.verification.host import WARNINGS
-from dqforge.reports.written_headers import read_folder, verify_folder
 
 LIBRARY = Path(__file__).resolve().parents[3] / "machines" / "library"
 DRIVES = {

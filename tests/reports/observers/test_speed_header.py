@@ -14,7 +14,7 @@ from drives import IPM, SURFACE, make_design
 
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.observers.reduced_order import estimate_speed, reduced_order_observer
-from dqforge.reports.observers.speed_float32_model import (
+from dqforge.reports.observers.float32_model import (
     observed_speeds,
     plain_speed_observer,
     speed_observer_from,
@@ -22,8 +22,8 @@ from dqforge.reports.observers.speed_float32_model import (
     speed_observer_inputs,
     speed_observer_outputs,
 )
+from dqforge.reports.result import verify_folder
 from dqforge.reports.run import export_design
-from dqforge.reports.written_headers import verify_folder
 
 
 def test_run_emits_a_verified_header_that_fails_when_changed(tmp_path: Path) -> None:

@@ -16,21 +16,17 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.estimators.solve import TunedTracker
+from dqforge.optimizer.estimators import TunedTracker
+from dqforge.reports.observers.float32_model import EmittedTracker, tracker_inputs, tracker_outputs
 from dqforge.reports.observers.speed_loop_text import plain_tracker, tracker_part
-from dqforge.reports.observers.tracker_float32_model import (
-    EmittedTracker,
-    tracker_inputs,
-    tracker_outputs,
-)
 from dqforge.reports.observers.tracker_header import (
     emitted_estimator,
     estimator_from,
     plain_estimator,
 )
+from dqforge.reports.result import programmes, verify_folder
 from dqforge.reports.run import RunOutput, export_design
 from dqforge.reports.verification.cortex_m import run_on_target
-from dqforge.reports.written_headers import programmes, verify_folder
 
 BALDOR = "baldor-pmsyrm-5k6"
 KEYS = {

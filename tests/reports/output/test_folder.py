@@ -26,17 +26,15 @@ from dqforge.reports.output.folder import (
     FIRMWARE,
     RUN,
     SIMULATION,
-    Written,
-    put_output,
-    write_output,
-)
-from dqforge.reports.output.manifest import (
     Manifest,
     Part,
+    Written,
     find_manifest,
     from_bytes,
+    put_output,
     sha256,
     to_bytes,
+    write_output,
 )
 from dqforge.reports.run_folder import INPUT_DESIGN, MANIFEST
 

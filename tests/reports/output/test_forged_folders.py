@@ -29,10 +29,14 @@ from dqforge.reports.output.folder import (
     RUN,
     SIMULATION,
     VERIFIED,
+    Manifest,
+    Part,
     files_below,
+    find_manifest,
     put_output,
+    sha256,
+    to_bytes,
 )
-from dqforge.reports.output.manifest import Manifest, Part, find_manifest, sha256, to_bytes
 from dqforge.reports.output.recomputation import recompute
 from dqforge.reports.run import RunOutput, run_again
 from dqforge.reports.run_folder import INPUT, INPUT_DESIGN, MANIFEST

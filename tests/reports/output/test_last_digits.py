@@ -9,7 +9,7 @@ import struct
 import numpy as np
 import pytest
 
-from dqforge.reports.output.line_comparison import NOISE, RELATIVE, changed_sample, changed_value
+from dqforge.reports.output.recomputation import NOISE, RELATIVE, changed_sample, changed_value
 
 
 def bits(value: float) -> str:

@@ -20,10 +20,20 @@ from dqforge.machines.design.catalogue import load_design, load_text
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import DqforgeError, InputError, VerificationError
 from dqforge.reports.output import recomputation
-from dqforge.reports.output.folder import COMMAND, FIGURES, PENDING, RUN, put_output, write_output
-from dqforge.reports.output.line_comparison import Tally, first_difference, tally
-from dqforge.reports.output.manifest import Manifest, find_manifest, part_of, sha256, to_bytes
-from dqforge.reports.output.recomputation import recompute
+from dqforge.reports.output.folder import (
+    COMMAND,
+    FIGURES,
+    PENDING,
+    RUN,
+    Manifest,
+    find_manifest,
+    part_of,
+    put_output,
+    sha256,
+    to_bytes,
+    write_output,
+)
+from dqforge.reports.output.recomputation import Tally, first_difference, recompute, tally
 from dqforge.reports.output.recomputation_text import recomputation_text
 from dqforge.reports.run import RunOutput, export_design
 from dqforge.reports.run_folder import INPUT_DESIGN, MANIFEST

@@ -8,8 +8,7 @@ import time
 
 import pytest
 
-from dqforge.reports.pages.console import progress, show, status
-from dqforge.reports.pages.table import Table
+from dqforge.reports.pages.answer import Table, progress, show, status
 
 
 class Terminal(io.StringIO):

@@ -20,9 +20,9 @@ from matplotlib.image import imread
 
 from dqforge.machines.design import catalogue
 from dqforge.optimizer.solution import solve
-from dqforge.reports.page_frame import FIGURES, page_scripts
 from dqforge.reports.pages.figures_style import DARK, PAPER
 from dqforge.reports.report import render_report
+from dqforge.reports.run_folder import FIGURES, page_scripts
 
 pytestmark = pytest.mark.slow
 

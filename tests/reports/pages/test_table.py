@@ -12,9 +12,8 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import DqforgeError
 from dqforge.reports.answers import check, fit, losses, mtpa, tune
-from dqforge.reports.pages import console
-from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.table import Table, fitted
+from dqforge.reports.pages import answer
+from dqforge.reports.pages.answer import Answer, Table, fitted
 
 WIDTHS = (80, 100, 120, 160, 200)
 NUMBERS = st.from_regex(
@@ -40,8 +39,8 @@ def printed(table: Table, width: int, capsys: pytest.CaptureFixture[str]) -> lis
     """Lines that a pipe of a width gets."""
     capsys.readouterr()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(console, "_PIPE_WIDTH", width)
-        console.show([table])
+        patch.setattr(answer, "_PIPE_WIDTH", width)
+        answer.show([table])
     return capsys.readouterr().out.splitlines()
 
 
@@ -113,9 +112,9 @@ def test_every_drive_reads_well_at_every_width(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     design = catalogue.load(name)
-    for answer in ANSWERS.values():
+    for ask in ANSWERS.values():
         try:
-            shown = answer(design).tables
+            shown = ask(design).tables
         except DqforgeError:
             continue  # nothing of the kind in this design
         for table in shown:

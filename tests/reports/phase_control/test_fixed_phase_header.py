@@ -26,11 +26,11 @@ from dqforge.reports.phase_control.emitted_integers import (
     plain_phase_integers,
 )
 from dqforge.reports.phase_control.fixed_phase_model import (
+    phase_integers_from,
     phase_outputs,
     phase_results,
     phase_rows,
 )
-from dqforge.reports.phase_control.fixed_phase_reading import phase_integers_from
 from dqforge.reports.verification.host import verify_files
 
 P, Z = near_sinusoidal(96), trapezoidal(96)

@@ -39,7 +39,7 @@ from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import cast, steady_observer
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.c_code.harness import SINGLE, wrap
-from dqforge.reports.observers.speed_float32_model import observed_speeds, speed_observer_gains
+from dqforge.reports.observers.float32_model import observed_speeds, speed_observer_gains
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.simulation.design_run import controller_files, drive_of, evaluate, observers_of
 from dqforge.reports.simulation.figures import plot_simulation

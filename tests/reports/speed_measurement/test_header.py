@@ -17,6 +17,7 @@ from dqforge.machines.names import SpeedMeasurementName
 from dqforge.machines.plants.scenario import Encoder, Profile, Scenario
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.solution import solve
+from dqforge.reports.result import verify_folder
 from dqforge.reports.run import export_design
 from dqforge.reports.simulation.design_run import simulate_design
 from dqforge.reports.speed_measurement.tables import (
@@ -29,7 +30,6 @@ from dqforge.reports.speed_measurement.tables import (
     numbers_from,
     plain_numbers,
 )
-from dqforge.reports.written_headers import verify_folder
 
 RPM = np.pi / 30.0
 

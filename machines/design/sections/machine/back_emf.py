@@ -13,8 +13,11 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import design as datasheet
 from dqforge.machines.design.design import Reading
-from dqforge.machines.design.sections.machine.back_emf_schema import BackEmfSection, HarmonicSection
-from dqforge.machines.design.sections.machine.schema import MachineSection
+from dqforge.machines.design.sections.machine.schema import (
+    BackEmfSection,
+    HarmonicSection,
+    MachineSection,
+)
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine

@@ -1,5 +1,5 @@
 """The machine of a design file: constants, a flux map in files, or published saturation
-coefficients.
+coefficients; and checks of it as a whole.
 """
 
 from __future__ import annotations
@@ -10,17 +10,23 @@ from typing import Any
 import numpy as np
 
 from dqforge.machines.design import design as datasheet
-from dqforge.machines.design.design import Reading
+from dqforge.machines.design.design import (
+    AGREEMENT,
+    ROUNDING_OF_DATA,
+    FluxStatement,
+    InputValue,
+    Reading,
+)
+from dqforge.machines.design.sections.fit import FitSection
 from dqforge.machines.design.sections.machine.back_emf import read_phase_machine, read_saliency
-from dqforge.machines.design.sections.machine.delta import check_connection
 from dqforge.machines.design.sections.machine.flux_map import (
     FluxMaps,
+    check_connection,
     losses_told,
     read_flux_maps,
 )
-from dqforge.machines.design.sections.machine.inductances import read_inductances
-from dqforge.machines.design.sections.machine.magnet_flux import FLUX_KEYS, read_magnet_flux
 from dqforge.machines.design.sections.machine.schema import MachineSection, SaturationSection
+from dqforge.machines.design.settings import bare_speed_hint
 from dqforge.machines.dq_machines.flux_map import (
     FluxMap,
     SaturatedMachine,
@@ -28,9 +34,10 @@ from dqforge.machines.dq_machines.flux_map import (
     mirrored,
 )
 from dqforge.machines.dq_machines.saturation import SaturationModel
-from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
-from dqforge.machines.entries.rules import si_of
-from dqforge.machines.errors import DqforgeError
+from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, largest_torque_within
+from dqforge.machines.entries.rules import Quantity, si_of
+from dqforge.machines.errors import DqforgeError, InputError
+from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import MachineModel
 from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine
 from dqforge.machines.places import about
@@ -349,3 +356,199 @@ def _remark_on_the_region(machine: SaturatedMachine, reading: Reading) -> None:
     reading.remarks.append(
         f"the flux map {where}, the current limit is {format_quantity(i_max, 'A')}: {meant}"
     )
+
+
+# Inductances of both axes, or the one that a data sheet has for both.
+
+
+def read_inductances(section: MachineSection, reading: Reading) -> tuple[float, float]:
+    """Inductances of the d and the q axis in H, of a phase.
+
+    The inductance that a data sheet has for both lies between the two, whatever the position of the
+    rotor: between two terminals twice as much.
+
+    Raises:
+        InputError: One axis alone is given, or what is given for both contradicts the two.
+    """
+    axes = {
+        key: reading.per_phase(entry, f"machine.{key}")
+        for key, entry in (
+            ("inductance_d", section.inductance_d),
+            ("inductance_q", section.inductance_q),
+        )
+        if entry is not None
+    }
+    if section.inductance is None:
+        return axes["inductance_d"], axes["inductance_q"]
+    one = reading.per_phase(section.inductance, "machine.inductance")
+    if not axes:
+        reading.remarks.append(
+            f"machine.inductance {format_quantity(one, 'H')} is taken for both axes; between two "
+            "terminals of a rotor with saliency one measures 2 L_d to 2 L_q as it is turned: write "
+            "inductance_d and inductance_q where they differ"
+        )
+        return one, one
+    _check(one, axes, reading)
+    return axes["inductance_d"], axes["inductance_q"]
+
+
+def _check(one: float, axes: dict[str, float], reading: Reading) -> None:
+    """Refuse what is given for both axes beside one of them, or where it is not between the two."""
+    if len(axes) == 1:
+        raise _refusal(
+            f"machine.inductance is that of both axes, and {next(iter(axes))} that of one; remove "
+            "one of the two keys",
+            reading,
+        )
+    low, high = sorted(axes.values())
+    if (1.0 - AGREEMENT) * low <= one <= (1.0 + AGREEMENT) * high:
+        return
+    told = " and ".join(f"{key} {format_quantity(value, 'H')}" for key, value in axes.items())
+    raise _refusal(
+        f"machine.inductance {format_quantity(one, 'H')} (phase) contradicts {told}, between which "
+        "it must lie; check the kinds (phase or line-to-line), or remove it",
+        reading,
+    )
+
+
+def _refusal(message: str, reading: Reading) -> InputError:
+    return reading.document.error(message, ("machine", "inductance"), key=True)
+
+
+# Flux linkage of the magnets from the keys that imply it, once all agree.
+
+# Keys that imply the flux linkage of the magnets, in order of trust.
+FLUX_KEYS = ("magnet_flux", "back_emf_constant", "torque_constant", "kv")
+
+
+def read_magnet_flux(section: MachineSection, pole_pairs: int, reading: Reading) -> float:
+    """Flux linkage of the magnets from the first of the keys that imply it, once all agree."""
+    statements = _flux_statements(section, pole_pairs, reading)
+    if not statements:
+        raise reading.document.error(
+            "machine needs magnet_flux, back_emf_constant, torque_constant or kv; write e.g. "
+            "magnet_flux: 0.06 Wb (0 Wb for a reluctance machine)",
+            ("machine",),
+            key=True,
+        )
+    # Whichever of the keys stands last in the file is the one that
+    # contradicts what was read before.
+    last = max(statements, key=lambda s: reading.document.position(("machine", s.key)))
+    with reading.document.at(("machine", last.key)):
+        datasheet.check_flux_agreement(statements, pole_pairs)
+    used = statements[0]
+    if used.key != "magnet_flux":
+        note = f"derived from {used.key} {used.text} with {pole_pairs} pole pairs"
+        reading.derived.append(
+            InputValue("machine.magnet_flux", "", used.psi_pm, "Wb", inferred=True, note=note)
+        )
+        reading.remarks.append(
+            f"machine.magnet_flux is {format_quantity(used.psi_pm, 'Wb')} (peak of phase), {note}"
+        )
+    return used.psi_pm
+
+
+def _flux_statements(
+    section: MachineSection, pole_pairs: int, reading: Reading
+) -> list[FluxStatement]:
+    """What each given key says about the flux linkage, in order of trust."""
+    statements = []
+    if (flux := section.magnet_flux) is not None:
+        psi_pm = reading.phase_flux(flux, "machine.magnet_flux")
+        statements.append(FluxStatement("magnet_flux", _said(flux), psi_pm, counts_poles=False))
+    if (emf := section.back_emf_constant) is not None:
+        psi_pm = datasheet.flux_from_back_emf(
+            emf.si, emf.kind or "", pole_pairs, section.connection
+        )
+        statements.append(FluxStatement("back_emf_constant", _said(emf), psi_pm, counts_poles=True))
+        inverted = "reciprocal of the speed per volt; " if emf.inverted else ""
+        implied = f"{inverted}implies a magnet flux of {format_quantity(psi_pm, 'Wb')}"
+        reading.converted["machine.back_emf_constant"] = (emf.si, implied)
+    if (constant := section.torque_constant) is not None:
+        reading.check_current_kind(constant, ("machine", "torque_constant"))
+        kind = constant.kind or ""
+        psi_pm = datasheet.flux_from_torque_constant(
+            constant.si, kind, pole_pairs, section.connection
+        )
+        statements.append(
+            FluxStatement("torque_constant", _said(constant), psi_pm, counts_poles=True)
+        )
+        implied = f"implies a magnet flux of {format_quantity(psi_pm, 'Wb')}"
+        reading.converted["machine.torque_constant"] = (constant.si, implied)
+    if (speed := section.kv) is not None:
+        psi_pm = datasheet.flux_from_kv(speed.si, speed.kind or "", pole_pairs, section.connection)
+        statements.append(FluxStatement("kv", _said(speed), psi_pm, counts_poles=True))
+        implied = f"implies a magnet flux of {format_quantity(psi_pm, 'Wb')}"
+        reading.converted["machine.kv"] = (speed.si, implied)
+    return statements
+
+
+def _said(quantity: Quantity) -> str:
+    return f"{quantity.text} ({quantity.kind})"
+
+
+# Checks of the machine as a whole: against its name plate, and of kept halves against the fit.
+
+
+def check_machine(section: MachineSection, machine: Machine, document: YamlDocument) -> None:
+    """Check the machine as a whole against its name plate; raises `InputError` with a position."""
+    if isinstance(machine, LinearMachine) and machine.psi_pm == 0.0 and machine.l_d == machine.l_q:
+        raise document.error(
+            "machine: no magnet flux and inductance_d equal to inductance_q, so it gives no "
+            "torque; write magnet_flux or two different inductances",
+            ("machine", "inductance_q"),
+        )
+    rated = section.rated
+    torque, speed, power, frequency = map(
+        si_of, (rated.torque, rated.speed, rated.power, rated.frequency)
+    )
+    if frequency is not None and speed is not None:
+        with document.at(("machine", "rated", "frequency")):
+            datasheet.check_rated_frequency(machine.pole_pairs, frequency, speed)
+    if power is not None and torque is not None and speed is not None:
+        with document.at(("machine", "rated", "power")):
+            datasheet.check_rated_power(power, torque, speed)
+    if rated.current is not None:
+        current = datasheet.peak_current(
+            rated.current.si, rated.current.kind or "", section.connection
+        )
+        _check_rated_current(current, machine, document)
+    if torque is not None:
+        with document.at(("machine", "rated", "torque")):
+            datasheet.check_rated_torque(torque, largest_torque_within(machine, machine.i_max))
+    most = machine.omega_m_max
+    if (
+        rated.speed is not None
+        and most is not None
+        and rated.speed.si > most * (1.0 + ROUNDING_OF_DATA)
+    ):
+        hint = bare_speed_hint(rated.speed)
+        message = (
+            f"machine.rated.speed {format_quantity(rated.speed.si, 'rpm')} is above max_speed; "
+            f"{hint}"
+        )
+        raise document.error(message, ("machine", "rated", "speed"))
+
+
+def _check_rated_current(current: float, machine: Machine, document: YamlDocument) -> None:
+    if current <= machine.i_max * (1.0 + ROUNDING_OF_DATA):
+        return
+    raise document.error(
+        f"machine.rated.current is {format_quantity(current, 'A')} peak, above max_current "
+        f"{format_quantity(machine.i_max, 'A')} peak; check the kinds (peak or rms) of both",
+        ("machine", "rated", "current"),
+    )
+
+
+def check_halves(machine: MachineSection, fit: FitSection, document: YamlDocument) -> None:
+    """Refuse what cannot keep the halves of a flux map apart."""
+    section = machine.flux_map
+    if section is None or section.symmetry != "keep":
+        return
+    budget = any(part is not None for part in (fit.torque_error, fit.loss_penalty, fit.flash))
+    if budget or fit.format in ("q15", "q31"):
+        raise document.error(
+            "machine.flux_map.symmetry: keep needs references in float32 of a given form; write "
+            "fit: format: float32 and leave the budget out, or symmetry: average",
+            ("machine", "flux_map", "symmetry"),
+        )

@@ -1,21 +1,24 @@
-"""The machine's section of the design file; its flux map and its back-EMF stand beside it."""
+"""The machine's section of the design file, with its flux map and its back-EMF."""
 
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated, get_args
+from typing import Annotated, Literal, get_args
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from dqforge.machines.design.design import Connection
-from dqforge.machines.design.sections.machine.back_emf_schema import BackEmfSection
-from dqforge.machines.design.sections.machine.flux_map_schema import FluxMapSection
 from dqforge.machines.entries.kinds import (
+    Angle,
     BackEmfConstant,
+    ChannelPlace,
     Coefficient,
+    ColumnName,
+    FileName,
     Flux,
     Frequency,
     Friction,
+    HarmonicShare,
     Inductance,
     Inertia,
     Listing,
@@ -23,12 +26,14 @@ from dqforge.machines.entries.kinds import (
     MapFactor,
     MutualInductance,
     Nonnegative,
+    PointSpeed,
     PolePairs,
     Poles,
     Positive,
     Power,
     Ratio,
     Resistance,
+    SampleInterval,
     Section,
     Speed,
     SpeedConstant,
@@ -38,7 +43,239 @@ from dqforge.machines.entries.kinds import (
     TorqueConstant,
 )
 from dqforge.machines.entries.rules import any_word_of, in_other_words
-from dqforge.machines.names import MachineModel
+from dqforge.machines.names import (
+    FluxAxes,
+    FluxFitName,
+    FluxScaling,
+    FluxSymmetry,
+    FluxTorque,
+    MachineModel,
+)
+
+
+class HarmonicSection(Section):
+    """One harmonic of the back-EMF, e / omega_e = - sum A sin(h theta - phase); b and c lag
+    by 120 and 240 deg.
+    """
+
+    order: int | None = Field(default=None, ge=1, le=200, description="order h")
+    mechanical_order: int | None = Field(
+        default=None,
+        ge=1,
+        le=4000,
+        description=(
+            "order of the mechanical angle, h times the pole pairs, in place of order: where pole "
+            "pairs differ"
+        ),
+    )
+    amplitude: Flux | None = Field(
+        default=None, description="A (Wb = V s/rad electrical); kind peak (default) or rms"
+    )
+    share: HarmonicShare | None = Field(
+        default=None, description="A over that of order 1 (write 18 %), in place of it"
+    )
+    phase: Angle | None = Field(default=None, description="phase (rad; write deg); default 0")
+
+
+class BackEmfSection(Section):
+    """Back-EMF of the three phases: harmonics, or a capture in one or several files."""
+
+    harmonics: Annotated[Listing[HarmonicSection], Field(min_length=1, max_length=400)] | None = (
+        Field(
+            default=None,
+            description=(
+                "list of {order: 1, amplitude: 0.2 Wb}, {order: 3, share: 18 %, phase: 0 deg}"
+            ),
+        )
+    )
+    file: FileName | None = Field(
+        default=None,
+        description="capture beside the design file, in place of harmonics: text or .mat, also .gz",
+    )
+    files: Annotated[Listing[FileName], Field(min_length=2, max_length=3)] | None = Field(
+        default=None,
+        description="the files of a capture that has one for each channel, in place of file",
+    )
+    interval: SampleInterval | None = Field(
+        default=None,
+        description="time between two samples (s; write us), for captures that do not say it",
+    )
+    connection: ChannelPlace = Field(
+        default="phase", description="what the channels measured: phase or line-to-line"
+    )
+    scale: Annotated[tuple[float, float, float], Field(strict=False)] = Field(
+        default=(1.0, 1.0, 1.0), description="factors of the channels (probes)"
+    )
+    highest_order: int = Field(
+        default=13, ge=1, le=100, description="highest harmonic taken from the file"
+    )
+    span: Literal["electrical", "mechanical"] = Field(
+        default="electrical",
+        description=(
+            "what the waveform of the file repeats after: mechanical keeps what the pole pairs "
+            "differ by"
+        ),
+    )
+    symmetric: bool | None = Field(
+        default=None,
+        description=(
+            "take the mean of the phases and half waves of the file; false keeps them as measured, "
+            "as is the default over the mechanical span, where true takes the mean of the phases"
+        ),
+    )
+
+
+# The flux map in the machine's section of the design file.
+
+
+class ColumnsSection(Section):
+    """What a file calls the columns or arrays of a flux map, where their names are not
+    recognised.
+    """
+
+    i_d: ColumnName | None = Field(default=None, description="name of the d current")
+    i_q: ColumnName | None = Field(default=None, description="name of the q current")
+    psi_d: ColumnName | None = Field(default=None, description="name of the d flux linkage")
+    psi_q: ColumnName | None = Field(default=None, description="name of the q flux linkage")
+    i: ColumnName | None = Field(
+        default=None, description="name of the current's amplitude, in place of i_d and i_q"
+    )
+    beta: ColumnName | None = Field(default=None, description="name of the current's angle, with i")
+    l_d: ColumnName | None = Field(
+        default=None, description="name of the apparent d inductance, in place of psi_d"
+    )
+    l_q: ColumnName | None = Field(
+        default=None, description="name of the apparent q inductance, in place of psi_q"
+    )
+    psi_m: ColumnName | None = Field(
+        default=None, description="name of the magnets' flux linkage, with l_d and l_q"
+    )
+    torque: ColumnName | None = Field(default=None, description="name of the torque")
+    angle: ColumnName | None = Field(
+        default=None, description="name of the rotor angle; it is averaged over"
+    )
+    temperature: ColumnName | None = Field(
+        default=None, description="name of the temperature; see at"
+    )
+    speed: ColumnName | None = Field(default=None, description="name of the speed; see at")
+    v_d: ColumnName | None = Field(
+        default=None, description="name of the d voltage of operating points, in place of psi_d"
+    )
+    v_q: ColumnName | None = Field(default=None, description="name of the q voltage, with v_d")
+    frequency: ColumnName | None = Field(
+        default=None, description="name of the electrical frequency, with v_d and v_q"
+    )
+    resistance: ColumnName | None = Field(
+        default=None, description="name of the phase resistance, with v_d and v_q"
+    )
+    loss: ColumnName | None = Field(default=None, description="name of the total loss")
+    efficiency: ColumnName | None = Field(default=None, description="name of the efficiency")
+
+
+class FluxMapPointsSection(Section):
+    """Which points of a file are wanted that holds several temperatures or speeds."""
+
+    temperature: Temperature | None = Field(default=None, description="their temperature (degC)")
+    speed: PointSpeed | None = Field(default=None, description="their speed (rad/s; write rpm)")
+
+
+class FluxMapFileSection(Section):
+    """One of several flux maps of the same machine."""
+
+    file: FileName = Field(description="file beside the design file")
+    magnet_temperature: Temperature = Field(
+        description="temperature of the magnets in this map (degC)"
+    )
+
+
+class FluxMapSection(Section):
+    """Flux linkages over the currents, in a file: CSV, xlsx, NPZ, MAT, HDF5, FEMAG or Twin
+    Builder.
+    """
+
+    file: FileName | None = Field(
+        default=None, description="file beside the design file, or in a folder below it"
+    )
+    files: Annotated[Listing[FluxMapFileSection], Field(min_length=2, max_length=20)] | None = (
+        Field(
+            default=None, description="several maps over the magnet temperature, in place of file"
+        )
+    )
+    psi_q_file: FileName | None = Field(
+        default=None,
+        description="matrix of psi_q (i_d across, i_q down), where file holds that of psi_d alone",
+    )
+    torque_file: FileName | None = Field(default=None, description="matrix of the torque, likewise")
+    axes: FluxAxes = Field(
+        default="magnet-d",
+        description=(
+            "magnet-d: d along the magnets; reluctance: the magnets lie on the negative q axis"
+        ),
+    )
+    scaling: FluxScaling = Field(
+        default="peak", description="of currents and flux linkages: peak, rms, power-invariant"
+    )
+    quantities: Literal["line", "winding"] | None = Field(
+        default=None,
+        description=(
+            "of a delta: whether the map holds currents of lines (as measured) or of windings"
+        ),
+    )
+    current_unit: Literal["A", "mA", "kA"] | None = Field(
+        default=None, description="where the file does not say it"
+    )
+    flux_unit: Literal["Wb", "mWb", "V s", "mV s"] | None = Field(
+        default=None, description="where the file does not say it"
+    )
+    resistance: Resistance | None = Field(
+        default=None,
+        description=(
+            "of a phase (Ohm), for operating points with voltages whose file does not give it, at "
+            "the temperature of the file"
+        ),
+    )
+    columns: ColumnsSection = Field(
+        default_factory=ColumnsSection, description="names in the file, where they are unusual"
+    )
+    at: FluxMapPointsSection = Field(
+        default_factory=FluxMapPointsSection,
+        description="which temperature or speed, where the file holds several",
+    )
+    torque: FluxTorque = Field(
+        default="air-gap",
+        description=(
+            "what the torque in the file is: air-gap; shaft: measured behind friction and iron "
+            "loss; per-pole-pair; ignore"
+        ),
+    )
+    extrapolate: bool = Field(
+        default=False,
+        description="permit currents beyond the map; results that use them are marked",
+    )
+    fit: FluxFitName = Field(
+        default="auto",
+        description=(
+            "interpolate: a spline through the points; smooth: a smooth co-energy near them; auto: "
+            "smooth where noise makes more than 3 % of the incremental inductances or one is not "
+            "positive"
+        ),
+    )
+    symmetry: FluxSymmetry = Field(
+        default="average",
+        description=(
+            "of the halves i_q > 0 and i_q < 0: average; keep: a current reference for each sign "
+            "of the torque; positive, negative: one half, mirrored"
+        ),
+    )
+    frame_angle: Angle | None = Field(
+        default=None,
+        description=(
+            "turn of the file's frame (rad electrical; write deg), against a misaligned sensor"
+        ),
+    )
+
+
+# The machine's section of the design file; its flux map and its back-EMF stand beside it.
 
 _CONNECTIONS = get_args(Connection)
 _WINDINGS = {"y": "star", "wye": "star", "d": "delta", "δ": "delta", "triangle": "delta"}

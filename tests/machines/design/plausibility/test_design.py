@@ -8,7 +8,7 @@ import pytest
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.catalogue import load_text
-from dqforge.machines.design.plausibility.figures import MARK, Figure
+from dqforge.machines.design.plausible_figures import MARK, Figure
 
 BASE = catalogue.template().decode()
 

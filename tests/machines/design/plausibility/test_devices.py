@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from dqforge.machines.design.plausibility.figures import constant_figures, remarks, sentences
+from dqforge.machines.design.plausible_figures import constant_figures, remarks, sentences
 from dqforge.machines.devices import catalogue as device_catalogue
 from dqforge.machines.devices.files import read_device
 from dqforge.machines.devices.inverter import Curve, DeviceModel, EnergyTable, Family, SwitchDevice

@@ -9,14 +9,17 @@ from pathlib import Path
 import nxp_published as published
 import pytest
 
-from dqforge.optimizer.firmware.nxp_mcat.mcat_names import (
+from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import (
     EDITIONS,
     FIXED_2022,
     FLOAT_2022,
     FLOAT_2025,
     constants,
+    counts,
+    held,
+    printed,
+    shift_of,
 )
-from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import counts, held, printed, shift_of
 
 WHOLE = {
     "float of 2025": published.FLOAT_2025,

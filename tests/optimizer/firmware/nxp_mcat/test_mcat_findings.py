@@ -6,7 +6,7 @@ import nxp_published as published
 import pytest
 
 from dqforge.optimizer.firmware.configuration import Configuration
-from dqforge.optimizer.firmware.nxp_mcat.mcat_names import EDITIONS
+from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import EDITIONS
 from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import McatFile, McatSheet, implied_spans
 
 

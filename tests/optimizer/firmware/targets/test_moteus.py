@@ -16,7 +16,7 @@ from saturated import ArctanMachine
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, judge
-from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import configuration, pwm_rate
+from dqforge.optimizer.firmware.moteus_format import configuration, pwm_rate
 from dqforge.optimizer.firmware.targets.moteus import MOTEUS
 
 configure, profile, shortfalls = MOTEUS.configure, MOTEUS.profile, MOTEUS.shortfalls

@@ -14,7 +14,7 @@ from nxp_designs import asked_for, design_of
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, judge
-from dqforge.optimizer.firmware.nxp_mcat.mcat_names import (
+from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import (
     EDITIONS,
     FLOAT_2022,
     FLOAT_2025,

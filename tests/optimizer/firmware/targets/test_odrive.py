@@ -12,8 +12,8 @@ from firmware_loops import assert_current_loops_hold
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, judge
-from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import MOST_SENSITIVITY
-from dqforge.optimizer.firmware.one_bandwidth.odrive_keys import configuration
+from dqforge.optimizer.firmware.moteus_format import MOST_SENSITIVITY
+from dqforge.optimizer.firmware.odrive_format import configuration
 from dqforge.optimizer.firmware.targets.odrive import ODRIVE
 
 configure, profile, shortfalls = ODRIVE.configure, ODRIVE.profile, ODRIVE.shortfalls

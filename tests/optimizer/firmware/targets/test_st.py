@@ -14,8 +14,8 @@ from dqforge.machines.devices.inverter import CurrentSensing
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import OwnValue, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, drive_values, judge
-from dqforge.optimizer.firmware.st_format.st_loops import locus_of
-from dqforge.optimizer.firmware.st_format.st_scales import joined, st_configuration
+from dqforge.optimizer.firmware.st_loops import locus_of
+from dqforge.optimizer.firmware.st_scales import joined, st_configuration
 from dqforge.optimizer.firmware.targets.st import ST
 
 # A motor in a project of Workbench 6.1 (dronectl/g431-mcsdk): macros of its three headers.

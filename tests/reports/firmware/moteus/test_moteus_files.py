@@ -14,7 +14,7 @@ from vendor_importers import importer
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration
-from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import rounded_down
+from dqforge.optimizer.firmware.moteus_format import rounded_down
 from dqforge.optimizer.firmware.targets import moteus
 from dqforge.reports.firmware.moteus.reader import read, recognise
 from dqforge.reports.firmware.moteus.target import TARGET, write

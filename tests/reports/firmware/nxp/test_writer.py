@@ -18,7 +18,7 @@ from nxp_headers import header
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked
-from dqforge.optimizer.firmware.nxp_mcat.mcat_names import FIXED_2022, FLOAT_2025, Edition
+from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import FIXED_2022, FLOAT_2025, Edition
 from dqforge.optimizer.firmware.targets.nxp import NXP, configured
 from dqforge.reports.firmware.nxp.reader import read
 from dqforge.reports.firmware.nxp.target import constant_text, plain, write

@@ -8,8 +8,8 @@ import numpy as np
 from firmware_round_trips import C_FLAGS, output_of
 from random_st_drives import random_asked, value
 
-from dqforge.optimizer.firmware.st_format.st_keys import table_currents
-from dqforge.optimizer.firmware.st_format.st_scales import integers
+from dqforge.optimizer.firmware.st_keys import table_currents
+from dqforge.optimizer.firmware.st_scales import integers
 from dqforge.optimizer.firmware.targets.st import ST
 from dqforge.reports.firmware.st.target import TARGET
 from dqforge.reports.firmware.target import FileTitle

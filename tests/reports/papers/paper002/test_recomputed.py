@@ -11,15 +11,19 @@ from hidden_compilers import hide_compilers
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
-from dqforge.reports.papers.paper002 import FIGURES, Reproduction, reproduce_paper
-from dqforge.reports.papers.paper002_definitions import bench_currents
-from dqforge.reports.papers.paper002_definitions import compensation as back_emf_components
-from dqforge.reports.papers.paper002_definitions.bench_currents import (
+from dqforge.reports.papers.paper002 import bench_currents
+from dqforge.reports.papers.paper002 import compensation as back_emf_components
+from dqforge.reports.papers.paper002.bench_currents import (
     plot_currents,
     plot_frames,
     plot_machine,
 )
-from dqforge.reports.papers.paper002_definitions.compensation import plot_structures, plot_terms
+from dqforge.reports.papers.paper002.compensation import plot_structures, plot_terms
+from dqforge.reports.papers.paper002.tables import (
+    FIGURES,
+    Reproduction,
+    reproduce_paper,
+)
 
 RIGHT = {
     "balanced sine": (0.0, 1.2247, 1.2247, 1.2247, 0.0, 1.0),

@@ -1,1 +1,0 @@
-"""Values of a design held against what drives usually have."""

@@ -1,1 +1,0 @@
-"""The section ``simulation``: its keys, and the scenario that they make."""

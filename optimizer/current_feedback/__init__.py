@@ -1,1 +1,0 @@
-"""Current-feedback PWM of a design: its numbers, what it does at points, and what it loses."""

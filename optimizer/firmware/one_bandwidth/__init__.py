@@ -1,1 +1,0 @@
-"""Firmware that works out its current gains from one bandwidth: keys, choice, prices."""

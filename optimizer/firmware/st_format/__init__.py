@@ -1,1 +1,0 @@
-"""The numbers of ST's MCSDK: counts, integer gains, observer, table of currents."""

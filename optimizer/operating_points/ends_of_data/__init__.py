@@ -1,1 +1,0 @@
-"""Operating points where the data of a flux map end."""

@@ -1,0 +1,1 @@
+"""Paper 002 (phase currents of machines with any back-EMF) recomputed."""
