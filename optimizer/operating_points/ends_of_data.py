@@ -427,5 +427,5 @@ def boundary(limits: Limits, angle: FloatArray) -> tuple[FloatArray, FloatArray,
 
 
 def torque_at(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
-    """Torque in N m at currents in A, any one shape."""
+    """Torque in N m of a machine at currents ``i_d`` and ``i_q`` in A, any one shape."""
     return torque_from_flux(machine.pole_pairs, *machine.flux(i_d, i_q), i_d, i_q)

@@ -71,7 +71,7 @@ def exit_code(command: Callable[[], object], locate: Callable[[DqforgeError], No
         code = 0  # the reader of a pipe has left; there is nobody to tell
         _drop_output()
     except ImportError as error:
-        from dqforge.reports.operating_system.ways_to_get import without_package
+        from dqforge.reports.operating_system.packages import without_package
 
         missing = without_package(error)
         if missing is None:

@@ -13,15 +13,10 @@ import pytest
 from hidden_compilers import hide_compilers
 
 from dqforge.reports.answers.doctor import answer_doctor
-from dqforge.reports.operating_system import host_compiler, system, ways_to_get
+from dqforge.reports.operating_system import host_compiler, packages, system
 from dqforge.reports.operating_system import ways_to_get as this_machine
-from dqforge.reports.operating_system.ways_to_get import (
-    PACKAGES,
-    PROGRAMS,
-    WAYS,
-    look,
-    try_compiler,
-)
+from dqforge.reports.operating_system.packages import PACKAGES
+from dqforge.reports.operating_system.ways_to_get import PROGRAMS, WAYS, look, try_compiler
 
 
 def test_what_is_here_is_found_and_tried() -> None:
@@ -131,8 +126,8 @@ def test_there_is_a_way_to_every_program_and_the_extra_exists() -> None:
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text("utf-8"))
     extras = project["project"]["optional-dependencies"]
     assert extras["cc"][0].startswith("ziglang")
-    assert set(ways_to_get.EXTRAS) <= set(extras)
-    for extra in ways_to_get.EXTRAS:
+    assert set(packages.EXTRAS) <= set(extras)
+    for extra in packages.EXTRAS:
         names = {line.split(">")[0] for line in extras[extra]}
         assert names <= set(PACKAGES)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from dqforge import cli
-from dqforge.reports.operating_system.ways_to_get import PACKAGES
+from dqforge.reports.operating_system.packages import PACKAGES
 
 ROOT = Path(__file__).parents[3]
 MODULES = {"python-flint": "flint", "pyyaml": "yaml", "python-calamine": "python_calamine"}
