@@ -11,13 +11,8 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.observers.parts import (
-    AlphaBeta,
-    Arithmetic,
-    ObserverMethod,
-    ObserverState,
-    Rotation,
-)
+from dqforge.optimizer.observers.parts import ObserverMethod, ObserverState
+from dqforge.optimizer.step_arithmetic import AlphaBeta, Arithmetic, Rotation
 
 
 class Number:

@@ -21,8 +21,9 @@ from dqforge.machines.plants.drive_motion import Plants, plants, steady_voltage
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.conditions import loads_at, lost_voltage
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT, SPEED_LIMIT
-from dqforge.optimizer.observers.parts import EXACT, Load, ObserverMethod, steady_observer
+from dqforge.optimizer.observers.parts import Load, ObserverMethod, steady_observer
 from dqforge.optimizer.observers.tuning import SHOWN, PositionObserver
+from dqforge.optimizer.step_arithmetic import EXACT
 
 CAPTURE_SHARES = (0.1, 0.25, 0.5, 1.0)  # Speeds of the map over the largest one.
 

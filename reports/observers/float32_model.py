@@ -12,7 +12,8 @@ import numpy as np
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.observers.parts import ObserverMethod, cast
+from dqforge.optimizer.observers.parts import ObserverMethod
+from dqforge.optimizer.step_arithmetic import cast
 from dqforge.reports.c_code.harness import SINGLE, wrap
 from dqforge.reports.plain_data import shortest
 

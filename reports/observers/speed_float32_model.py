@@ -10,7 +10,7 @@ import numpy as np
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import park
-from dqforge.optimizer.observers.parts import cast
+from dqforge.optimizer.step_arithmetic import cast
 from dqforge.reports.c_code.harness import SINGLE, rotation, wrap
 from dqforge.reports.observers.float32_model import gains_from, plain_gains_of
 

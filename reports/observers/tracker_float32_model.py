@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.observers.parts import cast
+from dqforge.optimizer.step_arithmetic import cast
 from dqforge.reports.c_code.harness import SINGLE, wrap
 
 if TYPE_CHECKING:

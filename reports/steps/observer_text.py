@@ -13,15 +13,8 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, get_type
 import numpy as np
 
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.observers.parts import (
-    AlphaBeta,
-    Arithmetic,
-    Dq,
-    Member,
-    ObserverState,
-    Pair,
-    Rotation,
-)
+from dqforge.optimizer.observers.parts import ObserverState
+from dqforge.optimizer.step_arithmetic import AlphaBeta, Arithmetic, Dq, Member, Pair, Rotation
 from dqforge.reports.c_code.numbers import comment_text, float_literal
 from dqforge.reports.steps.symbols import Expression, Origin, expression, folded, joined
 

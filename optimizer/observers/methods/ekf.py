@@ -16,15 +16,10 @@ from dqforge.optimizer.observers.models.kalman_model import Ekf
 from dqforge.optimizer.observers.parts import (
     USUAL_SHARE_OF_SPEED,
     USUAL_WIDTH,
-    Arithmetic,
-    Dq,
-    Member,
     ObserverMethod,
     ObserverState,
     ObserverTuning,
-    Pair,
     StateMembers,
-    limited,
 )
 from dqforge.optimizer.observers.sampled_machine import (
     SampledGains,
@@ -33,6 +28,7 @@ from dqforge.optimizer.observers.sampled_machine import (
     next_currents,
     sampled_gains,
 )
+from dqforge.optimizer.step_arithmetic import Arithmetic, Dq, Member, Pair, limited
 
 
 def usual_ekf(_: LinearMachine, t_s: float, omega_max: float) -> ObserverTuning:

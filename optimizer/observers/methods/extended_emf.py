@@ -41,21 +41,23 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import (
+    ObserverMethod,
+    ObserverState,
+    ObserverTuning,
+    StateMembers,
+    loop_scale,
+)
+from dqforge.optimizer.observers.pll import PllGains, corrected, pll_bandwidth, pll_gains, predicted
+from dqforge.optimizer.step_arithmetic import (
     EXACT,
     AlphaBeta,
     Arithmetic,
     Dq,
     Member,
-    ObserverMethod,
-    ObserverState,
-    ObserverTuning,
     Pair,
-    StateMembers,
     at_least,
     limited,
-    loop_scale,
 )
-from dqforge.optimizer.observers.pll import PllGains, corrected, pll_bandwidth, pll_gains, predicted
 
 ComplexArray = NDArray[np.complex128]
 

@@ -53,20 +53,22 @@ from dqforge.optimizer.observers.methods.extended_emf import (
     usual_eemf,
 )
 from dqforge.optimizer.observers.parts import (
+    ObserverMethod,
+    ObserverState,
+    ObserverTuning,
+    StateMembers,
+    loop_scale,
+)
+from dqforge.optimizer.observers.pll import PllGains, corrected, pll_gains, predicted
+from dqforge.optimizer.step_arithmetic import (
     EXACT,
     AlphaBeta,
     Arithmetic,
     Member,
-    ObserverMethod,
-    ObserverState,
-    ObserverTuning,
     Pair,
-    StateMembers,
     at_least,
     limited,
-    loop_scale,
 )
-from dqforge.optimizer.observers.pll import PllGains, corrected, pll_gains, predicted
 
 # The boundary layer settles so many times faster than the filter behind it, and the switched
 # voltage reaches so many times the largest EMF: twice the flux linkage does not leave the layer.
@@ -161,7 +163,7 @@ def start(theta_e: Reals, omega_e: Reals) -> ObserverState:
     return ObserverState(pairs, theta_e, omega_e, started=False)
 
 
-def turned_by(_: Arithmetic, real: Reals, imaginary: Reals, y: Pair) -> AlphaBeta:
+def turned_by(_: Arithmetic, real: Reals | float, imaginary: Reals, y: Pair) -> AlphaBeta:
     """The vector y times real + j imaginary."""
     return AlphaBeta(real * y[0] - imaginary * y[1], real * y[1] + imaginary * y[0])
 
@@ -191,9 +193,7 @@ def mean_emf(
     bent = o.let("bent", o.call(turned_by, drop, y, change))
     ends = o.let("ends", AlphaBeta(bent.alpha - x * first.beta, bent.beta + x * first.alpha))
     end = o.let("end", o.call(turned_by, drop, y, ends))
-    return AlphaBeta(
-        first.alpha - 0.083333336 * end.alpha, first.beta - 0.083333336 * end.beta
-    )
+    return AlphaBeta(first.alpha - 0.083333336 * end.alpha, first.beta - 0.083333336 * end.beta)
 
 
 def switched_voltage(o: Arithmetic, most: float, layer: float, gap: Pair) -> AlphaBeta:
@@ -243,9 +243,7 @@ def step(
     rest, before, last = state.vectors
     y = o.let("y", gains.saliency * x)
     u = o.let("u", o.call(mean_emf, gains.volt, gains.drop, y, x, v, last, i))
-    gap = o.let(
-        "gap", AlphaBeta(rest[0] + u.alpha, rest[1] + u.beta), "modelled minus measured, A"
-    )
+    gap = o.let("gap", AlphaBeta(rest[0] + u.alpha, rest[1] + u.beta), "modelled minus measured, A")
     z = o.let(
         "z", o.call(switched_voltage, gains.switched, gains.layer, gap), "switched voltage, V"
     )

@@ -20,13 +20,14 @@ from dqforge.optimizer.observers.methods.ekf_tuning import first_guess, usual_no
 from dqforge.optimizer.observers.methods.extended_emf import emf_part
 from dqforge.optimizer.observers.methods.flux import flux_error, flux_of_current
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.optimizer.observers.parts import EXACT, ObserverMethod, observe, steady_observer
+from dqforge.optimizer.observers.parts import ObserverMethod, observe, steady_observer
 from dqforge.optimizer.observers.sampled_machine import (
     entries_and_slopes,
     matrix_entries,
     sampled_gains,
     sampled_machine,
 )
+from dqforge.optimizer.step_arithmetic import EXACT
 
 T_S, OMEGA_MAX = 1e-4, 3000.0
 READ = {name: method for name, method in METHODS.items() if method.members is not None}

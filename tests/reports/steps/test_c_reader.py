@@ -15,15 +15,8 @@ import pytest
 from static_checks import program
 
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.optimizer.observers.parts import (
-    AlphaBeta,
-    Arithmetic,
-    Member,
-    ObserverState,
-    StateMembers,
-    cast,
-    limited,
-)
+from dqforge.optimizer.observers.parts import ObserverState, StateMembers
+from dqforge.optimizer.step_arithmetic import AlphaBeta, Arithmetic, Member, cast, limited
 from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.pages.templating import render
 from dqforge.reports.steps.observer_text import observer_text

@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from dqforge.optimizer import sampled_systems
-from dqforge.optimizer.frequency_scan import FloatArray, bracketed_roots, scanned_response
-from dqforge.optimizer.sampled_systems import SampledSystem, loop_margins
+from dqforge.optimizer.sampled_systems import (
+    FloatArray,
+    SampledSystem,
+    bracketed_roots,
+    loop_margins,
+    scanned_response,
+)
 
 
 def _system(order: int, seed: int) -> SampledSystem:
