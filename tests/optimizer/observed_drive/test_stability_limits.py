@@ -43,7 +43,7 @@ from dqforge.optimizer.observed_drive.speed_range import SpeedPi, steady_drives
 from dqforge.optimizer.observed_drive.steps_borne import limit_cycle
 
 METHODS: list[ObserverMethodName] = [
-    "flux", "extended-emf", "open-loop-flux", "matsui-voltage", "matsui-current", "ekf",
+    "flux", "extended-emf", "smo", "open-loop-flux", "matsui-voltage", "matsui-current", "ekf",
 ]  # fmt: skip
 
 

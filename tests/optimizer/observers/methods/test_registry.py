@@ -223,7 +223,7 @@ def test_steady_state_is_where_a_simulation_ends(method: ObserverMethod) -> None
     assert np.max(np.abs(seen)) > 0.02
 
 
-@pytest.mark.parametrize("name", ["extended-emf", "open-loop-flux"])
+@pytest.mark.parametrize("name", ["extended-emf", "smo", "open-loop-flux"])
 @pytest.mark.parametrize("wrong", ["r_s", "l_d", "l_q", "psi_pm"])
 def test_error_of_wrong_parameters_is_the_closed_form(name: str, wrong: str) -> None:
     method, omega, current = METHODS[name], np.array([300.0, 1000.0, 2000.0]), -15 + 70j

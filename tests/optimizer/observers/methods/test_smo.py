@@ -219,7 +219,6 @@ def test_it_holds_with_twice_the_resistance_and_the_flux(
     """Both at once, or half of both: no vector of the state leaves its bound, and the angle errs by
     the closed form.
     """
-    wrong = dict.fromkeys(("r_s", "psi_pm"), share - 1.0)
     true = replace(machine, r_s=share * machine.r_s, psi_pm=share * machine.psi_pm)
     omega = np.array([400.0, -1200.0, 2900.0])
     current = 0.3j * machine.i_max * np.array([1.0, -1.0, 1.0])
