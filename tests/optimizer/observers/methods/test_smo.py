@@ -103,7 +103,7 @@ def test_the_step_is_its_continuous_system_sampled(machine: LinearMachine) -> No
     for t_s in (8e-6, 4e-6, 2e-6):
         gains = design(lossy, TUNING, t_s, OMEGA_MAX)
         gains = replace(gains, pll=replace(gains.pll, l_1=0.0, l_2=0.0))
-        times = np.arange(round(TIME / t_s) + 1) * t_s
+        times = np.linspace(0.0, TIME, round(TIME / t_s) + 1)
         i, gap, filtered = integrated(lossy, gains, times)
         z = np.array(switched_voltage(EXACT, gains.switched, gains.layer, pair(gap[0])))
         rest = gains.keep * gap[0] - gains.volt * complex(*z[:, 0])
