@@ -13,7 +13,7 @@ class DqforgeError(Exception):
         line, column: One-based position in the file, or None.
 
     ``section`` is the dotted key that the error is about where the message names none
-    (`dqforge.machines.places`).
+    (`dqforge.machines.places`); ``others`` are the further faults of the same file, in its order.
     """
 
     exit_code = 1
@@ -31,6 +31,7 @@ class DqforgeError(Exception):
         self.line = line
         self.column = column
         self.section: str | None = None
+        self.others: tuple[DqforgeError, ...] = ()
         super().__init__(message)
 
     def __str__(self) -> str:

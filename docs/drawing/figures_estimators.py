@@ -6,11 +6,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import chi2
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.dq_machines.synchronous import linearised
-from dqforge.optimizer.observers.methods.ekf_tuning import DriveNoise, band, noisy_trial, tuned_ekf
-from dqforge.optimizer.observers.models.kalman_model import run
+from dqforge.optimizer.observers.methods.ekf import (
+    DriveNoise,
+    innovations,
+    noisy_trial,
+    tuned_ekf,
+)
 from dqforge.optimizer.observers.models.matsui_errors import closed_form_error, with_errors
 from dqforge.optimizer.observers.models.matsui_model import matsui
 from dqforge.optimizer.observers.sampled_machine import CurrentSensor
@@ -37,12 +42,13 @@ def estimators(path: Path) -> None:
     tuned = tuned_ekf(machine, t_s, noise, 600.0, np.array(_I_REF))
     trial = noisy_trial(machine, t_s, noise, 600.0, np.array(_I_REF), 500, 20, 1000)
     times = t_s * np.arange(1, 501) * 1e3
+    erring = innovations(tuned.model, trial)
     for label, filter_ in (
         ("tuned", tuned),
         ("$q_i$ ten times too large", replace(tuned, q_i=10.0 * tuned.q_i)),
     ):
-        upper[0].plot(times, np.mean(run(filter_, trial).nis, axis=1), linewidth=0.8, label=label)
-    for edge in band(20):
+        upper[0].plot(times, np.mean(erring(filter_).nis, axis=1), linewidth=0.8, label=label)
+    for edge in chi2.ppf([0.025, 0.975], 40) / 20.0:  # of the mean of 20 drives
         upper[0].axhline(edge, color=MUTED, linewidth=0.8, linestyle="--")
     upper[0].set(
         xlabel="Time in ms", ylabel="NIS, mean of 20 drives", title="Kalman filter", ylim=(0.0, 4.6)

@@ -240,11 +240,11 @@ def read_model(document: YamlDocument, model: type[_Model]) -> _Model:
 
     Raises:
         InputError: With the position of the first fault in the file: an unknown, missing or empty
-            key, a value of the wrong type or unit, or one that is not plausible.
+            key, a value of the wrong type or unit, or one that is not plausible; with the others.
     """
     empty = _empty_parts(document)
     if empty:
-        raise min(empty, key=_place)
+        raise _all_of(empty)
     try:
         return model.model_validate(document.data)
     except ValidationError as error:
@@ -253,13 +253,25 @@ def read_model(document: YamlDocument, model: type[_Model]) -> _Model:
     found = [_complaint(fault, document, model) for fault in faults]
     first = min(found, key=_place)
     if faults[found.index(first)]["type"] == "missing":
-        lacking = [
-            _to_write(tuple(part for part in fault["loc"] if part not in TAGS))
+        rest = [
+            (fault, complaint)
             for fault, complaint in zip(faults, found, strict=True)
             if fault["type"] == "missing" and complaint is not first
         ]
+        lacking = [
+            _to_write(tuple(part for part in fault["loc"] if part not in TAGS)) for fault, _ in rest
+        ]
         first.message += f"; and also {', '.join(lacking)}" if lacking else ""
-    raise first from None
+        said = [complaint for _, complaint in rest]
+        found = [complaint for complaint in found if complaint not in said]
+    raise _all_of(found) from None
+
+
+def _all_of(found: list[InputError]) -> InputError:
+    """The first of several faults, with the others."""
+    first, *others = sorted(found, key=_place)
+    first.others = tuple(others)
+    return first
 
 
 def _place(error: InputError) -> tuple[int, int]:

@@ -126,6 +126,11 @@ class _Case:
         omega, turn, drift = (np.tile(part, count) for part in (self.omega, self.turn, self.drift))
         return _Case(omega, turn, drift, np.tile(self.v, count), np.tile(self.i, count))
 
+    def taken(self, index: NDArray[np.intp]) -> _Case:
+        own = (self.omega, self.turn, self.drift)
+        omega, turn, drift = (part[index] for part in own)
+        return _Case(omega, turn, drift, self.v[index], self.i[index])
+
 
 def _pair(value: ComplexArray) -> Pair:
     return value.real.copy(), value.imag.copy()
@@ -151,7 +156,8 @@ def _stepped(method: ObserverMethod, gains: Any, case: _Case, states: FloatArray
     return np.stack([*columns, EXACT.wrap(after.theta_e), after.omega_e - case.omega], axis=1)
 
 
-def _first(method: ObserverMethod, gains: Any, case: _Case) -> FloatArray:
+def _settled(method: ObserverMethod, gains: Any, case: _Case) -> FloatArray:
+    """States (M, n) some steps after the start."""
     state = method.step(
         gains,
         method.start(np.zeros_like(case.omega), case.omega),
@@ -258,22 +264,20 @@ def newton_moves(slope: FloatArray, gap: FloatArray) -> FloatArray:
 
 
 def _solved(method: ObserverMethod, gains: Any, case: _Case) -> SteadyObserver:
-    """Newton's method on all cases.
+    """Steady states of all cases, and what a step there makes of states and inputs.
 
     One whose numbers are not finite counts as lost and unstable.
     """
-    states = _first(method, gains, case)
-    jacobian = _derivative(method, gains, case, states)
-    for _ in range(_NEWTON_STEPS):
-        gap = _stepped(method, gains, case, states) - states
-        gap[:, -2] = EXACT.wrap(gap[:, -2])
-        if np.max(np.abs(gap) / (1.0 + np.abs(states))) < 1e-11:
-            break
-        states = states + newton_moves(np.eye(states.shape[1]) * (1.0 + 1e-13) - jacobian, gap)
-        states[:, -2] = EXACT.wrap(states[:, -2])
-        jacobian = _derivative(method, gains, case, states)
-    gap = _stepped(method, gains, case, states) - states
-    found = (np.abs(EXACT.wrap(gap[:, -2])) < 1e-9) & (np.abs(states[:, -2]) < 0.5 * np.pi)
+    if method.rest is None:
+        states, jacobian, found = _newton(method, gains, case, _settled(method, gains, case))
+    else:
+        first = method.rest(gains, case.omega, case.v, case.i)
+        zero = np.zeros((len(first), 2))
+        states, jacobian, found = _newton(method, gains, case, np.hstack([first, zero]))
+        if len(lost := np.flatnonzero(~found)):
+            left = case.taken(lost)
+            again = _newton(method, gains, left, _settled(method, gains, left))
+            states[lost], jacobian[lost], found[lost] = again
     inputs = [_by_input(method, gains, case, states, name) for name in ("i", "v")]
     finite = np.all(np.isfinite(states), axis=1)
     for part in (jacobian, *inputs):
@@ -288,6 +292,24 @@ def _solved(method: ObserverMethod, gains: Any, case: _Case) -> SteadyObserver:
         found=found & finite,
         states=states,
     )
+
+
+def _newton(
+    method: ObserverMethod, gains: Any, case: _Case, states: FloatArray
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """States (M, n) that a step leaves as they are, its derivative there, and which were found."""
+    jacobian = _derivative(method, gains, case, states)
+    for _ in range(_NEWTON_STEPS):
+        gap = _stepped(method, gains, case, states) - states
+        gap[:, -2] = EXACT.wrap(gap[:, -2])
+        if np.max(np.abs(gap) / (1.0 + np.abs(states))) < 1e-11:
+            break
+        states = states + newton_moves(np.eye(states.shape[1]) * (1.0 + 1e-13) - jacobian, gap)
+        states[:, -2] = EXACT.wrap(states[:, -2])
+        jacobian = _derivative(method, gains, case, states)
+    gap = _stepped(method, gains, case, states) - states
+    found = (np.abs(EXACT.wrap(gap[:, -2])) < 1e-9) & (np.abs(states[:, -2]) < 0.5 * np.pi)
+    return states, jacobian, found
 
 
 def closed_form_error(
@@ -360,6 +382,9 @@ class ObserverMethod:
         in_words: (tuning, gains, sampling period in s) -> by what numbers it is tuned.
         settle: Steps from the start after which Newton's method finds the steady state that is
             reached, and no other.
+        rest: (gains, electrical speeds in rad/s, voltages in V, currents in A) -> scalars of the
+            steady state of machines that are as believed, shape (M, n), from which Newton's method
+            is tried first; voltages and currents are d + j q in the rotor's frame at the sample.
         sizes: (scalars of M states, shape (M, n), electrical speeds in rad/s, shape (M,)) -> how
             large a change of each scalar is noticeable, shape (M, n), positive. In a steady state
             many are nil, so that their own size tells nothing. None without scalars.
@@ -386,6 +411,7 @@ class ObserverMethod:
     scale: Callable[[Any], tuple[float, float]]
     in_words: Callable[[ObserverTuning, Any, float], str] = loop_in_words
     settle: int = 0
+    rest: Callable[[Any, FloatArray, ComplexArray, ComplexArray], FloatArray] | None = None
     sizes: Callable[[FloatArray, FloatArray], FloatArray] | None = None
     certify: Callable[[Any, float, float, float], float] | None = None
     train: (

@@ -328,7 +328,7 @@ def wandering_speed(
 # The sampled machine as the firmware runs it: what the Kalman filter and Matsui's estimators
 # predict with, over numpy arrays of shape (N,) or what else an `Arithmetic` counts with.
 #
-# In double precision they are compared with `dqforge.optimizer.observers.models.kalman_model` and
+# In double precision they are compared with a filter in matrices (tests) and
 # `dqforge.optimizer.observers.models.matsui_model`.
 
 EVEN = 5

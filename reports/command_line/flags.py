@@ -27,8 +27,12 @@ from dqforge.machines.lately_read import line_of
 from dqforge.reports.operating_system import system
 from dqforge.reports.operating_system.system import spell_out
 
-# What the system says of files and disks, and not of connections or processes.
+# Faults of a file that are told beside the first.
+_MOST_FAULTS = 9
+
 INTERRUPTED = 130
+
+# What the system says of files and disks, and not of connections or processes.
 _OF_FILES = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EMFILE)
 
 
@@ -95,8 +99,11 @@ def _left_on_windows(error: OSError) -> bool:
 
 
 def _refused(error: DqforgeError, locate: Callable[[DqforgeError], None]) -> int:
-    locate(error)
-    tell(str(error), error)
+    for one in (error, *error.others[:_MOST_FAULTS]):
+        locate(one)
+        tell(str(one), one)
+    if (left := len(error.others) - _MOST_FAULTS) > 0:
+        tell(f"and {left} more faults")
     return error.exit_code
 
 

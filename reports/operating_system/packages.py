@@ -10,7 +10,7 @@ from dqforge.machines.errors import InputError
 
 # Packages of Python, and what they are for.
 PACKAGES = {
-    "casadi": "phase currents of salient machines",
+    "casadi": "phase currents of salient machines, Kalman filters of sensorless drives",
     "clarabel": "smoothing of flux maps, proofs of current loops over tolerances",
     "cvxpy": "the proof that a flux observer converges (with clarabel)",
     "daqp": "phase currents of machines with any back-EMF, equal phases",

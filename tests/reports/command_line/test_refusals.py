@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from pseudo_terminals import PseudoTerminal
 from rich.cells import cell_len
 
+from dqforge.machines.design import catalogue
 from dqforge.machines.errors import InputError
 from dqforge.machines.lately_read import remember
-from dqforge.reports.command_line.flags import excerpt, tell
+from dqforge.reports.command_line.flags import excerpt, exit_code, tell
 
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 COLOURED = {"TERM": "xterm-256color", "COLUMNS": "100", "NO_COLOR": ""}
@@ -138,3 +139,40 @@ def test_the_lines_of_studies_and_of_data_files(tmp_path: Path) -> None:
     )
     text = ESCAPE.sub("", seen(tmp_path, "explore", "s.yaml", "--out", "out"))
     assert "    5 |   machine.resistence: [1, 2]\n      |   ^\n" in text
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 13])
+def test_every_fault_of_a_file_is_told_at_once(
+    count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Unknown keys in two sections and a wrong unit, in the order of the file; ten at most."""
+    text = DESIGN.replace("60 uX", "60 uH" if count < 3 else "60 uX")
+    added = count if count < 3 else count - 1
+    machine, inverter = added - added // 2, added // 2
+    text = text.replace(
+        "  poles: 14\n",
+        "  poles: 14\n" + "".join(f"  strange_{chr(97 + k)}: 1\n" for k in range(machine)),
+    )
+    text = text.replace(
+        "{v_dc: 24 V,",
+        "{v_dc: 24 V, " + "".join(f"strange_{chr(97 + k)}: 1, " for k in range(inverter)),
+    )
+    path = tmp_path / "f.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        catalogue.load_design(path)
+    assert 1 + len(caught.value.others) == count
+
+    def loads() -> None:
+        catalogue.load_design(path)
+
+    assert exit_code(loads, lambda _: None) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == min(count, 11)
+    places = [
+        (int(row), int(column))
+        for row, column in re.findall(r"f\.yaml:(\d+):(\d+): ", "\n".join(lines))
+    ]
+    assert len(places) == min(count, 10)
+    assert places == sorted(set(places))
+    assert (lines[-1] == "dqforge: and 3 more faults") == (count == 13)

@@ -21,8 +21,7 @@ from dqforge.optimizer.estimator_comparison.solve import (
     compare_estimators,
 )
 from dqforge.optimizer.observers.methods import ekf as ekf_method
-from dqforge.optimizer.observers.methods.ekf import ekf_gains
-from dqforge.optimizer.observers.models.kalman_model import ekf
+from dqforge.optimizer.observers.methods.ekf import ekf, ekf_gains
 from dqforge.reports.answers.estimators import answer_estimators
 from dqforge.reports.estimator_comparison import observer_errors as counted_cost
 from dqforge.reports.estimator_comparison.observer_errors import (

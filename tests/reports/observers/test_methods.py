@@ -20,9 +20,8 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.plants.drive_motion import plants
 from dqforge.optimizer.observers.methods import ekf as ekf_method
-from dqforge.optimizer.observers.methods.ekf import ekf_gains
+from dqforge.optimizer.observers.methods.ekf import ekf, ekf_gains
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.optimizer.observers.models.kalman_model import ekf
 from dqforge.optimizer.observers.models.matsui_errors import steady_error
 from dqforge.optimizer.observers.models.matsui_model import matsui
 from dqforge.optimizer.observers.parts import steady_observer

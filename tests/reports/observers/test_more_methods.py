@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import kalman_filter
 import numpy as np
 import pytest
 from drives import IPM
@@ -25,7 +26,7 @@ from dqforge.optimizer.harmonic_trackers import (
     third_harmonic_start,
     third_harmonic_step,
 )
-from dqforge.optimizer.observers.methods.ekf import ekf_gains, ekf_start, ekf_step
+from dqforge.optimizer.observers.methods.ekf import ekf, ekf_gains, ekf_start, ekf_step
 from dqforge.optimizer.observers.methods.matsui_current import (
     current_gains,
     matsui_current_start,
@@ -37,7 +38,6 @@ from dqforge.optimizer.observers.methods.matsui_voltage import (
     voltage_gains,
 )
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.optimizer.observers.models import kalman_model as kalman
 from dqforge.optimizer.observers.models import matsui_model as matsui_models
 from dqforge.optimizer.observers.sampled_machine import CurrentSensor, Trial, simulate, wrapped
 from dqforge.optimizer.step_arithmetic import EXACT, Arithmetic, cast
@@ -103,7 +103,7 @@ class Emitted:
 
 def emitted(code: str) -> Emitted:
     if code == "ekf":
-        filter_ = kalman.ekf(IPM, T_S, 0.5, 2.5e5, SENSOR.variance, 2000.0)
+        filter_ = ekf(IPM, T_S, 0.5, 2.5e5, SENSOR.variance, 2000.0)
         extra = "out[2] = observer.p_omega_theta; out[3] = observer.i_q;"
         return Emitted(code, ekf_gains(filter_), ekf_start, ekf_step, extra=extra)
     if code.startswith("matsui"):
@@ -257,8 +257,8 @@ def test_models_are_the_estimators_that_were_analysed() -> None:
         trial.theta[:, 2:], trial.omega[:, 2:], trial.i_dq[:, 2:],
     )  # fmt: skip
     away = data[:, 0, 1] - trial.theta[0, 2:], data[:, 0, 2] - SPEED
-    filter_ = kalman.ekf(IPM, T_S, 0.5, 2.5e5, SENSOR.variance, 2000.0)
-    estimates: dict[str, Any] = {"ekf": kalman.run(filter_, seen, *away)}
+    filter_ = ekf(IPM, T_S, 0.5, 2.5e5, SENSOR.variance, 2000.0)
+    estimates: dict[str, Any] = {"ekf": kalman_filter.run(filter_, seen, *away)}
     for kind in ("voltage", "current"):
         observer = matsui_models.matsui(IPM, T_S, kind, 200.0, omega_max=2000.0)
         estimates[f"matsui_{kind}"] = matsui_models.run(observer, seen, *away)

@@ -29,9 +29,8 @@ from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.names import SINGLE_OBSERVERS, ObserverMethodName
 from dqforge.optimizer.observers.methods import ekf as ekf_method
-from dqforge.optimizer.observers.methods.ekf import ekf_gains
+from dqforge.optimizer.observers.methods.ekf import ekf, ekf_gains
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.optimizer.observers.models.kalman_model import ekf
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import header_kinds

@@ -28,8 +28,7 @@ from dqforge.machines.names import (
 )
 from dqforge.machines.plants.drive_motion import DriveMotion, drive_motion, next_flux, plants
 from dqforge.optimizer.observers.judgement import judge_at
-from dqforge.optimizer.observers.methods.ekf import ekf_gains
-from dqforge.optimizer.observers.methods.ekf_tuning import first_guess, usual_noise
+from dqforge.optimizer.observers.methods.ekf import ekf_gains, first_guess, usual_noise
 from dqforge.optimizer.observers.methods.extended_emf import exact_factors, factor_error
 from dqforge.optimizer.observers.methods.flux import flux_of_voltage, flux_path
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains

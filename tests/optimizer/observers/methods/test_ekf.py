@@ -9,27 +9,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drives import IPM, RELUCTANCE
+from kalman_filter import angle_error, band, consistency, correct, run, transition
 from scipy.stats import chi2
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.optimizer.observers.methods.ekf_tuning import (
+from dqforge.optimizer.observers.methods.ekf import (
     DriveNoise,
-    band,
-    consistency,
+    Ekf,
+    ekf,
     first_guess,
+    innovations,
     noisy_trial,
     tuned_ekf,
     usual_noise,
-)
-from dqforge.optimizer.observers.models.kalman_model import (
-    Ekf,
-    angle_error,
-    correct,
-    ekf,
-    run,
-    transition,
 )
 from dqforge.optimizer.observers.sampled_machine import (
     CurrentSensor,
@@ -86,6 +80,17 @@ def test_correction_is_the_textbook_one_in_stator_coordinates() -> None:
     np.testing.assert_allclose(left[0], (np.eye(4) - gain @ h) @ p, rtol=1e-5, atol=1e-7)
     nis = innovation[0] @ np.linalg.solve(covariance[0], innovation[0])
     assert nis == pytest.approx((y - output(x)) @ np.linalg.solve(s, y - output(x)), rel=1e-7)
+
+
+def test_the_step_foretells_what_the_filter_in_matrices_does(bench001: LinearMachine) -> None:
+    trial = noisy_trial(bench001, T_S, NOISE, SPEED, I_REF, 300, 8, 11)
+    first = first_guess(bench001, T_S, NOISE)
+    erring = innovations(first.model, trial)
+    for filter_ in (first, replace(first, q_i=30.0 * first.q_i, q_a=0.1 * first.q_a)):
+        found, expected = erring(filter_), run(filter_, trial)
+        np.testing.assert_allclose(found.nu, expected.innovation, rtol=0.0, atol=1e-10)
+        np.testing.assert_allclose(found.s, expected.s, rtol=1e-10)
+        np.testing.assert_allclose(found.nis, expected.nis, rtol=1e-8, atol=1e-9)
 
 
 def test_without_noise_the_right_state_stays(bench001: LinearMachine) -> None:

@@ -1,37 +1,5 @@
-"""Extended Kalman filter for angle and speed of a synchronous machine from its currents (paper 001,
-7.2.5).
-
-State x = (i_d, i_q, omega, theta) with infinite inertia, (7.23) to (7.26), L_d and L_q kept apart.
-From sample to sample (`dqforge.optimizer.observers.sampled_machine`, exact for a constant speed):
-
-    i[k+1] = Phi(omega) i[k] + Gamma(omega) v_dq + h(omega),
-        v_dq = the held voltage turned by -theta[k]
-    omega[k+1] = omega[k],   theta[k+1] = theta[k] + t_s omega[k]
-
-    F = [ Phi   Phi' i + Gamma' v + h'   -Gamma J v ]
-                J v = (-v_q, v_d), ' = derivative by omega
-        [ 0             1                     0     ]
-        [ 0             t_s                   1     ]
-
-The measured current is turned into the predicted rotor frame, where noise of equal
-variance on both axes stays such:
-
-    innovation nu = i_measured,dq - i_predicted,   H = [ 1 0 0 -i_q ]
-                                                       [ 0 1 0  i_d ]
-
-Process noise: white acceleration of density q_a (rad^2/s^3), whose integrals give the covariance of
-omega and theta, and a variance q_i (A^2) per sample on both currents for voltages that the firmware
-does not know.
-
-Deviations from paper 001: it measures i_d and i_q as if the angle were known, (7.28), so that its H
-lacks the last column; it takes the induced voltage (7.29) as an input, although it is a function of
-the state.
-
-References:
-    S. Bolognani, R. Oboe, M. Zigliotto, "Sensorless full-digital PMSM drive EKF estimation of speed
-    and rotor position", IEEE Trans. Ind. Electronics 46, 1999 ([74] of paper 001); Y. Bar-Shalom,
-    X. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, sections
-    5.4 (consistency) and 10.3 (EKF).
+"""The Kalman filter in matrices, an independent view of the step that is emitted: whole
+covariances, the textbook's correction, numpy's solver.
 """
 
 from __future__ import annotations
@@ -39,57 +7,17 @@ from __future__ import annotations
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.synchronous import Machine
-from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
+from dqforge.optimizer.observers.methods.ekf import Ekf
 from dqforge.optimizer.observers.sampled_machine import (
     SampledMachine,
     Trial,
     applied,
-    sampled_machine,
     turned,
     wrapped,
 )
 
-_PSI_LEAST = 1e-9
-
-
 _BOTH = np.eye(2)
-
-
-@dataclass(frozen=True, slots=True)
-class Ekf:
-    """An extended Kalman filter.
-
-    Args:
-        model: The sampled machine.
-        q_i: Process variance of each current per sample in A^2.
-        q_a: Density of the white acceleration (electrical) in rad^2/s^3.
-        r: Variance of each measured current in A^2.
-        theta_0, omega_0: Standard deviations of angle (rad) and speed (rad/s) at the start.
-    """
-
-    model: SampledMachine
-    q_i: float
-    q_a: float
-    r: float
-    theta_0: float = 0.3
-    omega_0: float = 50.0
-
-    @property
-    def q(self) -> FloatArray:
-        """Process covariance per sample, shape (4, 4)."""
-        t_s = self.model.t_s
-        q = np.zeros((4, 4))
-        q[0, 0] = q[1, 1] = self.q_i
-        q[2, 2], q[3, 3] = self.q_a * t_s, self.q_a * t_s**3 / 3.0
-        q[2, 3] = q[3, 2] = self.q_a * t_s**2 / 2.0
-        return q
-
-    @property
-    def p_0(self) -> FloatArray:
-        """Covariance at the start, shape (4, 4): currents as measured."""
-        return np.diag([self.r, self.r, self.omega_0**2, self.theta_0**2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,30 +60,6 @@ class EkfRun:
         """
         det = self.s[..., 0, 0] * self.s[..., 1, 1] - self.s[..., 0, 1] ** 2
         return np.asarray(-0.5 * np.mean(np.log(det) + self.nis, axis=0))
-
-
-def ekf(
-    machine: Machine, t_s: float, q_i: float, q_a: float, r: float, omega_max: float | None = None
-) -> Ekf:
-    """A filter with given noise; ``omega_max`` in rad/s (electrical) limits the estimate.
-
-    Raises:
-        InputError: A variance is not positive.
-        NoSolutionError: The machine shows its angle neither by a magnet nor by saliency.
-    """
-    for name, value in (("q_i", q_i), ("q_a", q_a), ("r", r)):
-        if not (value > 0.0 and np.isfinite(value)):
-            raise InputError(
-                f"control.observer: {name} of the Kalman filter must be positive and finite, got "
-                f"{value:g}"
-            )
-    model = sampled_machine(machine, t_s, omega_max)
-    linear = model.machine
-    if linear.psi_pm + abs(linear.saliency) * linear.i_max < _PSI_LEAST:
-        raise NoSolutionError(
-            "control.observer: a machine without magnet flux and without saliency shows no angle"
-        )
-    return Ekf(model, q_i, q_a, r)
 
 
 def transition(
@@ -227,3 +131,51 @@ def run(
 def angle_error(theta: FloatArray, trial: Trial) -> FloatArray:
     """Estimated minus true angle in rad, wrapped, of estimates of shape (K + 1, S)."""
     return wrapped(theta - trial.theta)
+
+
+BAND = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Consistency:
+    """Shares of time, 0 to 1, for which the NIS lies inside its 95 % band.
+
+    ``samples``: the NIS of every sample of every drive; ``drives``: its mean over the drives at
+    each sample; ``window``: its moving average over ``window_length`` samples of one drive.
+    ``mean`` is the mean NIS, 2 if right.
+    """
+
+    mean: float
+    samples: float
+    drives: float
+    window: float
+    window_length: int
+
+
+def band(degrees: int, share: float = BAND) -> tuple[float, float]:
+    """Two-sided chi-square band of 2 x ``degrees`` degrees of freedom over ``degrees``:
+    of a mean of so many NIS.
+    """
+    from scipy.stats import chi2
+
+    low, high = chi2.ppf([0.5 * (1.0 - share), 0.5 * (1.0 + share)], 2 * degrees) / degrees
+    return float(low), float(high)
+
+
+def consistency(nis: FloatArray, settle: int = 100, window: int = 50) -> Consistency:
+    """How consistent NIS values of shape (K, S) are, without the first ``settle`` samples."""
+    nis = nis[settle:]
+    total = np.cumsum(np.concatenate([np.zeros((1, nis.shape[1])), nis]), axis=0)
+    moving = (total[window:] - total[:-window]) / window
+
+    def inside(values: FloatArray, count: int) -> float:
+        low, high = band(count)
+        return float(np.mean((values >= low) & (values <= high)))
+
+    return Consistency(
+        mean=float(np.mean(nis)),
+        samples=inside(nis, 1),
+        drives=inside(np.mean(nis, axis=1), nis.shape[1]),
+        window=inside(moving, window),
+        window_length=window,
+    )
