@@ -75,6 +75,7 @@ SpeedLoopMethod = Literal[
 ObserverMethodName = Literal[
     "reduced-order",
     "extended-emf",
+    "smo",
     "flux",
     "open-loop-flux",
     "matsui-voltage",
@@ -119,6 +120,7 @@ InjectionWave = Literal["square", "sine", "rotating"]
 OBSERVER_KEYS: dict[str, tuple[str, ...]] = {
     "reduced-order": ("pole",),
     "extended-emf": ("bandwidth", "pll_bandwidth", "damping"),
+    "smo": ("bandwidth", "pll_bandwidth", "damping"),
     "flux": _FLUX_KEYS,
     "open-loop-flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
     "matsui-voltage": ("bandwidth", "pll_bandwidth", "damping"),
@@ -134,8 +136,11 @@ OBSERVER_KEYS: dict[str, tuple[str, ...]] = {
     "emf-integration": (),
 }
 
-# Those that correct the flux observer by what they have learned: in single precision alone.
+# Those that correct the flux observer by what they have learned.
 LEARNED_OBSERVERS: tuple[ObserverMethodName, ...] = ("neuro-fuzzy", "neural")
+
+# Those that are there in single precision alone.
+SINGLE_OBSERVERS: tuple[ObserverMethodName, ...] = (*LEARNED_OBSERVERS, "smo")
 
 # How a drive without encoder leaves standstill: a current or a voltage that turns, the observer
 # from zero speed on, or the rotor found by its saliency; ``auto`` chooses.

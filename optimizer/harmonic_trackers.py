@@ -51,8 +51,9 @@ from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.estimators import Tracker, TrackerLoop
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT
 from dqforge.optimizer.observers.models.matsui_model import ObserverRun
-from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair, limited
+from dqforge.optimizer.observers.parts import ObserverState
 from dqforge.optimizer.observers.sampled_machine import wrapped
+from dqforge.optimizer.step_arithmetic import Arithmetic, Pair, limited
 
 # Third harmonic over the fundamental, each as flux linkage, below which converters and unequal
 # phases hide it.

@@ -16,8 +16,8 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
 from dqforge.machines.plants.drive_motion import ComplexArray
 from dqforge.optimizer.estimators import Tracker
-from dqforge.optimizer.observers.parts import EXACT
 from dqforge.optimizer.observers.sampled_machine import exact_entries
+from dqforge.optimizer.step_arithmetic import EXACT
 
 BASE = "abb-ipmsm-2k2"
 

@@ -8,8 +8,9 @@ import casadi
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.observers.parts import AlphaBeta, ObserverMethod, ObserverState
+from dqforge.optimizer.observers.parts import ObserverMethod, ObserverState
 from dqforge.optimizer.observers.step_graphs import Graphs, Number, graph
+from dqforge.optimizer.step_arithmetic import AlphaBeta
 
 
 def derivative(method: ObserverMethod, gains: Any) -> casadi.Function:

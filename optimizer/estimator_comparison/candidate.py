@@ -44,14 +44,9 @@ from dqforge.optimizer.observers.judgement import (
     judge_at,
 )
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.optimizer.observers.parts import (
-    EXACT,
-    Disturbances,
-    Load,
-    ObserverMethod,
-    steady_observer,
-)
+from dqforge.optimizer.observers.parts import Disturbances, Load, ObserverMethod, steady_observer
 from dqforge.optimizer.observers.tuning import SHOWN, PositionObserver, tune_position_observer
+from dqforge.optimizer.step_arithmetic import EXACT
 
 
 @dataclass(frozen=True, slots=True, eq=False)

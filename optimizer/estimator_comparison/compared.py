@@ -36,10 +36,11 @@ from dqforge.optimizer.estimator_comparison.candidate import (
 )
 from dqforge.optimizer.estimators import TRACKERS, TunedTracker, tune_tracker
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT, DEAD_TIME, PARAMETERS, SPEED_LIMIT
-from dqforge.optimizer.observers.parts import EXACT, Load, Pair
+from dqforge.optimizer.observers.parts import Load
 from dqforge.optimizer.six_step.design import SixStepDesign, commutation_errors, solve_six_step
 from dqforge.optimizer.start_up.plan import StartUpPlan
 from dqforge.optimizer.start_up.solve import solve_start_up
+from dqforge.optimizer.step_arithmetic import EXACT, Pair
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,13 +28,8 @@ from dqforge.optimizer.learned_correction.correction_frame import (
     speed_inputs,
 )
 from dqforge.optimizer.observers.methods import flux
-from dqforge.optimizer.observers.parts import (
-    Arithmetic,
-    ObserverState,
-    ObserverTuning,
-    Pair,
-    flux_in_words,
-)
+from dqforge.optimizer.observers.parts import ObserverState, ObserverTuning, flux_in_words
+from dqforge.optimizer.step_arithmetic import Arithmetic, Pair
 
 # (gains, inputs of -1 to 1, arithmetic) -> correction in rad, within the limit.
 Learned = Callable[[Any, Inputs, Arithmetic], Reals]

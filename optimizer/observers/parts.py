@@ -1,18 +1,15 @@
-"""What all position observers are made of: their state, the arithmetic they run in,
-and noise-proof normalisation.
+"""What all position observers are made of: their record, their state, its steady values, and the
+numbers by which they are tuned and judged.
 
 An observer is a module of three functions (docs/methods/position-observers.md): ``design`` makes
-its gains,
-``start`` its first state, ``step`` the next one. ``step`` is written once, over an `Arithmetic`: on
-numpy arrays it runs in double precision for analysis and in single precision as the model of the C,
-and `dqforge.reports.steps.observer_text` writes the C from it.
+its gains, ``start`` its first state, ``step`` the next one, written once, over an `Arithmetic`
+(`dqforge.optimizer.step_arithmetic`), from which `dqforge.reports.steps.observer_text` writes C.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass, replace
-from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,44 +20,9 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.plants.drive_motion import ComplexArray, DriveMotion, Plants, steady_voltage
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import Floats, Reals, park, park_inverse
+from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.reduced_order import Training, TrainingBox
-
-Pair = tuple[Reals, Reals]  # The alpha and beta (or d and q) components of a vector.
-
-
-class AlphaBeta(NamedTuple):
-    """A vector in stationary coordinates."""
-
-    alpha: Reals
-    beta: Reals
-
-
-class Dq(NamedTuple):
-    """A vector in rotor coordinates."""
-
-    d: Reals
-    q: Reals
-
-
-class Rotation(NamedTuple):
-    """A turn."""
-
-    cosine: Reals
-    sine: Reals
-
-
-@dataclass(frozen=True, slots=True)
-class Member:
-    """What a member of a record is: a phrase, and its SI unit (empty of a pure number)."""
-
-    meaning: str
-    unit: str = ""
-
-    @property
-    def text(self) -> str:
-        """Phrase and unit for a comment."""
-        return f"{self.meaning}, {self.unit}" if self.unit else self.meaning
+from dqforge.optimizer.step_arithmetic import EXACT, Arithmetic, Member, Pair, cast
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,99 +31,6 @@ class StateMembers:
 
     vectors: tuple[tuple[str, Member], ...]
     scalars: tuple[tuple[str, Member], ...] = ()
-
-
-_Gains = TypeVar("_Gains")
-_T = TypeVar("_T")
-_P = ParamSpec("_P")
-
-
-@dataclass(frozen=True, slots=True)
-class Arithmetic(Floats):
-    """What steps are written over; the operators + - * / and comparisons are those of the numbers.
-
-    ``wrap`` brings angles to -pi to pi, ``rotation`` gives cosine and sine, ``number`` is the type
-    of all values. Comparisons are false for not-a-number.
-    """
-
-    wrap: Callable[[Reals], Reals]
-    rotation: Callable[[Reals], Pair]
-
-    def let(self, name: str, value: _T, meaning: str = "") -> _T:  # noqa: ARG002
-        """Give a value its name in the firmware.
-
-        Whatever is used twice needs one.
-
-        Args:
-            name: Of a local variable.
-            value: A number, a vector, a numpy array of numbers, which get a name each, or a tuple
-                of a record, which gets a shorter one.
-            meaning: What it is, with its unit.
-        """
-        return value
-
-    def remark(self, text: str) -> None:
-        """Say what comes next."""
-
-    def call(
-        self,
-        function: Callable[Concatenate[Arithmetic, _P], _T],
-        *args: _P.args,
-        **kwargs: _P.kwargs,
-    ) -> _T:
-        """Let a function be one of the firmware, too: ``function(self, ...)``.
-
-        Its arguments are numbers, vectors, arrays and records; it returns a number or a vector.
-        """
-        return function(self, *args, **kwargs)
-
-    def either(self, condition: Any, then: Callable[[], _T], otherwise: Callable[[], _T]) -> _T:
-        """What ``then`` returns where the condition holds, else what ``otherwise`` returns: states
-        of an observer, at the end of its step.
-
-        The firmware computes one of them.
-        """
-        if np.all(condition):
-            return then()
-        found: _T = self._merged(condition, then(), otherwise())
-        return found
-
-    def _merged(self, condition: Any, a: Any, b: Any) -> Any:
-        if isinstance(a, tuple):
-            parts = [self._merged(condition, x, y) for x, y in zip(a, b, strict=True)]
-            return type(a)(*parts) if hasattr(a, "_fields") else tuple(parts)
-        if is_dataclass(a):
-            names = [field.name for field in fields(a)]
-            parts = [self._merged(condition, getattr(a, n), getattr(b, n)) for n in names]
-            return replace(a, **dict(zip(names, parts, strict=True)))  # type: ignore[type-var]
-        return self.choose(condition, a, b) if isinstance(a, np.ndarray) else a
-
-    def root(self, a: Reals) -> Reals:
-        """Square roots."""
-        return np.asarray(np.sqrt(a))
-
-    def full(self, value: Any, like: Reals) -> Reals:
-        """A constant for every drive of ``like``."""
-        return np.full_like(like, value)
-
-    def park(self, vector: Pair, turn: Pair) -> Dq:
-        """Stationary coordinates in a frame turned by (cosine, sine)."""
-        return Dq(*park(self, vector, turn))
-
-    def park_inverse(self, vector: Pair, turn: Pair) -> AlphaBeta:
-        """Coordinates of a turned frame back."""
-        return AlphaBeta(*park_inverse(self, vector, turn))
-
-
-def _wrap(theta: Reals) -> Reals:
-    return np.asarray((theta + np.pi) % (2.0 * np.pi) - np.pi)
-
-
-def _rotation(theta: Reals) -> Pair:
-    return np.cos(theta), np.sin(theta)
-
-
-EXACT = Arithmetic(np.float64, _wrap, _rotation)  # Double precision.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,31 +51,6 @@ class ObserverState:
     scalars: tuple[Reals, ...] = ()
     added: Pair | None = None
     seen: Pair | None = None
-
-
-def cast(gains: _Gains, maths: Arithmetic) -> _Gains:
-    """Gains (a dataclass of floats and tuples of floats) as numbers of an arithmetic."""
-    assert is_dataclass(gains)
-    values: dict[str, Any] = {}
-    for field in fields(gains):
-        value = getattr(gains, field.name)
-        if is_dataclass(value):
-            values[field.name] = cast(value, maths)
-        elif isinstance(value, tuple):
-            values[field.name] = tuple(maths.number(item) for item in value)
-        else:
-            values[field.name] = maths.number(value)
-    return replace(gains, **values)  # type: ignore[type-var]
-
-
-def at_least(o: Arithmetic, value: Reals, floor: Any) -> Reals:
-    """The larger of both; the floor for not-a-number."""
-    return o.choose(value > floor, value, floor)
-
-
-def limited(o: Arithmetic, value: Reals, limit: Any) -> Reals:
-    """A value within -limit to limit."""
-    return o.choose(value > limit, limit, o.choose(value < -limit, -limit, value))
 
 
 # Steady states of a position observer: fixed points of its step, poles,

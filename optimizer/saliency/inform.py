@@ -25,7 +25,7 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals, park
 from dqforge.optimizer.estimators import Tracker, TrackerLoop, TunedTracker
 from dqforge.optimizer.observers.models.matsui_model import ObserverRun
-from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair, limited
+from dqforge.optimizer.observers.parts import ObserverState
 from dqforge.optimizer.observers.sampled_machine import (
     CurrentSensor,
     Trial,
@@ -46,6 +46,7 @@ from dqforge.optimizer.saliency.injection import (
     require_saliency,
 )
 from dqforge.optimizer.saliency.sampled_injection import Injection
+from dqforge.optimizer.step_arithmetic import Arithmetic, Pair, limited
 
 LAST = 7  # Place in a sequence at which the answer to its last pulse is seen.
 MIDDLE = 3.0  # Samples from the middle of the pulses to that place.

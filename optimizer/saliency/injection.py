@@ -25,16 +25,11 @@ from dqforge.machines.names import InjectionWave
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals, park
 from dqforge.optimizer.estimators import Tracker, TrackerLoop
-from dqforge.optimizer.observers.parts import (
-    Arithmetic,
-    ObserverState,
-    Pair,
-    limited,
-    usual_disturbances,
-)
+from dqforge.optimizer.observers.parts import ObserverState, usual_disturbances
 from dqforge.optimizer.observers.sampled_machine import electrical_limit
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.saliency.sampled_injection import DELAY, LONGEST, admittance
+from dqforge.optimizer.step_arithmetic import Arithmetic, Pair, limited
 
 POINTS = 9  # Of the tables over the load.
 _UNKNOWN = 1.0e15

@@ -13,15 +13,8 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, get_type
 import numpy as np
 
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.observers.parts import (
-    AlphaBeta,
-    Arithmetic,
-    Dq,
-    Member,
-    ObserverState,
-    Pair,
-    Rotation,
-)
+from dqforge.optimizer.observers.parts import ObserverState
+from dqforge.optimizer.step_arithmetic import AlphaBeta, Arithmetic, Dq, Member, Pair, Rotation
 from dqforge.reports.c_code.numbers import comment_text, float_literal
 from dqforge.reports.steps.symbols import Expression, Origin, expression, folded, joined
 
@@ -194,15 +187,17 @@ def _written(
 def _step(head: str, gains: str, state: str, prefix: str, first: _Path, then: _Path) -> list[str]:
     """The step of both paths: what they share stands before and behind the branch."""
     before = _shared(first.declared, then.declared)
+    inside = _declared([*first.declared[before:], *then.declared[before:]])
     after = [
-        line
-        for line in first.written
-        if line in then.written and "observer->" not in line.partition(" = ")[2]
+        statement
+        for statement in _statements(first.written)
+        if statement in _statements(then.written) and _stands_alone(statement, inside)
     ]
     branches = []
     for path in (first, then):
         own = path.declared[before:]
-        branches.append([*own, *_gap(own), *(line for line in path.written if line not in after)])
+        written = [part for part in _statements(path.written) if part not in after]
+        branches.append([*own, *_gap(own), *(line for part in written for line in part)])
     both = [line[4:] for line in first.declared[:before]]
     vector_kind = f"{prefix}_alphabeta_t"
     arguments = f"const {gains} *gains, {state} *observer, {vector_kind} v, {vector_kind} i"
@@ -220,9 +215,32 @@ def _step(head: str, gains: str, state: str, prefix: str, first: _Path, then: _P
         "    } else {",
         *branches[1],
         "    }",
-        *(line[4:] for line in after),
+        *(line[4:] for statement in after for line in statement),
         "}",
     ]
+
+
+def _statements(lines: Sequence[str]) -> list[list[str]]:
+    """Lines of each statement, also of what opens or closes a block."""
+    found: list[list[str]] = [[]]
+    for line in lines:
+        found[-1].append(line)
+        if line.endswith((";", "{", "}")):
+            found.append([])
+    return [part for part in found if part]
+
+
+def _declared(lines: Sequence[str]) -> set[str]:
+    """Names of the constants that lines declare."""
+    return {found[1] for line in lines if (found := re.match(r"\s*const [^=]*?(\w+) =", line))}
+
+
+def _stands_alone(statement: Sequence[str], inside: set[str]) -> bool:
+    """Whether an assignment may stand behind both branches: it reads neither the state, which they
+    change, nor what they declare.
+    """
+    value = " ".join(statement).partition(" = ")[2]
+    return "observer->" not in value and not inside & set(re.findall(r"\w+", value))
 
 
 def _gap(lines: Sequence[str]) -> list[str]:

@@ -63,18 +63,12 @@ from dqforge.machines.plants.drive_motion import ComplexArray
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import (
-    EXACT,
     USUAL_SHARE_OF_SPEED,
     USUAL_WIDTH,
-    Arithmetic,
-    Dq,
-    Member,
     ObserverMethod,
     ObserverState,
     ObserverTuning,
-    Pair,
     StateMembers,
-    limited,
 )
 from dqforge.optimizer.observers.sampled_machine import (
     CurrentSensor,
@@ -91,6 +85,7 @@ from dqforge.optimizer.observers.sampled_machine import (
     usual_sensor,
     wandering_speed,
 )
+from dqforge.optimizer.step_arithmetic import EXACT, Arithmetic, Dq, Member, Pair, limited
 
 _PSI_LEAST = 1e-9
 

@@ -30,7 +30,7 @@ References:
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,21 +41,23 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import (
+    ObserverMethod,
+    ObserverState,
+    ObserverTuning,
+    StateMembers,
+    loop_scale,
+)
+from dqforge.optimizer.observers.pll import PllGains, corrected, pll_bandwidth, pll_gains, predicted
+from dqforge.optimizer.step_arithmetic import (
     EXACT,
     AlphaBeta,
     Arithmetic,
     Dq,
     Member,
-    ObserverMethod,
-    ObserverState,
-    ObserverTuning,
     Pair,
-    StateMembers,
     at_least,
     limited,
-    loop_scale,
 )
-from dqforge.optimizer.observers.pll import PllGains, corrected, pll_bandwidth, pll_gains, predicted
 
 ComplexArray = NDArray[np.complex128]
 
@@ -110,7 +112,7 @@ def exact_factors(
     return now, -phi * now, -gamma * now
 
 
-def _even_odd(x: FloatArray, values: ComplexArray) -> tuple[Triple, Triple]:
+def even_odd(x: FloatArray, values: ComplexArray) -> tuple[Triple, Triple]:
     """Least-squares polynomials of the real (even) and imaginary (odd) part, shape (nodes,)."""
     powers = np.stack([np.ones_like(x), x**2, x**4], axis=1)
     scale = x[-1] ** np.array([0, 2, 4])
@@ -123,6 +125,25 @@ def _even_odd(x: FloatArray, values: ComplexArray) -> tuple[Triple, Triple]:
     )
 
 
+def filter_pole(bandwidth: float, t_s: float) -> float:
+    """Pole of a filter of ``bandwidth`` rad/s, sampled every ``t_s`` seconds.
+
+    Raises:
+        NoSolutionError: It is too fast for the sampling.
+    """
+    if bandwidth * t_s > 2.0:
+        raise NoSolutionError(
+            f"control.observer.bandwidth: {bandwidth:g} rad/s is too fast for t_s = {t_s:g} s; "
+            f"write {2.0 / t_s:g} rad/s or less"
+        )
+    return float(np.exp(-bandwidth * t_s))
+
+
+def speed_nodes(x_max: float) -> FloatArray:
+    """Turns per period in rad up to ``x_max`` at which factors are fitted, ascending, not nil."""
+    return np.asarray(x_max * np.sin(0.5 * np.pi * (np.arange(_NODES) + 0.5) / _NODES))
+
+
 def design(
     machine: LinearMachine, tuning: ObserverTuning, t_s: float, omega_max: float
 ) -> EemfGains:
@@ -131,16 +152,11 @@ def design(
     Raises:
         NoSolutionError: The filter or the speed range is too fast for the sampling.
     """
-    if tuning.bandwidth * t_s > 2.0:
-        raise NoSolutionError(
-            f"control.observer.bandwidth: {tuning.bandwidth:g} rad/s is too fast for t_s = {t_s:g} "
-            f"s; write {2.0 / t_s:g} rad/s or less"
-        )
-    rho = float(np.exp(-tuning.bandwidth * t_s))
+    rho = filter_pole(tuning.bandwidth, t_s)
     x_max = omega_max * t_s
-    x = x_max * np.sin(0.5 * np.pi * (np.arange(_NODES) + 0.5) / _NODES)
+    x = speed_nodes(x_max)
     (now_r, now_m), (last_r, last_m), (volt_r, volt_m) = (
-        _even_odd(x, values) for values in exact_factors(machine, rho, t_s, x / t_s)
+        even_odd(x, values) for values in exact_factors(machine, rho, t_s, x / t_s)
     )
     return EemfGains(
         rho=rho,
@@ -194,6 +210,18 @@ def emf_part(o: Arithmetic, r: Triple, m: Triple, x: Reals, y: Pair) -> AlphaBet
     return AlphaBeta(real * y[0] - imaginary * y[1], real * y[1] + imaginary * y[0])
 
 
+def emf_angle_error(o: Arithmetic, e: AlphaBeta, theta: Reals, omega: Reals, floor: Any) -> Reals:
+    """Sine of the angle from ``theta`` in rad to the d axis that an EMF in V shows."""
+    along = o.park(e, o.rotation(theta)).d
+    size = o.let("size", o.root(e.alpha * e.alpha + e.beta * e.beta), "of the EMF, V")
+    across = o.let("across", -along / at_least(o, size, floor))
+    return o.let(
+        "error",
+        o.choose(omega < 0.0, -across, across),
+        "rad; the EMF turns its sign with the speed",
+    )
+
+
 def step(
     gains: EemfGains, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic = EXACT
 ) -> ObserverState:
@@ -224,14 +252,7 @@ def step(
         ),
     )
     theta = o.let("theta", predicted(state.theta_e, advance, o), "foretold angle, rad")
-    along = o.park(e, o.rotation(theta)).d
-    size = o.let("size", o.root(e.alpha * e.alpha + e.beta * e.beta), "of the EMF, V")
-    across = o.let("across", -along / at_least(o, size, gains.floor))
-    error = o.let(
-        "error",
-        o.choose(state.omega_e < 0.0, -across, across),
-        "rad; the EMF turns its sign with the speed",
-    )
+    error = emf_angle_error(o, e, theta, state.omega_e, gains.floor)
     return ObserverState((e, i), *corrected(gains.pll, theta, state.omega_e, error, o))
 
 

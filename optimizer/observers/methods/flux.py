@@ -37,21 +37,23 @@ from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains, FluxPath
 from dqforge.optimizer.observers.methods.lpv_certificate import certify_flux_observer
 from dqforge.optimizer.observers.parts import (
+    ObserverMethod,
+    ObserverState,
+    ObserverTuning,
+    StateMembers,
+    flux_in_words,
+    loop_scale,
+)
+from dqforge.optimizer.observers.pll import corrected, pll_bandwidth, pll_gains, predicted
+from dqforge.optimizer.step_arithmetic import (
     EXACT,
     AlphaBeta,
     Arithmetic,
     Dq,
     Member,
-    ObserverMethod,
-    ObserverState,
-    ObserverTuning,
     Pair,
-    StateMembers,
     at_least,
-    flux_in_words,
-    loop_scale,
 )
-from dqforge.optimizer.observers.pll import corrected, pll_bandwidth, pll_gains, predicted
 
 _PIECES, _BISECTIONS = 6, 3
 

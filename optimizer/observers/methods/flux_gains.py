@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Annotated
 
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.observers.parts import Member
 from dqforge.optimizer.observers.pll import PllGains
+from dqforge.optimizer.step_arithmetic import Member
 
 
 @dataclass(frozen=True, slots=True)

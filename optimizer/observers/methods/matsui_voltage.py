@@ -20,17 +20,13 @@ from dqforge.optimizer.observers.methods.matsui import (
 )
 from dqforge.optimizer.observers.models.matsui_model import Matsui, matsui
 from dqforge.optimizer.observers.parts import (
-    Arithmetic,
-    Dq,
-    Member,
     ObserverMethod,
     ObserverState,
     ObserverTuning,
-    Pair,
     StateMembers,
-    limited,
 )
 from dqforge.optimizer.observers.sampled_machine import SampledGains, model_scale, sampled_gains
+from dqforge.optimizer.step_arithmetic import Arithmetic, Dq, Member, Pair, limited
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,20 +42,15 @@ from dqforge.optimizer.observers.methods.flux import (
 )
 from dqforge.optimizer.observers.methods.flux_gains import FluxPath
 from dqforge.optimizer.observers.parts import (
-    EXACT,
-    AlphaBeta,
-    Arithmetic,
-    Member,
     ObserverMethod,
     ObserverState,
     ObserverTuning,
-    Pair,
     StateMembers,
-    at_least,
     flux_in_words,
     loop_scale,
 )
 from dqforge.optimizer.observers.pll import PllGains, corrected, pll_bandwidth, pll_gains, predicted
+from dqforge.optimizer.step_arithmetic import EXACT, AlphaBeta, Arithmetic, Member, Pair, at_least
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,8 +26,9 @@ from dqforge.optimizer.estimator_comparison.solve import ask, compare_estimators
 from dqforge.optimizer.estimators import tune_tracker
 from dqforge.optimizer.harmonic_trackers import ThirdHarmonic
 from dqforge.optimizer.harmonic_trackers import angle_noise as harmonic_noise
-from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
+from dqforge.optimizer.observers.parts import ObserverState
 from dqforge.optimizer.saliency.injection import POINTS, along_locus, angle_noise
+from dqforge.optimizer.step_arithmetic import Arithmetic, Pair
 
 ABB, SATURATED, ROUND = "abb-ipmsm-2k2", "baldor-pmsyrm-5k6", "paper001-pmsm-bench"
 

@@ -12,8 +12,8 @@ import pytest
 from fixed_drives import BENCH, SideBySide, beside, fitted, motion, observed_design, turned
 
 from dqforge.machines.names import (
-    LEARNED_OBSERVERS,
     OBSERVER_KEYS,
+    SINGLE_OBSERVERS,
     SIX_STEP_METHODS,
     SPEED_OBSERVER,
     TRACKER_NAMES,
@@ -80,8 +80,8 @@ def true_errors(run: SideBySide) -> tuple[float, float]:
 
 
 def test_every_observer_with_a_key_is_there_in_integers() -> None:
-    """All but those that learn, trackers and those of six-step drives: single precision alone."""
-    single = {*LEARNED_OBSERVERS, *TRACKER_NAMES, *SIX_STEP_METHODS}
+    """All but those in single precision alone, trackers and those of six-step drives."""
+    single = {*SINGLE_OBSERVERS, *TRACKER_NAMES, *SIX_STEP_METHODS}
     assert {*FIXED_METHODS, SPEED_OBSERVER} | single == set(OBSERVER_KEYS)
 
 

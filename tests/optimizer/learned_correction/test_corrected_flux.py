@@ -13,7 +13,8 @@ from dqforge.machines.names import LEARNED_OBSERVERS, ObserverMethodName
 from dqforge.machines.plants.drive_motion import DriveMotion, drive_motion, plants
 from dqforge.optimizer.learned_correction.correction_frame import outside
 from dqforge.optimizer.observers.methods import flux
-from dqforge.optimizer.observers.parts import EXACT, observe, steady_observer
+from dqforge.optimizer.observers.parts import observe, steady_observer
+from dqforge.optimizer.step_arithmetic import EXACT
 
 # Training a network takes some seconds: the rules by default, both in the campaign.
 EVERY = pytest.mark.parametrize(

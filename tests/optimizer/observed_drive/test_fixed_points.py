@@ -45,7 +45,7 @@ def drive_and_gains(design: Design) -> tuple[ObservedDrive, GainSet]:
 
 
 METHODS: list[ObserverMethodName] = [
-    "flux", "extended-emf", "open-loop-flux", "matsui-voltage", "matsui-current",
+    "flux", "extended-emf", "smo", "open-loop-flux", "matsui-voltage", "matsui-current",
 ]  # fmt: skip
 
 

@@ -42,7 +42,7 @@ from dqforge.optimizer.observed_drive.drive_model import drive_cases
 from dqforge.optimizer.observed_drive.speed_range import SpeedPi, limit_cycle, steady_drives
 
 METHODS: list[ObserverMethodName] = [
-    "flux", "extended-emf", "open-loop-flux", "matsui-voltage", "matsui-current", "ekf",
+    "flux", "extended-emf", "smo", "open-loop-flux", "matsui-voltage", "matsui-current", "ekf",
 ]  # fmt: skip
 
 

@@ -32,7 +32,7 @@ from dqforge.optimizer.observed_drive.design_drive import (
 )
 
 METHODS: list[ObserverMethodName] = [
-    "flux", "extended-emf", "open-loop-flux", "matsui-voltage", "matsui-current",
+    "flux", "extended-emf", "smo", "open-loop-flux", "matsui-voltage", "matsui-current",
 ]  # fmt: skip
 
 

@@ -16,7 +16,6 @@ from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import ObserverMethodName
 from dqforge.optimizer.estimators import TRACKERS, tune_tracker
-from dqforge.optimizer.observers.parts import EXACT
 from dqforge.optimizer.saliency.inform import (
     LAST,
     InformGains,
@@ -27,6 +26,7 @@ from dqforge.optimizer.saliency.inform import (
     usual_pulse,
 )
 from dqforge.optimizer.saliency.injection import POINTS, along_locus, current_noise
+from dqforge.optimizer.step_arithmetic import EXACT
 
 BALDOR = "baldor-pmsyrm-5k6"
 

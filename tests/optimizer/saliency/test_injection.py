@@ -16,7 +16,6 @@ from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import InjectionWave
 from dqforge.optimizer.estimators import TrackerEstimator, tune_tracker
-from dqforge.optimizer.observers.parts import EXACT
 from dqforge.optimizer.saliency.injection import (
     NOISE_ANGLE,
     POINTS,
@@ -35,6 +34,7 @@ from dqforge.optimizer.saliency.injection import (
     wave_tracking,
 )
 from dqforge.optimizer.saliency.sampled_injection import cross_saturation_error
+from dqforge.optimizer.step_arithmetic import EXACT
 
 WAVES: tuple[InjectionWave, ...] = ("square", "sine", "rotating")
 ABB, BALDOR = "abb-ipmsm-2k2", "baldor-pmsyrm-5k6"

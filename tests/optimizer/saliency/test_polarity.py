@@ -14,7 +14,6 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.observers.parts import EXACT, Arithmetic
 from dqforge.optimizer.saliency.inform import (
     WRONG,
     PolarityGains,
@@ -25,6 +24,7 @@ from dqforge.optimizer.saliency.inform import (
     polarity_step,
     wrong_decision,
 )
+from dqforge.optimizer.step_arithmetic import EXACT, Arithmetic
 from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.pages.templating import render
 

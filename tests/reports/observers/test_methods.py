@@ -1,9 +1,10 @@
-"""Matsui's models and the Kalman filter as methods of a design: emitted, verified, read back,
-judged.
+"""Matsui's models, the Kalman filter and the sliding-mode observer as methods of a design: emitted,
+verified, read back, judged.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from drives import on_observer, within_a_percent
 
+from dqforge import cli
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import linearised
@@ -27,7 +29,7 @@ from dqforge.reports.observers.position_header import emitted, observer_from, pl
 from dqforge.reports.result import verify_folder
 from dqforge.reports.run import export_design
 
-NEW: tuple[ObserverMethodName, ...] = ("matsui-voltage", "matsui-current", "ekf")
+NEW: tuple[ObserverMethodName, ...] = ("matsui-voltage", "matsui-current", "ekf", "smo")
 
 
 @pytest.fixture(autouse=True)
@@ -56,7 +58,9 @@ def test_header_is_emitted_verified_and_read_back(name: ObserverMethodName, tmp_
     assert part is not None
     plain = plain_observer(part)
     assert plain_observer(observer_from(plain)) == plain
-    plain["gains"]["model"]["table"] = plain["gains"]["model"]["table"][:-1]
+    gains = plain["gains"]
+    owner, member = (gains, "lag_r") if name == "smo" else (gains["model"], "table")
+    owner[member] = owner[member][:-1]
     with pytest.raises(InputError, match="not what dqforge writes"):
         observer_from(plain)
 
@@ -100,3 +104,40 @@ def test_kalman_filter_settles_at_the_covariance_of_its_riccati_equation() -> No
     assert np.all(found.found)
     assert np.max(np.abs(found.theta_error)) < 1e-5
     assert np.all(np.abs(found.poles[:, 0]) < 1.0)
+
+
+@pytest.mark.slow
+def test_commands_take_the_sliding_mode_observer(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """By keys alone, on the bench of paper 001: range and margins are printed, the files written,
+    and integers refused.
+    """
+    keys = ("control.observer={method: smo}", "control.speed_loop={method: symmetrical-optimum}")
+    options = [word for key in keys for word in ("--set", key)]
+
+    def said(code: int, *arguments: str) -> str:
+        with pytest.raises(SystemExit) as stop:
+            cli.main([*arguments, *options])
+        captured = capsys.readouterr()
+        assert stop.value.code == code, captured.err
+        return " ".join((captured.out + captured.err).split())
+
+    drive = "paper001-pmsm-bench"
+    assert "sliding-mode" not in said(0, "check", drive)
+    tuned = said(0, "tune", drive)
+    assert re.search(r"runs on the sliding-mode observer: with its lag, at the worst speed", tuned)
+    margins = re.search(
+        r"phase margin at 27.1, 67.8, 136, 271 Hz \(electrical\): ([\d., ]+)", tuned
+    )
+    assert margins is not None
+    assert all(float(part) > 30.0 for part in margins[1].strip(", ").split(","))
+    steady = re.search(r"at constant speed from ([\d.]+) to ([\d.]+) Hz \(electrical\)", tuned)
+    assert steady is not None
+    assert float(steady[1]) < 27.1
+    assert float(steady[2]) > 271.0
+    ran = said(0, "run", drive, "--no-verify", "-o", str(tmp_path))
+    assert "deg phase margin with the observer's lag" in ran
+    assert "bench001_smo_step(" in (tmp_path / "bench001_observer.h").read_text("ascii")
+    options += ["--set", "export.control=q15"]
+    assert "the method 'smo' is not there in fixed point" in said(2, "check", drive)

@@ -85,7 +85,7 @@ def kept(program: Bench, design: Design, gains: GainSet, seed: int) -> list[str]
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "method",
-    ["flux", "extended-emf", "open-loop-flux", "matsui-voltage", "matsui-current", "ekf"],
+    ["flux", "extended-emf", "smo", "open-loop-flux", "matsui-voltage", "matsui-current", "ekf"],
 )
 def test_no_point_of_the_box_swings_or_loses_its_rotor(method: ObserverMethodName) -> None:
     broken, held = [], 0

@@ -15,15 +15,8 @@ import pytest
 from static_checks import program
 
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.optimizer.observers.parts import (
-    AlphaBeta,
-    Arithmetic,
-    Member,
-    ObserverState,
-    StateMembers,
-    cast,
-    limited,
-)
+from dqforge.optimizer.observers.parts import ObserverState, StateMembers
+from dqforge.optimizer.step_arithmetic import AlphaBeta, Arithmetic, Member, cast, limited
 from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.pages.templating import render
 from dqforge.reports.steps.observer_text import observer_text
@@ -86,10 +79,18 @@ def method_of(step: Step) -> Any:
     return replace(own, start=start, step=step)
 
 
-def test_the_c_of_a_step_is_the_step(tmp_path: Path) -> None:
+def both(gains: Any, state: ObserverState, v: Any, i: Any, o: Arithmetic) -> ObserverState:
+    """Before and after the first step the same name is written, and of another value."""
+    share = 0.25 if state.started else 0.5
+    seen = o.let("seen", AlphaBeta(gains.limit * v[0] + share, v[1] * share))
+    return ObserverState((seen,), o.wrap(i[0]), i[1], True, state.scalars)
+
+
+@pytest.mark.parametrize("step", [tried, both])
+def test_the_c_of_a_step_is_the_step(step: Step, tmp_path: Path) -> None:
     gains = TriedGains((0.25, -1.5, 0.1), 300.0, 7.0)
     names = {"prefix": "t", "macro": "T"}
-    text = observer_text(method_of(tried), gains, "t", "T")
+    text = observer_text(method_of(step), gains, "t", "T")
     assert "unread" not in text
     members = ["s.e.alpha", "s.e.beta", "s.n", "s.m", "s.theta_e", "s.omega_e"]
     source = [
@@ -122,7 +123,7 @@ def test_the_c_of_a_step_is_the_step(tmp_path: Path) -> None:
         c = [rows[own, n].copy() for n in range(10)]
         state = ObserverState(((c[0], c[1]),), c[4], c[5], started, (c[2], c[3]))
         with np.errstate(all="ignore"):
-            after = tried(cast(gains, SINGLE), state, (c[6], c[7]), (c[8], c[9]), SINGLE)
+            after = step(cast(gains, SINGLE), state, (c[6], c[7]), (c[8], c[9]), SINGLE)
         parts = [*after.vectors[0], *after.scalars, after.theta_e, after.omega_e]
         model = np.stack(parts, axis=1)
         assert model.dtype == np.float32
