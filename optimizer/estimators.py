@@ -19,7 +19,7 @@ from dqforge.machines.plants.drive_motion import ComplexArray
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import ObserverState
-from dqforge.optimizer.step_arithmetic import Arithmetic, Pair
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair
 
 # What a tracker may be told besides: the mean over the period that ends of v_a + v_b + v_c against
 # the star point, or that of each phase voltage, in V.

@@ -53,7 +53,7 @@ from dqforge.optimizer.observers.judgement import ANGLE_LIMIT
 from dqforge.optimizer.observers.models.matsui_model import ObserverRun
 from dqforge.optimizer.observers.parts import ObserverState
 from dqforge.optimizer.observers.sampled_machine import wrapped
-from dqforge.optimizer.step_arithmetic import Arithmetic, Pair, limited
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair, limited
 
 # Third harmonic over the fundamental, each as flux linkage, below which converters and unequal
 # phases hide it.

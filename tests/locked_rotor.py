@@ -17,7 +17,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
 from dqforge.machines.plants.drive_motion import ComplexArray
 from dqforge.optimizer.estimators import Tracker
 from dqforge.optimizer.observers.sampled_machine import exact_entries
-from dqforge.optimizer.step_arithmetic import EXACT
+from dqforge.optimizer.steps.step_arithmetic import EXACT
 
 BASE = "abb-ipmsm-2k2"
 

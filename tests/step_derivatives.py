@@ -9,8 +9,8 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.observers.parts import ObserverMethod, ObserverState
-from dqforge.optimizer.observers.step_graphs import Graphs, Number, graph
-from dqforge.optimizer.step_arithmetic import AlphaBeta
+from dqforge.optimizer.steps.step_arithmetic import AlphaBeta
+from dqforge.optimizer.steps.step_graphs import Graphs, Number, graph
 
 
 def derivative(method: ObserverMethod, gains: Any) -> casadi.Function:

@@ -46,7 +46,7 @@ from dqforge.optimizer.observers.judgement import (
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import Disturbances, Load, ObserverMethod, steady_observer
 from dqforge.optimizer.observers.tuning import SHOWN, PositionObserver, tune_position_observer
-from dqforge.optimizer.step_arithmetic import EXACT
+from dqforge.optimizer.steps.step_arithmetic import EXACT
 
 
 @dataclass(frozen=True, slots=True, eq=False)

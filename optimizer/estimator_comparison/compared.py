@@ -40,7 +40,7 @@ from dqforge.optimizer.observers.parts import Load
 from dqforge.optimizer.six_step.design import SixStepDesign, commutation_errors, solve_six_step
 from dqforge.optimizer.start_up.plan import StartUpPlan
 from dqforge.optimizer.start_up.solve import solve_start_up
-from dqforge.optimizer.step_arithmetic import EXACT, Pair
+from dqforge.optimizer.steps.step_arithmetic import EXACT, Pair
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -29,7 +29,7 @@ from dqforge.optimizer.learned_correction.correction_frame import (
 )
 from dqforge.optimizer.observers.methods import flux
 from dqforge.optimizer.observers.parts import ObserverState, ObserverTuning, flux_in_words
-from dqforge.optimizer.step_arithmetic import Arithmetic, Pair
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair
 
 # (gains, inputs of -1 to 1, arithmetic) -> correction in rad, within the limit.
 Learned = Callable[[Any, Inputs, Arithmetic], Reals]

@@ -32,7 +32,7 @@ from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.methods.flux import flux_of_voltage
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.reduced_order import Limits, Training, TrainingBox
-from dqforge.optimizer.step_arithmetic import EXACT, Arithmetic, at_least
+from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic, at_least
 
 INPUTS = 6
 TOLD = 5  # Of which the first five are learned from.

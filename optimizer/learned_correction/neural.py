@@ -29,7 +29,7 @@ from dqforge.optimizer.observers.methods import flux
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.parts import ObserverMethod, ObserverState, ObserverTuning
 from dqforge.optimizer.observers.reduced_order import Training, TrainingBox
-from dqforge.optimizer.step_arithmetic import EXACT, Arithmetic, Pair
+from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic, Pair
 
 HIDDEN = (8, 8)  # Neurons of the hidden layers where the design names none.
 _EVERY = 2  # Of the drawn drives, every second one trains: twice as many gain no tenth of a degree.

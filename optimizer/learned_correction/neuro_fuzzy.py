@@ -31,7 +31,7 @@ from dqforge.optimizer.observers.methods import flux
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.parts import ObserverMethod, ObserverState, ObserverTuning
 from dqforge.optimizer.observers.reduced_order import Training, TrainingBox
-from dqforge.optimizer.step_arithmetic import EXACT, Arithmetic, Pair
+from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic, Pair
 
 
 @dataclass(frozen=True, slots=True)

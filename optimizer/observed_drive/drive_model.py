@@ -29,7 +29,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.plants.drive_motion import ComplexArray, plants, steady_voltage
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.parts import ObserverState, steady_observer, vector_count
-from dqforge.optimizer.step_arithmetic import EXACT, Pair
+from dqforge.optimizer.steps.step_arithmetic import EXACT, Pair
 
 if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray

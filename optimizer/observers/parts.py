@@ -3,7 +3,8 @@ numbers by which they are tuned and judged.
 
 An observer is a module of three functions (docs/methods/position-observers.md): ``design`` makes
 its gains, ``start`` its first state, ``step`` the next one, written once, over an `Arithmetic`
-(`dqforge.optimizer.step_arithmetic`), from which `dqforge.reports.steps.observer_text` writes C.
+(`dqforge.optimizer.steps.step_arithmetic`), from which `dqforge.reports.steps.observer_text` writes
+C.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from dqforge.machines.plants.drive_motion import ComplexArray, DriveMotion, Plan
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.reduced_order import Training, TrainingBox
-from dqforge.optimizer.step_arithmetic import EXACT, Arithmetic, Member, Pair, cast
+from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic, Member, Pair, cast
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ from typing import Annotated
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.step_arithmetic import Arithmetic, Member
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Member
 
 FASTEST = 0.5  # Largest bandwidth times t_s: beyond, single samples decide the angle.
 

@@ -34,7 +34,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.plants.drive_motion import next_flux, plants
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.step_arithmetic import Arithmetic, Dq, Member, Pair
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Dq, Member, Pair
 
 TERMS = 4
 

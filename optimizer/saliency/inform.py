@@ -46,7 +46,7 @@ from dqforge.optimizer.saliency.injection import (
     require_saliency,
 )
 from dqforge.optimizer.saliency.sampled_injection import Injection
-from dqforge.optimizer.step_arithmetic import Arithmetic, Pair, limited
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair, limited
 
 LAST = 7  # Place in a sequence at which the answer to its last pulse is seen.
 MIDDLE = 3.0  # Samples from the middle of the pulses to that place.

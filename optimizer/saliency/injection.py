@@ -29,7 +29,7 @@ from dqforge.optimizer.observers.parts import ObserverState, usual_disturbances
 from dqforge.optimizer.observers.sampled_machine import electrical_limit
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.saliency.sampled_injection import DELAY, LONGEST, admittance
-from dqforge.optimizer.step_arithmetic import Arithmetic, Pair, limited
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair, limited
 
 POINTS = 9  # Of the tables over the load.
 _UNKNOWN = 1.0e15

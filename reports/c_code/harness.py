@@ -16,7 +16,7 @@ from dqforge.machines.errors import VerificationError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
 from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.step_arithmetic import Arithmetic
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic
 from dqforge.reports.plain_data import PlainData
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import park
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.observers.parts import ObserverMethod
-from dqforge.optimizer.step_arithmetic import cast
+from dqforge.optimizer.steps.step_arithmetic import cast
 from dqforge.reports.c_code.harness import SINGLE, rotation, wrap
 from dqforge.reports.plain_data import shortest
 

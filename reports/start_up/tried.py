@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.estimators import TRACKERS
-from dqforge.optimizer.step_arithmetic import cast
+from dqforge.optimizer.steps.step_arithmetic import cast
 from dqforge.reports.c_code.harness import SINGLE, Programme, single_from
 from dqforge.reports.observers.position_header import observer_from
 from dqforge.reports.observers.tracker_header import (

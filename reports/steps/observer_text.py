@@ -14,7 +14,14 @@ import numpy as np
 
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import ObserverState
-from dqforge.optimizer.step_arithmetic import AlphaBeta, Arithmetic, Dq, Member, Pair, Rotation
+from dqforge.optimizer.steps.step_arithmetic import (
+    AlphaBeta,
+    Arithmetic,
+    Dq,
+    Member,
+    Pair,
+    Rotation,
+)
 from dqforge.reports.c_code.numbers import comment_text, float_literal
 from dqforge.reports.steps.symbols import Expression, Origin, expression, folded, joined
 

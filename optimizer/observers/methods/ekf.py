@@ -85,7 +85,7 @@ from dqforge.optimizer.observers.sampled_machine import (
     usual_sensor,
     wandering_speed,
 )
-from dqforge.optimizer.step_arithmetic import EXACT, Arithmetic, Dq, Member, Pair, limited
+from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic, Dq, Member, Pair, limited
 
 _PSI_LEAST = 1e-9
 
@@ -602,7 +602,7 @@ def innovations(model: SampledMachine, trial: Trial) -> Callable[[Ekf], Innovati
     """
     import casadi
 
-    from dqforge.optimizer.observers.step_graphs import Graphs, Number, graph
+    from dqforge.optimizer.steps.step_graphs import Graphs, Number, graph
 
     def numbers(symbol: Any) -> tuple[Any, ...]:
         return tuple(Number(symbol[k]) for k in range(symbol.numel()))

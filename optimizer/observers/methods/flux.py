@@ -45,7 +45,7 @@ from dqforge.optimizer.observers.parts import (
     loop_scale,
 )
 from dqforge.optimizer.observers.pll import corrected, pll_bandwidth, pll_gains, predicted
-from dqforge.optimizer.step_arithmetic import (
+from dqforge.optimizer.steps.step_arithmetic import (
     EXACT,
     AlphaBeta,
     Arithmetic,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.pll import PllGains
-from dqforge.optimizer.step_arithmetic import Member
+from dqforge.optimizer.steps.step_arithmetic import Member
 
 
 @dataclass(frozen=True, slots=True)

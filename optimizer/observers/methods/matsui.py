@@ -10,7 +10,7 @@ from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.models.matsui_model import Matsui
 from dqforge.optimizer.observers.parts import USUAL_WIDTH, ObserverState, ObserverTuning
 from dqforge.optimizer.observers.sampled_machine import SampledGains, matrix_entries, next_currents
-from dqforge.optimizer.step_arithmetic import Arithmetic, Dq, Member, Pair, limited
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Dq, Member, Pair, limited
 
 
 def usual_matsui(_: LinearMachine, t_s: float, omega_max: float) -> ObserverTuning:

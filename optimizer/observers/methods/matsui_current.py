@@ -25,7 +25,7 @@ from dqforge.optimizer.observers.parts import (
     StateMembers,
 )
 from dqforge.optimizer.observers.sampled_machine import SampledGains, model_scale, sampled_gains
-from dqforge.optimizer.step_arithmetic import Arithmetic, Dq, Member, Pair, limited
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Dq, Member, Pair, limited
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,7 +50,14 @@ from dqforge.optimizer.observers.parts import (
     loop_scale,
 )
 from dqforge.optimizer.observers.pll import PllGains, corrected, pll_bandwidth, pll_gains, predicted
-from dqforge.optimizer.step_arithmetic import EXACT, AlphaBeta, Arithmetic, Member, Pair, at_least
+from dqforge.optimizer.steps.step_arithmetic import (
+    EXACT,
+    AlphaBeta,
+    Arithmetic,
+    Member,
+    Pair,
+    at_least,
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,7 +60,7 @@ from dqforge.optimizer.observers.parts import (
     loop_scale,
 )
 from dqforge.optimizer.observers.pll import PllGains, corrected, pll_gains, predicted
-from dqforge.optimizer.step_arithmetic import (
+from dqforge.optimizer.steps.step_arithmetic import (
     EXACT,
     AlphaBeta,
     Arithmetic,

@@ -28,7 +28,7 @@ from dqforge.optimizer.harmonic_trackers import ThirdHarmonic
 from dqforge.optimizer.harmonic_trackers import angle_noise as harmonic_noise
 from dqforge.optimizer.observers.parts import ObserverState
 from dqforge.optimizer.saliency.injection import POINTS, along_locus, angle_noise
-from dqforge.optimizer.step_arithmetic import Arithmetic, Pair
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair
 
 ABB, SATURATED, ROUND = "abb-ipmsm-2k2", "baldor-pmsyrm-5k6", "paper001-pmsm-bench"
 

@@ -21,7 +21,7 @@ from dqforge.optimizer.harmonic_trackers import (
     design_third_harmonic,
     third_flux,
 )
-from dqforge.optimizer.step_arithmetic import EXACT
+from dqforge.optimizer.steps.step_arithmetic import EXACT
 
 WIRED = ("inverter.topology=three-wire", "control.observer={method: third-harmonic}")
 SETTINGS = ObserverSettings(method="third-harmonic")

@@ -14,7 +14,7 @@ from dqforge.machines.plants.drive_motion import DriveMotion, drive_motion, plan
 from dqforge.optimizer.learned_correction.correction_frame import outside
 from dqforge.optimizer.observers.methods import flux
 from dqforge.optimizer.observers.parts import observe, steady_observer
-from dqforge.optimizer.step_arithmetic import EXACT
+from dqforge.optimizer.steps.step_arithmetic import EXACT
 
 # Training a network takes some seconds: the rules by default, both in the campaign.
 EVERY = pytest.mark.parametrize(

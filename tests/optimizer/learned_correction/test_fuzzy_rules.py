@@ -18,7 +18,7 @@ from dqforge.optimizer.learned_correction.correction_frame import (
     least_squares,
     trained_rules,
 )
-from dqforge.optimizer.step_arithmetic import EXACT, cast
+from dqforge.optimizer.steps.step_arithmetic import EXACT, cast
 from dqforge.reports.c_code.harness import SINGLE
 
 

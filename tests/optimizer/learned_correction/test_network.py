@@ -19,7 +19,7 @@ from dqforge.optimizer.learned_correction.corrected_flux import (
     trained_network,
 )
 from dqforge.optimizer.learned_correction.correction_frame import TOLD
-from dqforge.optimizer.step_arithmetic import EXACT, cast
+from dqforge.optimizer.steps.step_arithmetic import EXACT, cast
 from dqforge.reports.c_code.harness import SINGLE
 
 

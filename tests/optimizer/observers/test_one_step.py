@@ -26,7 +26,7 @@ from dqforge.optimizer.observers.sampled_machine import (
     sampled_gains,
     sampled_machine,
 )
-from dqforge.optimizer.step_arithmetic import EXACT
+from dqforge.optimizer.steps.step_arithmetic import EXACT
 
 T_S, OMEGA_MAX = 1e-4, 3000.0
 READ = {name: method for name, method in METHODS.items() if method.members is not None}

@@ -26,7 +26,7 @@ from dqforge.optimizer.saliency.inform import (
     usual_pulse,
 )
 from dqforge.optimizer.saliency.injection import POINTS, along_locus, current_noise
-from dqforge.optimizer.step_arithmetic import EXACT
+from dqforge.optimizer.steps.step_arithmetic import EXACT
 
 BALDOR = "baldor-pmsyrm-5k6"
 

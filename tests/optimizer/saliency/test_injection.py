@@ -34,7 +34,7 @@ from dqforge.optimizer.saliency.injection import (
     wave_tracking,
 )
 from dqforge.optimizer.saliency.sampled_injection import cross_saturation_error
-from dqforge.optimizer.step_arithmetic import EXACT
+from dqforge.optimizer.steps.step_arithmetic import EXACT
 
 WAVES: tuple[InjectionWave, ...] = ("square", "sine", "rotating")
 ABB, BALDOR = "abb-ipmsm-2k2", "baldor-pmsyrm-5k6"

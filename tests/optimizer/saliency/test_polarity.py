@@ -24,7 +24,7 @@ from dqforge.optimizer.saliency.inform import (
     polarity_step,
     wrong_decision,
 )
-from dqforge.optimizer.step_arithmetic import EXACT, Arithmetic
+from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic
 from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.pages.templating import render
 

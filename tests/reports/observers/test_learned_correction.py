@@ -21,7 +21,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.names import LEARNED_OBSERVERS, ObserverMethodName
 from dqforge.machines.plants.scenario import PlantErrors, Scenario, constant
 from dqforge.optimizer.solution import solve
-from dqforge.optimizer.step_arithmetic import cast
+from dqforge.optimizer.steps.step_arithmetic import cast
 from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.observers.float32_model import observer_inputs
 from dqforge.reports.observers.position_header import observer_files, plain_position, position_parts

@@ -40,7 +40,7 @@ from dqforge.optimizer.observers.methods.matsui_voltage import (
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.models import matsui_model as matsui_models
 from dqforge.optimizer.observers.sampled_machine import CurrentSensor, Trial, simulate, wrapped
-from dqforge.optimizer.step_arithmetic import EXACT, Arithmetic, cast
+from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic, cast
 from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.operating_system.host_compiler import find_compiler
 from dqforge.reports.pages.templating import render

@@ -27,7 +27,7 @@ from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import observe
 from dqforge.optimizer.observers.proof import prove
 from dqforge.optimizer.observers.tuning import PositionObserver
-from dqforge.optimizer.step_arithmetic import EXACT, cast
+from dqforge.optimizer.steps.step_arithmetic import EXACT, cast
 from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.observers.float32_model import observer_inputs, observer_outputs
 from dqforge.reports.observers.position_header import (

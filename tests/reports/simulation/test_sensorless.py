@@ -38,7 +38,7 @@ from dqforge.machines.transforms import Triple, clarke
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import steady_observer
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.optimizer.step_arithmetic import cast
+from dqforge.optimizer.steps.step_arithmetic import cast
 from dqforge.reports.c_code.harness import SINGLE, wrap
 from dqforge.reports.observers.float32_model import observed_speeds, speed_observer_gains
 from dqforge.reports.pages.figures_style import to_svg

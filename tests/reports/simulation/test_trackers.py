@@ -13,7 +13,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.transforms import Triple, clarke
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.solution import solve
-from dqforge.optimizer.step_arithmetic import cast
+from dqforge.optimizer.steps.step_arithmetic import cast
 from dqforge.reports.c_code.harness import SINGLE, wrap
 from dqforge.reports.simulation.design_run import DriveSimulation, simulate_design
 

@@ -16,7 +16,7 @@ from static_checks import program
 
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import ObserverState, StateMembers
-from dqforge.optimizer.step_arithmetic import AlphaBeta, Arithmetic, Member, cast, limited
+from dqforge.optimizer.steps.step_arithmetic import AlphaBeta, Arithmetic, Member, cast, limited
 from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.pages.templating import render
 from dqforge.reports.steps.observer_text import observer_text

@@ -43,7 +43,7 @@ from dqforge.optimizer.observers.parts import (
 )
 from dqforge.optimizer.observers.pll import pll_gains
 from dqforge.optimizer.observers.tuning import optimise, tune_position_observer
-from dqforge.optimizer.step_arithmetic import EXACT
+from dqforge.optimizer.steps.step_arithmetic import EXACT
 
 # Of the EMF observers; those by the flux take 20 rad/s at rest, Matsui's models their usual poles.
 #
@@ -386,7 +386,7 @@ def test_given_keys_win_over_the_usual_ones() -> None:
 
 
 def test_refusals_say_what_to_write() -> None:
-    with pytest.raises(InputError, match="write one of extended-emf, flux, open-loop-flux"):
+    with pytest.raises(InputError, match="write one of extended-emf, smo, flux, open-loop-flux"):
         method_named("luenberger")
     with pytest.raises(NoSolutionError, match="write 5000 rad/s or less"):
         pll_gains(6000.0, 1.0, T_S)

@@ -30,7 +30,7 @@ from dqforge.optimizer.observers.parts import (
     observe,
     steady_observer,
 )
-from dqforge.optimizer.step_arithmetic import EXACT
+from dqforge.optimizer.steps.step_arithmetic import EXACT
 
 METHOD = METHODS["smo"]
 T_S, OMEGA_MAX = 1e-4, 3000.0

@@ -12,7 +12,7 @@ import casadi
 import numpy as np
 
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.step_arithmetic import Arithmetic, Rotation
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Rotation
 
 
 class Number:
