@@ -1,0 +1,376 @@
+"""Drives without encoder, drawn at random, by the emitted C at random points of their tolerances:
+each keeps what is promised of it, or is refused beforehand.
+
+``python tests/benchmarks/sensorless_samples.py --method flux --drives 60 --points 100 --seed 1``
+prints a line per drive and the row of the table that docs/methods/observed-loops.md has;
+``--rows FILE`` writes all of it as JSON, with the design of every drive that failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+
+from dqforge.machines.design.catalogue import load_text
+from dqforge.machines.design.design import Design
+from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.names import ObserverMethodName
+from dqforge.machines.plants.scenario import PlantErrors, Profile, Scenario, Sensorless
+from dqforge.optimizer.control_design import observed_remedies
+from dqforge.optimizer.control_design.observed_refusal import require_observed
+from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.loops.observed_margins import CornerJudgement
+from dqforge.optimizer.solution import Solution, solve
+from dqforge.reports.simulation.design_run import (
+    angle_error,
+    controller_files,
+    drive_of,
+    observers_of,
+)
+from dqforge.reports.simulation.recorded_run import Simulation, Simulator, simulate, simulator
+
+METHODS: tuple[ObserverMethodName, ...] = (
+    "flux", "open-loop-flux", "extended-emf", "matsui-voltage", "matsui-current", "ekf",
+)  # fmt: skip
+
+# A swing counts above this share of the speed; the speed may be wrong by this more than is stated.
+SWING, BESIDE = 0.01, 2e-3
+# Crossover times that a run lasts, between a least and a largest time in s; where the speed still
+# moves at its end it is run again for longer, so that what dies away slowly is no swing.
+CROSSOVERS, SHORTEST, LONGEST, LONGER = 150.0, 0.6, 8.0, 5.0
+ROWS = 3000  # recorded of a run
+
+# Parts of a run: the load steps at the first share of it, what follows at the second one; each is
+# judged over the last part of its time.
+_FIRST, _SECOND, _LAST = 0.15, 0.55, 0.3
+
+YAML = """dqforge: 1
+name: Drawn drive
+machine:
+  model: linear
+  pole_pairs: {pole_pairs}
+  resistance: {r_s:.4g} Ohm
+  inductance_d: {l_d:.4g} H
+  inductance_q: {l_q:.4g} H
+  magnet_flux: {psi:.4g} Wb
+  max_current: {i_max:.4g} A
+  max_speed: {speed:.4g} rad/s
+  inertia: {inertia:.4g} kg m^2
+  friction: {friction:.4g} N m s
+inverter:
+  topology: three-wire
+  v_dc: {v_dc:.4g} V
+  switching_frequency: {carrier:.0f} Hz
+  dead_time: 0 s
+  max_current: {i_inverter:.4g} A
+control:
+  current_loop: {{method: magnitude-optimum}}
+  speed_loop: {{method: symmetrical-optimum, ratio: {ratio}}}
+  observer: {{method: {method}}}
+operation: {{strategy: mtpa}}
+fit: {{form: torque-exact}}
+export: {{prefix: drawn, vectors: 16}}
+"""
+
+
+def drawn(generator: np.random.Generator, method: ObserverMethodName) -> str:
+    """A design at random: 50 W to 30 kW, 24 to 750 V, 2 to 10 pole pairs, L_q/L_d of 1 to 2.5,
+    5 to 20 kHz, 60 to 500 Hz; the loop is left to the rule, and no tolerances are named.
+    """
+
+    def between(low: float, high: float) -> float:
+        return float(np.exp(generator.uniform(np.log(low), np.log(high))))
+
+    power, carrier = between(50.0, 30e3), 100.0 * round(between(50.0, 200.0))
+    links = (24.0, 60.0) if power < 300.0 else (48.0, 350.0) if power < 2e3 else (300.0, 750.0)
+    v_dc, pole_pairs = between(*links), int(generator.integers(2, 11))
+    omega = 2.0 * np.pi * between(60.0, min(500.0, carrier / 20.0))
+    psi = between(0.55, 0.85) * v_dc / np.sqrt(3.0) / omega
+    i_max = between(1.5, 3.0) * power / (1.5 * psi * omega)
+    l_q = between(0.15, 0.5) * psi / i_max
+    small = (
+        power / 1e3
+    ) ** -0.2  # the smaller a machine, the more of its voltage its winding takes
+    torque, speed = 1.5 * pole_pairs * psi * i_max, omega / pole_pairs
+    return YAML.format(
+        method=method, pole_pairs=pole_pairs, v_dc=v_dc, carrier=carrier, psi=psi, i_max=i_max,
+        i_inverter=2.0 * i_max, l_q=l_q, l_d=l_q / float(generator.uniform(1.0, 2.5)),
+        r_s=between(0.01, 0.1) * small * psi * omega / i_max, speed=speed,
+        inertia=torque * between(0.03, 0.5) / speed, friction=0.01 * torque / speed,
+        ratio=int(generator.integers(5, 11)),
+    )  # fmt: skip
+
+
+def speed_gains(solved: Solution) -> tuple[LoopGains, CornerJudgement]:
+    """The speed loop, and where it holds."""
+    speed = solved.gains.speed
+    assert speed is not None
+    assert speed.observed is not None
+    assert speed.observed.corners is not None
+    return speed, speed.observed.corners
+
+
+def accepted(design: Design) -> Solution | str:
+    """What is solved of a design; what kind of refusal it meets where it is refused."""
+    try:
+        solved = solve(design)
+        # what would hold instead is not asked for, and takes longer than all else
+        with patch.object(observed_remedies, "remedies", return_value=()):
+            require_observed(design, solved.gains)
+    except NoSolutionError as error:
+        return kind_of(error.message)
+    return solved
+
+
+KINDS = {
+    "there is no speed at which it holds": "no speed",
+    "does not hold at all corners": "not up to the top",
+    "phase margin": "margin",
+    "is unstable": "unstable",
+}
+
+
+def kind_of(message: str) -> str:
+    """A refusal in two words; its beginning where it is of another kind."""
+    return next((kind for words, kind in KINDS.items() if words in message), message[:90])
+
+
+@dataclass(frozen=True)
+class Point:
+    """A run; ``instants`` in s are those at which its load and its speed step. ``kind`` is ``load``
+    where the load comes and goes, ``speed`` where the speed steps under it, ``rest`` where it rises
+    slowly to that of the corners.
+    """
+
+    kind: str
+    scenario: Scenario
+    instants: tuple[float, float]
+
+    def longer(self, factor: float) -> Point:
+        """The same steps with more time after each."""
+        old = self.scenario
+
+        def later(profile: Profile) -> Profile:
+            return replace(profile, times=tuple(factor * time for time in profile.times))
+
+        scenario = replace(
+            old, duration=factor * old.duration, reference=later(old.reference),
+            load=later(old.load),
+        )  # fmt: skip
+        first, second = self.instants
+        return Point(self.kind, scenario, (factor * first, factor * second))
+
+
+def a_point(
+    generator: np.random.Generator, found: CornerJudgement, duration: float, place: int
+) -> Point:
+    """Half of them meet a load that comes and goes, a quarter a step of load and one of speed, a
+    quarter rest under the load of the corners; every second lies at a corner of the box.
+    """
+    steps, held, pairs = found.steps, found.binding, found.pole_pairs
+    assert steps is not None
+    errors = {name: float(generator.uniform(*pair)) for name, pair in found.limits.items()}
+    if place % 2:
+        errors = {name: float(generator.choice(pair)) for name, pair in found.limits.items()}
+    kind = ("load", "load", "speed", "rest")[place // 2 % 4] if steps.load > 0.0 else "rest"
+    first, second = _FIRST * duration, _SECOND * duration
+    way, change = float(generator.choice([-1.0, 1.0])), 0.0
+    low, high = steps.load_low, steps.load_high
+    load = Profile((0.0, first, second), (0.0, way * steps.load, 0.0))
+    if kind == "speed":
+        load = Profile((0.0, first), (0.0, way * steps.load))
+        edge = steps.overshoot * steps.speed
+        low, high = max(low, held.low + edge), min(high, held.high - edge)
+        change = float(generator.choice([-1.0, 1.0])) * max(0.0, min(steps.speed, high - low))
+        low, high = low - min(change, 0.0), max(high, low) - max(change, 0.0)
+    elif kind == "rest":
+        low, high = held.low, held.high
+        load = Profile((0.0, first, second), (0.0, 0.0, way * found.loads[1]), "linear")
+    omega = float(np.exp(generator.uniform(np.log(low), np.log(high))))
+    scenario = Scenario(
+        duration, "speed", Profile((0.0, second), (omega / pairs, (omega + change) / pairs)),
+        load=load, omega_m=omega / pairs, errors=PlantErrors(**errors), dead_time=0.0,
+        sensorless=Sensorless(0.0, 0.0),
+    )  # fmt: skip
+    return Point(kind, scenario, (first, second))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a run did. ``swing`` and ``wrong``, of the speed at the end of each part, are shares of
+    its reference; ``angle`` in degrees is the largest error of the angle, ``lowest`` the least
+    speed in rad/s (electrical).
+    """
+
+    lost: bool
+    swing: float
+    wrong: float
+    angle: float
+    lowest: float
+
+    def breaks(self, stated: float) -> str:
+        """What is not kept; nothing where all is."""
+        if self.lost:
+            return "lost"
+        if self.swing > SWING:
+            return "swings"
+        return "wrong speed" if self.wrong > stated + BESIDE else ""
+
+
+def seen_of(run: Simulation, point: Point, pole_pairs: int) -> Seen:
+    """Figures of a run."""
+    ends = (*point.instants, point.scenario.duration)
+    swing = wrong = 0.0
+    for begin, end in pairwise((0.0, *ends)):
+        if point.kind == "rest" and end == point.instants[1]:  # the load still rises
+            continue
+        late = (run.t > end - _LAST * (end - begin)) & (run.t < end - 1e-9)
+        speed = run.omega_m[late] / run.reference[late]
+        swing = max(swing, float(np.ptp(speed)))
+        wrong = max(wrong, abs(float(np.mean(speed)) - 1.0))
+    turned = float(np.max(np.abs(angle_error(run))))
+    lost = not run.figures.bounded[0] or not turned <= 0.5 * np.pi
+    lowest = pole_pairs * float(np.min(run.omega_m))
+    return Seen(bool(lost), swing, wrong, float(np.degrees(turned)), lowest)
+
+
+def tried(program: Simulator, design: Design, point: Point, stated: float) -> tuple[Point, Seen]:
+    """A run, and where its speed still moves at the end a longer one."""
+    for each in (point, point.longer(LONGER)):
+        samples = each.scenario.duration / design.control.t_s
+        stride = max(1, round(samples / ROWS))
+        run = simulate(program, drive_of(design), each.scenario, stride=stride)
+        seen = seen_of(run, each, design.machine.pole_pairs)
+        if seen.breaks(stated) in ("", "lost"):
+            break
+    return each, seen
+
+
+@dataclass
+class Row:
+    """A drive: how it was refused, or what its runs did. ``failures`` have every run that did not
+    keep what is stated, and ``design`` the drive, empty where all did.
+    """
+
+    method: ObserverMethodName
+    number: int
+    refused: str = ""
+    points: int = 0
+    lost: int = 0
+    swings: int = 0
+    wrong: int = 0
+    angle: float = 0.0
+    error: float = 0.0
+    stated: float = 0.0
+    beside: float = 0.0
+    lowest: float = np.inf
+    failures: list[dict[str, object]] = field(default_factory=list)
+    design: str = ""
+
+    def take(self, place: int, point: Point, seen: Seen) -> None:
+        """Count a run."""
+        broken = seen.breaks(self.stated)
+        self.points += 1
+        self.lost += broken == "lost"
+        self.swings += broken == "swings"
+        self.wrong += broken == "wrong speed"
+        if broken != "lost":
+            self.angle, self.error = max(self.angle, seen.angle), max(self.error, seen.wrong)
+            self.beside = max(self.beside, seen.wrong - self.stated)
+        if broken:
+            self.failures.append({
+                "point": place, "broken": broken, "kind": point.kind, **asdict(seen),
+                "errors": asdict(point.scenario.errors), "duration": point.scenario.duration,
+                "speeds": point.scenario.reference.values, "load": point.scenario.load.values,
+            })  # fmt: skip
+
+
+def sampled(method: ObserverMethodName, number: int, points: int, seed: int) -> Row:
+    """A drive of a method, judged, and run at points of its box where it is accepted."""
+    generator = np.random.default_rng([seed, METHODS.index(method), number])
+    text = drawn(generator, method)
+    design = load_text(text.encode(), f"drawn-{number}.yaml")
+    solved, row = accepted(design), Row(method, number)
+    if isinstance(solved, str):
+        row.refused = solved
+        return row
+    speed, found = speed_gains(solved)
+    row.stated = found.binding.speed_error
+    duration = float(np.clip(CROSSOVERS / speed.crossover, SHORTEST, LONGEST))
+    prefix = design.export.prefix
+    with simulator(controller_files(solved), prefix, observers_of(solved)[1]) as program:
+        for place in range(points):
+            point = a_point(generator, found, duration, place)
+            point, seen = tried(program, design, point, row.stated)
+            row.take(place, point, seen)
+            row.lowest = min(row.lowest, seen.lowest / found.binding.low)
+    row.design = text if row.failures else ""
+    return row
+
+
+HEAD = (
+    "method", "drives", "refused", "accepted", "runs", "rotor lost", "swinging",
+    "speed beyond the stated error", "largest error of the angle, deg",
+    "largest error of the speed, %",
+)  # fmt: skip
+
+
+def cells(method: ObserverMethodName, rows: Sequence[Row]) -> tuple[str, ...]:
+    """The row of a method in the table."""
+    own = [row for row in rows if row.method == method]
+    held = [row for row in own if not row.refused]
+    kinds = Counter(row.refused for row in own if row.refused)
+    why = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
+    counts = (sum(getattr(row, name) for row in held) for name in ("lost", "swings", "wrong"))
+    return (
+        method, str(len(own)), f"{len(own) - len(held)} ({why})" if why else "0", str(len(held)),
+        str(sum(row.points for row in held)), *map(str, counts),
+        f"{max((row.angle for row in held), default=0.0):.0f}",
+        f"{100.0 * max((row.error for row in held), default=0.0):.1f}",
+    )  # fmt: skip
+
+
+def table(rows: Sequence[Row]) -> Iterator[str]:
+    """Lines of the table, a row per method."""
+    methods = [method for method in METHODS if any(row.method == method for row in rows)]
+    for line in (HEAD, ("---",) * len(HEAD), *(cells(method, rows) for method in methods)):
+        yield f"| {' | '.join(line)} |"
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Sample drives of methods, print and write what was found; 1 where something is not kept."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
+    parser.add_argument("--method", choices=METHODS, action="append", help="default: all")
+    parser.add_argument("--drives", type=int, default=60)
+    parser.add_argument("--first", type=int, default=0, help="number of the first drive")
+    parser.add_argument("--points", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--rows", type=Path, help="JSON file for all rows")
+    asked = parser.parse_args(words)
+    rows = []
+    for method in asked.method or METHODS:
+        for number in range(asked.first, asked.first + asked.drives):
+            row = sampled(method, number, asked.points, asked.seed)
+            rows.append(row)
+            print(
+                f"{method} {number}: {row.refused or 'accepted'}, {row.points} runs, lost "
+                f"{row.lost}, swinging {row.swings}, wrong {row.wrong}, angle {row.angle:.1f} deg, "
+                f"speed {row.error:.2%} of {row.stated:.2%}, lowest {row.lowest:.2f}", flush=True,
+            )  # fmt: skip
+            if asked.rows is not None:
+                asked.rows.write_text(json.dumps([asdict(each) for each in rows], indent=1))
+    print(*table(rows), sep="\n")
+    return int(any(row.failures for row in rows))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
