@@ -22,6 +22,7 @@ import numpy as np
 
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
+from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.plants.scenario import PlantErrors, Profile, Scenario, Sensorless
@@ -29,6 +30,9 @@ from dqforge.optimizer.control_design import observed_remedies
 from dqforge.optimizer.control_design.observed_refusal import require_observed
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.observed_margins import CornerJudgement
+from dqforge.optimizer.observed_drive.design_drive import observed_drive, position_estimator
+from dqforge.optimizer.observed_drive.drive_cases import drive_cases
+from dqforge.optimizer.observed_drive.speed_range import steady_drives
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.simulation.design_run import (
     angle_error,
@@ -46,12 +50,18 @@ METHODS: tuple[ObserverMethodName, ...] = (
 SWING, BESIDE = 0.01, 2e-3
 # Crossover times that a run lasts, between a least and a largest time in s; where the speed still
 # moves at its end it is run again for longer, so that what dies away slowly is no swing.
-CROSSOVERS, SHORTEST, LONGEST, LONGER = 150.0, 0.6, 8.0, 5.0
+CROSSOVERS, SHORTEST, LONGEST, LONGER = 120.0, 0.5, 8.0, 5.0
 ROWS = 3000  # recorded of a run
 
 # Parts of a run: the load steps at the first share of it, what follows at the second one; each is
 # judged over the last part of its time.
-_FIRST, _SECOND, _LAST = 0.15, 0.55, 0.3
+_FIRST, _SECOND, _LAST = 0.25, 0.6, 0.3
+# Before that the drive comes from a speed a little lower, and passes from an encoder to its
+# observer on the way: shares of its true speed, and of the time until the load steps.
+_BEFORE, _AT, _RISE = 0.98, 0.99, 0.4
+# A run-up begins at this multiple of the lowest speed; each `_GENTLE` crossover times it gains as
+# much as the speed may step, or this share of the largest.
+_LOW, _GENTLE, _SMALL = 1.5, 10.0, 0.01
 
 YAML = """dqforge: 1
 name: Drawn drive
@@ -77,7 +87,7 @@ control:
   speed_loop: {{method: symmetrical-optimum, ratio: {ratio}}}
   observer: {{method: {method}}}
 operation: {{strategy: mtpa}}
-fit: {{form: torque-exact}}
+fit: {{form: closed-form}}
 export: {{prefix: drawn, vectors: 16}}
 """
 
@@ -145,73 +155,121 @@ def kind_of(message: str) -> str:
 
 
 @dataclass(frozen=True)
+class Course:
+    """How long a run takes, and how it comes to its speed. ``time`` in s without the run-up, which
+    takes ``climb`` in s from a share ``low`` of the speed on.
+    """
+
+    time: float
+    climb: float = 0.0
+    low: float = 1.0
+
+    @property
+    def duration(self) -> float:
+        """In s, run-up included."""
+        return self.time + self.climb
+
+    @property
+    def instants(self) -> tuple[float, float]:
+        """Times in s of both steps."""
+        return _FIRST * self.time + self.climb, _SECOND * self.time + self.climb
+
+
+@dataclass(frozen=True)
 class Point:
-    """A run; ``instants`` in s are those at which its load and its speed step. ``kind`` is ``load``
-    where the load comes and goes, ``speed`` where the speed steps under it, ``rest`` where it rises
-    slowly to that of the corners.
+    """A run. ``kind`` is ``load`` where the load comes and goes, ``speed`` where the speed steps
+    under it, ``rest`` where it rises slowly to that of the corners; ``loads`` in N m before the
+    first step, between both, and at the end. ``omega`` are electrical speeds in rad/s before and
+    after the second step, as the observer tells them, ``true`` is the one that the first of them
+    is.
     """
 
     kind: str
-    scenario: Scenario
-    instants: tuple[float, float]
+    errors: dict[str, float]
+    omega: tuple[float, float]
+    loads: tuple[float, float, float]
+    true: float
 
-    def longer(self, factor: float) -> Point:
-        """The same steps with more time after each."""
-        old = self.scenario
-
-        def later(profile: Profile) -> Profile:
-            return replace(profile, times=tuple(factor * time for time in profile.times))
-
-        scenario = replace(
-            old, duration=factor * old.duration, reference=later(old.reference),
-            load=later(old.load),
+    def scenario(self, course: Course, pole_pairs: int, taken: float | None) -> Scenario:
+        """The run on the observer from the instant ``taken`` in s on, in which the drive passes
+        a speed on an encoder that tells the truth; that drive alone where it is None.
+        """
+        first, second = course.instants
+        rise, at_once = _RISE * _FIRST * course.time, 1e-6 * course.time
+        before, after = (each / pole_pairs for each in self.omega)
+        true = course.low * self.true / pole_pairs
+        load = Profile(
+            (0.0, first, second), self.loads, "linear" if self.kind == "rest" else "hold"
+        )
+        told = Profile((0.0, rise), (_BEFORE * true, true), "linear")
+        if taken is not None:
+            share = _BEFORE + (1.0 - _BEFORE) * min(taken / rise, 1.0)
+            begun, rise = course.low * before, max(rise, taken) + 2.0 * at_once
+            risen = rise + course.climb + at_once
+            told = Profile(
+                (0.0, taken, taken + at_once, rise, risen, second, second + at_once),
+                (_BEFORE * true, share * true, share * begun, begun, before, before, after),
+                "linear",
+            )
+        return Scenario(
+            course.duration if taken is not None else first, "speed", told, load=load,
+            omega_m=_BEFORE * true, errors=PlantErrors(**self.errors), dead_time=0.0,
+            sensorless=Sensorless(_AT * true, 0.0),
         )  # fmt: skip
-        first, second = self.instants
-        return Point(self.kind, scenario, (factor * first, factor * second))
 
 
-def a_point(
-    generator: np.random.Generator, found: CornerJudgement, duration: float, place: int
-) -> Point:
+def a_point(generator: np.random.Generator, found: CornerJudgement, place: int) -> Point:
     """Half of them meet a load that comes and goes, a quarter a step of load and one of speed, a
     quarter rest under the load of the corners; every second lies at a corner of the box.
     """
-    steps, held, pairs = found.steps, found.binding, found.pole_pairs
+    steps, held = found.steps, found.binding
     assert steps is not None
     errors = {name: float(generator.uniform(*pair)) for name, pair in found.limits.items()}
     if place % 2:
         errors = {name: float(generator.choice(pair)) for name, pair in found.limits.items()}
     kind = ("load", "load", "speed", "rest")[place // 2 % 4] if steps.load > 0.0 else "rest"
-    first, second = _FIRST * duration, _SECOND * duration
     way, change = float(generator.choice([-1.0, 1.0])), 0.0
     low, high = steps.load_low, steps.load_high
-    load = Profile((0.0, first, second), (0.0, way * steps.load, 0.0))
+    loads = (0.0, way * steps.load, 0.0)
     if kind == "speed":
-        load = Profile((0.0, first), (0.0, way * steps.load))
+        loads = (0.0, way * steps.load, way * steps.load)
         edge = steps.overshoot * steps.speed
         low, high = max(low, held.low + edge), min(high, held.high - edge)
         change = float(generator.choice([-1.0, 1.0])) * max(0.0, min(steps.speed, high - low))
         low, high = low - min(change, 0.0), max(high, low) - max(change, 0.0)
     elif kind == "rest":
         low, high = held.low, held.high
-        load = Profile((0.0, first, second), (0.0, 0.0, way * found.loads[1]), "linear")
+        loads = (0.0, 0.0, way * found.loads[1])
     omega = float(np.exp(generator.uniform(np.log(low), np.log(high))))
-    scenario = Scenario(
-        duration, "speed", Profile((0.0, second), (omega / pairs, (omega + change) / pairs)),
-        load=load, omega_m=omega / pairs, errors=PlantErrors(**errors), dead_time=0.0,
-        sensorless=Sensorless(0.0, 0.0),
-    )  # fmt: skip
-    return Point(kind, scenario, (first, second))
+    return Point(kind, errors, (omega, omega + change), loads, omega)
+
+
+def some_points(
+    generator: np.random.Generator, solved: Solution, found: CornerJudgement, count: int
+) -> list[Point]:
+    """Points of a drive's box, with the true speeds that belong to those of the observer."""
+    points = [a_point(generator, found, place) for place in range(count)]
+    gains, machine = solved.gains, linearised(solved.design.machine)
+    assert gains.position is not None
+    drive = observed_drive(
+        solved.design, (gains.i_d, gains.i_q), position_estimator(gains.position)
+    )
+    errors = {name: [point.errors[name] for point in points] for name in found.limits}
+    omega = np.array([point.omega[0] for point in points])
+    steady = steady_drives(drive, drive_cases(machine, omega, 0.0, errors))
+    true = np.where(steady.found, steady.states[:, 2], omega)
+    return [replace(point, true=float(each)) for point, each in zip(points, true, strict=True)]
 
 
 @dataclass(frozen=True)
 class Seen:
     """What a run did. ``swing`` and ``wrong``, of the speed at the end of each part, are shares of
     its reference; ``angle`` in degrees is the largest error of the angle, ``lowest`` the least
-    speed in rad/s (electrical).
+    speed in rad/s (electrical) from the first step on. ``early``: lost before it.
     """
 
     lost: bool
+    early: bool
     swing: float
     wrong: float
     angle: float
@@ -226,33 +284,56 @@ class Seen:
         return "wrong speed" if self.wrong > stated + BESIDE else ""
 
 
-def seen_of(run: Simulation, point: Point, pole_pairs: int) -> Seen:
+def seen_of(run: Simulation, point: Point, course: Course, pole_pairs: int) -> Seen:
     """Figures of a run."""
-    ends = (*point.instants, point.scenario.duration)
+    ends = (*course.instants, course.duration)
     swing = wrong = 0.0
-    for begin, end in pairwise((0.0, *ends)):
-        if point.kind == "rest" and end == point.instants[1]:  # the load still rises
+    for begin, end in pairwise((course.climb, *ends)):
+        if point.kind == "rest" and end == ends[1]:  # the load still rises
             continue
         late = (run.t > end - _LAST * (end - begin)) & (run.t < end - 1e-9)
         speed = run.omega_m[late] / run.reference[late]
         swing = max(swing, float(np.ptp(speed)))
         wrong = max(wrong, abs(float(np.mean(speed)) - 1.0))
-    turned = float(np.max(np.abs(angle_error(run))))
+    error = np.abs(angle_error(run))
+    turned = float(np.max(error))
     lost = not run.figures.bounded[0] or not turned <= 0.5 * np.pi
-    lowest = pole_pairs * float(np.min(run.omega_m))
-    return Seen(bool(lost), swing, wrong, float(np.degrees(turned)), lowest)
+    first = run.t < ends[0]
+    early = lost and not float(np.max(error[first])) <= 0.5 * np.pi
+    lowest = pole_pairs * float(np.min(run.omega_m[~first], initial=np.inf))
+    return Seen(bool(lost), bool(early), swing, wrong, float(np.degrees(turned)), lowest)
 
 
-def tried(program: Simulator, design: Design, point: Point, stated: float) -> tuple[Point, Seen]:
-    """A run, and where its speed still moves at the end a longer one."""
-    for each in (point, point.longer(LONGER)):
-        samples = each.scenario.duration / design.control.t_s
-        stride = max(1, round(samples / ROWS))
-        run = simulate(program, drive_of(design), each.scenario, stride=stride)
-        seen = seen_of(run, each, design.machine.pole_pairs)
-        if seen.breaks(stated) in ("", "lost"):
-            break
-    return each, seen
+def gone(program: Simulator, design: Design, point: Point, course: Course) -> Seen:
+    """What a run does."""
+    drive, pole_pairs = drive_of(design), design.machine.pole_pairs
+    alone = simulate(program, drive, point.scenario(course, pole_pairs, None))
+    taken = float(alone.t[int(np.argmax(alone.sensorless))])
+    stride = max(1, round(course.duration / design.control.t_s / ROWS))
+    scenario = point.scenario(course, pole_pairs, taken)
+    return seen_of(simulate(program, drive, scenario, stride=stride), point, course, pole_pairs)
+
+
+def tried(
+    program: Simulator, design: Design, point: Point, loop: tuple[LoopGains, CornerJudgement]
+) -> tuple[Seen, bool]:
+    """A run, and where its speed still moves at the end a longer one; whether its rotor was lost as
+    it came onto its observer at speed with wrong data, of which nothing is promised: then it runs
+    up from a low speed instead.
+    """
+    (speed, found), taken = loop, False
+    course = Course(float(np.clip(CROSSOVERS / speed.crossover, SHORTEST, LONGEST)))
+    seen = gone(program, design, point, course)
+    if seen.early:
+        assert found.steps is not None
+        low = min(1.0, _LOW * found.binding.low / point.omega[0])
+        slope = max(found.steps.speed, _SMALL * found.binding.high) * speed.crossover / _GENTLE
+        climb = (1.0 - low) * point.omega[0] / slope
+        course, taken = replace(course, climb=climb, low=low), True
+        seen = gone(program, design, point, course)
+    if seen.breaks(found.binding.speed_error) in ("swings", "wrong speed"):
+        seen = gone(program, design, point, replace(course, time=LONGER * course.time))
+    return seen, taken
 
 
 @dataclass
@@ -265,6 +346,7 @@ class Row:
     number: int
     refused: str = ""
     points: int = 0
+    jumped: int = 0
     lost: int = 0
     swings: int = 0
     wrong: int = 0
@@ -283,14 +365,12 @@ class Row:
         self.lost += broken == "lost"
         self.swings += broken == "swings"
         self.wrong += broken == "wrong speed"
-        if broken != "lost":
+        if not seen.lost:
             self.angle, self.error = max(self.angle, seen.angle), max(self.error, seen.wrong)
             self.beside = max(self.beside, seen.wrong - self.stated)
         if broken:
             self.failures.append({
-                "point": place, "broken": broken, "kind": point.kind, **asdict(seen),
-                "errors": asdict(point.scenario.errors), "duration": point.scenario.duration,
-                "speeds": point.scenario.reference.values, "load": point.scenario.load.values,
+                "place": place, "broken": broken, **asdict(seen), **asdict(point),
             })  # fmt: skip
 
 
@@ -305,20 +385,21 @@ def sampled(method: ObserverMethodName, number: int, points: int, seed: int) -> 
         return row
     speed, found = speed_gains(solved)
     row.stated = found.binding.speed_error
-    duration = float(np.clip(CROSSOVERS / speed.crossover, SHORTEST, LONGEST))
     prefix = design.export.prefix
     with simulator(controller_files(solved), prefix, observers_of(solved)[1]) as program:
-        for place in range(points):
-            point = a_point(generator, found, duration, place)
-            point, seen = tried(program, design, point, row.stated)
+        for place, point in enumerate(some_points(generator, solved, found, points)):
+            seen, jumped = tried(program, design, point, (speed, found))
             row.take(place, point, seen)
-            row.lowest = min(row.lowest, seen.lowest / found.binding.low)
+            row.jumped += jumped
+            if point.kind != "rest":  # whose load may take it below the range for a while
+                row.lowest = min(row.lowest, seen.lowest / found.binding.low)
     row.design = text if row.failures else ""
     return row
 
 
 HEAD = (
-    "method", "drives", "refused", "accepted", "runs", "rotor lost", "swinging",
+    "method", "drives", "refused", "accepted", "runs",
+    "run up from a low speed", "rotor lost", "swinging",
     "speed beyond the stated error", "largest error of the angle, deg",
     "largest error of the speed, %",
 )  # fmt: skip
@@ -330,7 +411,9 @@ def cells(method: ObserverMethodName, rows: Sequence[Row]) -> tuple[str, ...]:
     held = [row for row in own if not row.refused]
     kinds = Counter(row.refused for row in own if row.refused)
     why = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
-    counts = (sum(getattr(row, name) for row in held) for name in ("lost", "swings", "wrong"))
+    counts = (
+        sum(getattr(row, name) for row in held) for name in ("jumped", "lost", "swings", "wrong")
+    )
     return (
         method, str(len(own)), f"{len(own) - len(held)} ({why})" if why else "0", str(len(held)),
         str(sum(row.points for row in held)), *map(str, counts),
@@ -362,8 +445,9 @@ def main(words: Sequence[str] | None = None) -> int:
             row = sampled(method, number, asked.points, asked.seed)
             rows.append(row)
             print(
-                f"{method} {number}: {row.refused or 'accepted'}, {row.points} runs, lost "
-                f"{row.lost}, swinging {row.swings}, wrong {row.wrong}, angle {row.angle:.1f} deg, "
+                f"{method} {number}: {row.refused or 'accepted'}, {row.points} runs, run up "
+                f"{row.jumped}, lost {row.lost}, swinging {row.swings}, wrong {row.wrong}, "
+                f"angle {row.angle:.1f} deg, "
                 f"speed {row.error:.2%} of {row.stated:.2%}, lowest {row.lowest:.2f}", flush=True,
             )  # fmt: skip
             if asked.rows is not None:
