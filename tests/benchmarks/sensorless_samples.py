@@ -87,7 +87,7 @@ control:
   speed_loop: {{method: symmetrical-optimum, ratio: {ratio}}}
   observer: {{method: {method}}}
 operation: {{strategy: mtpa}}
-fit: {{form: torque-exact}}
+fit: {{form: torque-exact, segments: 1}}
 export: {{prefix: drawn, vectors: 16}}
 """
 
