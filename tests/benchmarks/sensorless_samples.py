@@ -2,8 +2,9 @@
 each keeps what is promised of it, or is refused beforehand.
 
 ``python tests/benchmarks/sensorless_samples.py --method flux --drives 60 --points 100 --seed 1``
-prints a line per drive and the row of the table that docs/methods/observed-loops.md has;
-``--rows FILE`` writes all of it as JSON, with the design of every drive that failed.
+prints a line per drive and the rows of the table that docs/methods/observed-loops.md has;
+``--rows FILE`` writes all of it as JSON, with the design of every drive that failed, and
+``--keep FILE...`` puts the rows of such files in place of those of their methods in the tree.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ from dqforge.reports.simulation.design_run import (
 )
 from dqforge.reports.simulation.recorded_run import Simulation, Simulator, simulate, simulator
 
+KEPT = Path(__file__).parent / "sensorless_samples.json"
 METHODS: tuple[ObserverMethodName, ...] = (
     "flux", "open-loop-flux", "extended-emf", "matsui-voltage", "matsui-current", "ekf",
 )  # fmt: skip
@@ -355,8 +357,7 @@ class Row:
     angle: float = 0.0
     error: float = 0.0
     stated: float = 0.0
-    beside: float = 0.0
-    lowest: float = np.inf
+    lowest: float = 0.0
     failures: list[dict[str, object]] = field(default_factory=list)
     design: str = ""
 
@@ -369,7 +370,6 @@ class Row:
         self.wrong += broken == "wrong speed"
         if not seen.lost:
             self.angle, self.error = max(self.angle, seen.angle), max(self.error, seen.wrong)
-            self.beside = max(self.beside, seen.wrong - self.stated)
         if broken:
             self.failures.append({
                 "place": place, "broken": broken, **asdict(seen), **asdict(point),
@@ -394,41 +394,65 @@ def sampled(method: ObserverMethodName, number: int, points: int, seed: int) -> 
             row.take(place, point, seen)
             row.jumped += jumped
             if point.kind != "rest":  # whose load may take it below the range for a while
-                row.lowest = min(row.lowest, seen.lowest / found.binding.low)
+                lowest = seen.lowest / found.binding.low
+                row.lowest = min(row.lowest or lowest, lowest)
     row.design = text if row.failures else ""
     return row
 
 
+def plain(rows: Sequence[Row]) -> str:
+    """Rows as JSON, one a line, without what is as it begins."""
+    lines = []
+    for row in rows:
+        begun = asdict(Row(row.method, row.number))
+        own = {name: value for name, value in asdict(row).items() if value != begun[name]}
+        lines.append(json.dumps({"method": row.method, "number": row.number} | own))
+    return "[\n" + ",\n".join(lines) + "\n]\n"
+
+
+def read(path: Path) -> list[Row]:
+    """Rows of a file."""
+    return [Row(**each) for each in json.loads(path.read_text("utf-8"))]
+
+
+def keep(paths: Sequence[Path]) -> None:
+    """Put the rows of files in place of those of their methods in the tree."""
+    new = [row for path in paths for row in read(path)]
+    old = read(KEPT) if KEPT.exists() else []
+    others = [row for row in old if row.method not in {each.method for each in new}]
+    rows = sorted([*others, *new], key=lambda row: (METHODS.index(row.method), row.number))
+    KEPT.write_text(plain(rows), "utf-8")
+
+
 HEAD = (
-    "method", "drives", "refused", "accepted", "runs",
-    "run up from a low speed", "rotor lost", "swinging",
-    "speed beyond the stated error", "largest error of the angle, deg",
-    "largest error of the speed, %",
+    "method", "drives", "refused", "runs", "of these run up", "rotor lost", "swinging",
+    "speed beyond what is stated", "angle, deg", "speed, %",
 )  # fmt: skip
 
 
 def cells(method: ObserverMethodName, rows: Sequence[Row]) -> tuple[str, ...]:
-    """The row of a method in the table."""
+    """The row of a method in the table; the last two are the largest errors."""
     own = [row for row in rows if row.method == method]
     held = [row for row in own if not row.refused]
     kinds = Counter(row.refused for row in own if row.refused)
     why = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
-    counts = (
-        sum(getattr(row, name) for row in held) for name in ("jumped", "lost", "swings", "wrong")
-    )
+    counts = (sum(getattr(row, name) for row in held) for name in COUNTED)
     return (
-        method, str(len(own)), f"{len(own) - len(held)} ({why})" if why else "0", str(len(held)),
-        str(sum(row.points for row in held)), *map(str, counts),
+        method, str(len(own)), f"{len(own) - len(held)} ({why})" if why else "0", *map(str, counts),
         f"{max((row.angle for row in held), default=0.0):.0f}",
         f"{100.0 * max((row.error for row in held), default=0.0):.1f}",
     )  # fmt: skip
 
 
-def table(rows: Sequence[Row]) -> Iterator[str]:
-    """Lines of the table, a row per method."""
-    methods = [method for method in METHODS if any(row.method == method for row in rows)]
-    for line in (HEAD, ("---",) * len(HEAD), *(cells(method, rows) for method in methods)):
-        yield f"| {' | '.join(line)} |"
+COUNTED = ("points", "jumped", "lost", "swings", "wrong")
+
+
+def table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
+    """Cells of the table, its head first, a row per method."""
+    yield HEAD
+    for method in METHODS:
+        if any(row.method == method for row in rows):
+            yield cells(method, rows)
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -440,7 +464,11 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--points", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rows", type=Path, help="JSON file for all rows")
+    parser.add_argument("--keep", type=Path, nargs="+", help="files of rows")
     asked = parser.parse_args(words)
+    if asked.keep:
+        keep(asked.keep)
+        return 0
     rows = []
     for method in asked.method or METHODS:
         for number in range(asked.first, asked.first + asked.drives):
@@ -453,8 +481,8 @@ def main(words: Sequence[str] | None = None) -> int:
                 f"speed {row.error:.2%} of {row.stated:.2%}, lowest {row.lowest:.2f}", flush=True,
             )  # fmt: skip
             if asked.rows is not None:
-                asked.rows.write_text(json.dumps([asdict(each) for each in rows], indent=1))
-    print(*table(rows), sep="\n")
+                asked.rows.write_text(plain(rows), "utf-8")
+    print(*(f"| {' | '.join(line)} |" for line in table(rows)), sep="\n")
     return int(any(row.failures for row in rows))
 
 

@@ -4,7 +4,6 @@ broken.
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from benchmarks import sensorless_samples
 from benchmarks.sensorless_samples import (
+    KEPT,
     METHODS,
     Course,
     Point,
@@ -22,6 +22,8 @@ from benchmarks.sensorless_samples import (
     gone,
     kind_of,
     main,
+    plain,
+    read,
     some_points,
     speed_gains,
     table,
@@ -38,19 +40,44 @@ from dqforge.reports.simulation.recorded_run import simulator
 
 # A Kalman filter takes ten times as long to tune as all others.
 CHEAP = [method for method in METHODS if method != "ekf"]
-KEPT = Seen(lost=False, early=False, swing=1e-4, wrong=1e-4, angle=5.0, lowest=100.0)
+SEEN = Seen(lost=False, early=False, swing=1e-4, wrong=1e-4, angle=5.0, lowest=100.0)
 
 
-def test_a_drawn_drive_keeps_what_is_stated_or_is_refused(
+def test_a_drawn_drive_keeps_what_is_stated_or_is_refused_as_it_was(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    method, path = min(CHEAP, key=turn), tmp_path / "rows.json"
-    words = ["--method", method, "--drives", "1", "--points", "5", "--rows", str(path)]
-    assert main(words) == 0
-    (row,) = json.loads(path.read_text())
-    assert row["points"] == (0 if row["refused"] else 5)
-    assert row["failures"] == []
-    assert f"| {method} | 1 |" in capsys.readouterr().out
+    """One of those whose runs are kept in the tree."""
+    kept = min(
+        (row for row in read(KEPT) if row.method in CHEAP),
+        key=lambda row: turn(f"{row.method} {row.number}"),
+    )
+    path = tmp_path / "rows.json"
+    words = ["--method", kept.method, "--first", str(kept.number), "--drives", "1"]
+    assert main([*words, "--points", "5", "--rows", str(path)]) == 0
+    (row,) = read(path)
+    assert row.points == (0 if row.refused else 5)
+    assert row.refused == kept.refused
+    assert row.stated == pytest.approx(kept.stated, abs=1e-4)
+    assert row.failures == []
+    assert f"| {kept.method} | 1 |" in capsys.readouterr().out
+
+
+def test_the_kept_runs_keep_what_is_stated() -> None:
+    rows = read(KEPT)
+    assert {row.method for row in rows} == set(METHODS)
+    assert [row for row in rows if row.failures or row.lost or row.swings or row.wrong] == []
+    assert len({(row.method, row.number) for row in rows}) == len(rows)
+
+
+def test_rows_are_kept_in_place_of_those_of_their_method(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, tree = tmp_path / "rows.json", tmp_path / "tree.json"
+    monkeypatch.setattr(sensorless_samples, "KEPT", tree)
+    tree.write_text(plain([Row("ekf", 0, points=3), Row("flux", 7, refused="margin")]))
+    path.write_text(plain([Row("flux", 0, points=2, angle=3.5)]))
+    assert main(["--keep", str(path)]) == 0
+    assert read(tree) == [Row("flux", 0, points=2, angle=3.5), Row("ekf", 0, points=3)]
 
 
 def test_the_draw_follows_from_its_seed_alone() -> None:
@@ -71,11 +98,11 @@ def test_what_is_broken_is_counted_and_kept() -> None:
     point = Point("load", {"r_s": 0.3}, (100.0, 100.0), (0.0, 1.0, 0.0), 100.0)
     row = Row("flux", 0, stated=0.05)
     seen = (
-        KEPT,
-        replace(KEPT, wrong=0.0515),
-        replace(KEPT, wrong=0.053),
-        replace(KEPT, swing=0.0101),
-        replace(KEPT, lost=True, swing=1.0, angle=170.0),
+        SEEN,
+        replace(SEEN, wrong=0.0515),
+        replace(SEEN, wrong=0.053),
+        replace(SEEN, swing=0.0101),
+        replace(SEEN, lost=True, swing=1.0, angle=170.0),
     )
     for place, each in enumerate(seen):
         row.take(place, point, each)
@@ -83,7 +110,7 @@ def test_what_is_broken_is_counted_and_kept() -> None:
     assert [each["place"] for each in row.failures] == [2, 3, 4]
     assert row.angle == 5.0  # that of a rotor that was lost says nothing
     *_, line = table([row, Row("flux", 1, refused="margin")])
-    assert line.startswith("| flux | 2 | 1 (1 margin) | 1 | 5 | 0 | 1 | 1 | 1 | 5 |")
+    assert line[:-1] == ("flux", "2", "1 (1 margin)", "5", "0", "1", "1", "1", "5")
     assert kind_of("x does not hold at all corners of y: holds from 1 to 2") == "not up to the top"
 
 
