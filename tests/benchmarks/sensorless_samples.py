@@ -64,6 +64,9 @@ _BEFORE, _AT, _RISE = 0.98, 0.99, 0.4
 # A run-up begins at this multiple of the lowest speed; each `_GENTLE` crossover times it gains as
 # much as the speed may step, or this share of the largest.
 _LOW, _GENTLE, _SMALL = 1.5, 10.0, 0.01
+# Dip of the speed under a load that rises slowly, as a share of it, and the most time in s that it
+# takes.
+_DIP, SLOWEST = 0.01, 60.0
 
 YAML = """dqforge: 1
 name: Drawn drive
@@ -158,23 +161,26 @@ def kind_of(message: str) -> str:
 
 @dataclass(frozen=True)
 class Course:
-    """How long a run takes, and how it comes to its speed. ``time`` in s without the run-up, which
-    takes ``climb`` in s from a share ``low`` of the speed on.
+    """How long a run takes, and how it comes to its speed and load. ``time`` in s without the
+    run-up, which takes ``climb`` in s from a share ``low`` of the speed on, and without ``slow`` in
+    s, which a load that rises slowly takes beside.
     """
 
     time: float
     climb: float = 0.0
     low: float = 1.0
+    slow: float = 0.0
 
     @property
     def duration(self) -> float:
-        """In s, run-up included."""
-        return self.time + self.climb
+        """In s, all included."""
+        return self.time + self.climb + self.slow
 
     @property
     def instants(self) -> tuple[float, float]:
         """Times in s of both steps."""
-        return _FIRST * self.time + self.climb, _SECOND * self.time + self.climb
+        first, second = _FIRST * self.time + self.climb, _SECOND * self.time + self.climb
+        return first, second + self.slow
 
 
 @dataclass(frozen=True)
@@ -321,23 +327,28 @@ def gone(program: Simulator, design: Design, point: Point, course: Course) -> Se
 def tried(
     program: Simulator, design: Design, point: Point, loop: tuple[LoopGains, CornerJudgement]
 ) -> tuple[Seen, bool]:
-    """A run, and where its speed still moves at the end a longer one; whether its rotor was lost as
-    it came onto its observer at speed with wrong data, of which nothing is promised: then it runs
-    up from a low speed instead.
+    """A run, and where its speed still moves at the end a longer one; whether it was repeated for
+    what is not promised. Where the rotor was lost as it came onto its observer at speed with wrong
+    data, the drive runs up from a low speed instead; where a load that rises to that of the corners
+    took it below the range, it rises more slowly.
     """
-    (speed, found), taken = loop, False
-    course = Course(float(np.clip(CROSSOVERS / speed.crossover, SHORTEST, LONGEST)))
-    seen = gone(program, design, point, course)
+    speed, found = loop
+    held, omega = found.binding, point.omega[0]
+    first = Course(float(np.clip(CROSSOVERS / speed.crossover, SHORTEST, LONGEST)))
+    course, seen = first, gone(program, design, point, first)
     if seen.early:
         assert found.steps is not None
-        low = min(1.0, _LOW * found.binding.low / point.omega[0])
-        slope = max(found.steps.speed, _SMALL * found.binding.high) * speed.crossover / _GENTLE
-        climb = (1.0 - low) * point.omega[0] / slope
-        course, taken = replace(course, climb=climb, low=low), True
+        low = min(1.0, _LOW * held.low / omega)
+        slope = max(found.steps.speed, _SMALL * held.high) * speed.crossover / _GENTLE
+        course = replace(course, climb=(1.0 - low) * omega / slope, low=low)
         seen = gone(program, design, point, course)
-    if seen.breaks(found.binding.speed_error) in ("swings", "wrong speed"):
+    if point.kind == "rest" and seen.breaks(held.speed_error) and seen.lowest < held.low:
+        slope = _DIP * speed.ki * omega / found.pole_pairs  # of the load: its dip is slope/ki
+        course = replace(course, slow=min(abs(point.loads[2]) / slope, SLOWEST))
+        seen = gone(program, design, point, course)
+    if seen.breaks(held.speed_error) in ("swings", "wrong speed"):
         seen = gone(program, design, point, replace(course, time=LONGER * course.time))
-    return seen, taken
+    return seen, course != first
 
 
 @dataclass
@@ -350,7 +361,7 @@ class Row:
     number: int
     refused: str = ""
     points: int = 0
-    jumped: int = 0
+    repeated: int = 0
     lost: int = 0
     swings: int = 0
     wrong: int = 0
@@ -390,9 +401,9 @@ def sampled(method: ObserverMethodName, number: int, points: int, seed: int) -> 
     prefix = design.export.prefix
     with simulator(controller_files(solved), prefix, observers_of(solved)[1]) as program:
         for place, point in enumerate(some_points(generator, solved, found, points)):
-            seen, jumped = tried(program, design, point, (speed, found))
+            seen, repeated = tried(program, design, point, (speed, found))
             row.take(place, point, seen)
-            row.jumped += jumped
+            row.repeated += repeated
             if point.kind != "rest":  # whose load may take it below the range for a while
                 lowest = seen.lowest / found.binding.low
                 row.lowest = min(row.lowest or lowest, lowest)
@@ -425,7 +436,7 @@ def keep(paths: Sequence[Path]) -> None:
 
 
 HEAD = (
-    "method", "drives", "refused", "runs", "of these run up", "rotor lost", "swinging",
+    "method", "drives", "refused", "runs", "of these repeated", "rotor lost", "swinging",
     "speed beyond what is stated", "angle, deg", "speed, %",
 )  # fmt: skip
 
@@ -444,7 +455,7 @@ def cells(method: ObserverMethodName, rows: Sequence[Row]) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-COUNTED = ("points", "jumped", "lost", "swings", "wrong")
+COUNTED = ("points", "repeated", "lost", "swings", "wrong")
 
 
 def table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
@@ -475,8 +486,8 @@ def main(words: Sequence[str] | None = None) -> int:
             row = sampled(method, number, asked.points, asked.seed)
             rows.append(row)
             print(
-                f"{method} {number}: {row.refused or 'accepted'}, {row.points} runs, run up "
-                f"{row.jumped}, lost {row.lost}, swinging {row.swings}, wrong {row.wrong}, "
+                f"{method} {number}: {row.refused or 'accepted'}, {row.points} runs, repeated "
+                f"{row.repeated}, lost {row.lost}, swinging {row.swings}, wrong {row.wrong}, "
                 f"angle {row.angle:.1f} deg, "
                 f"speed {row.error:.2%} of {row.stated:.2%}, lowest {row.lowest:.2f}", flush=True,
             )  # fmt: skip
