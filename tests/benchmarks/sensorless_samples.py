@@ -412,11 +412,15 @@ def sampled(method: ObserverMethodName, number: int, points: int, seed: int) -> 
 
 
 def plain(rows: Sequence[Row]) -> str:
-    """Rows as JSON, one a line, without what is as it begins."""
+    """Rows as JSON, one a line, figures with four digits, without what is as it begins."""
     lines = []
     for row in rows:
         begun = asdict(Row(row.method, row.number))
-        own = {name: value for name, value in asdict(row).items() if value != begun[name]}
+        own = {
+            name: float(f"{value:.4g}") if isinstance(value, float) else value
+            for name, value in asdict(row).items()
+            if value != begun[name]
+        }
         lines.append(json.dumps({"method": row.method, "number": row.number} | own))
     return "[\n" + ",\n".join(lines) + "\n]\n"
 
