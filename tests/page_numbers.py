@@ -15,6 +15,8 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from benchmarks import sensorless_samples
+from benchmarks.sensorless_samples import KEPT, METHODS, read
 from fixed_phase_loop import Loop
 from interrupt_steps import interrupts
 from measuring_mistakes import measuring
@@ -23,6 +25,7 @@ from phase_drives import near_sinusoidal, trapezoidal
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
+from dqforge.machines.design.sections.chosen_together import SPREAD
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import Core, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
@@ -269,6 +272,34 @@ def interrupt_cost() -> Rows:
         yield (step.label, *(_interrupt_cell(cost) for cost in costs))
 
 
+def observed_rule() -> Rows:
+    """Speed loop of the template that is left to the rule, on each observer."""
+    text = catalogue.template().decode().replace("    spread: 3\n", "")
+    loops = []
+    for method in METHODS:
+        asked = text.replace("    pole: 400 rad/s\n", f"    method: {method}\n")
+        loops.append(solve_gains(load_text(asked.encode(), "template.yaml")).speed)
+    yield ("template, rule", *METHODS)
+    margins, crossovers, spreads, speeds, steps = [], [], [], [], []
+    for loop in loops:
+        assert loop is not None
+        assert loop.observed is not None
+        assert loop.observed.corners is not None
+        held = loop.observed.corners
+        assert held.steps is not None
+        margins.append(f"{np.degrees(loop.phase_margin):.1f}")
+        crossovers.append(f"{loop.crossover:.0f}")
+        spreads.append(f"{loop.observed.slowed or SPREAD:.2f}")
+        rpm = 30.0 / np.pi / held.pole_pairs
+        speeds.append(f"{rpm * held.binding.low:.0f} to {rpm * held.binding.high:.0f}")
+        steps.append(f"{held.steps.load:.2f} from {rpm * held.steps.load_low:.0f} on")
+    yield ("phase margin, deg", *margins)
+    yield ("crossover, rad/s", *crossovers)
+    yield ("spread", *spreads)
+    yield ("every corner holds, rpm", *speeds)
+    yield ("load step in N m that is borne, rpm", *steps)
+
+
 # Every table by its name.
 NUMBERS: dict[str, Numbers] = {
     "phase-nodes": Numbers("methods/phase-control-design.md", phase_nodes, 0.2),
@@ -281,6 +312,10 @@ NUMBERS: dict[str, Numbers] = {
     "phase-cost": Numbers("methods/phase-control.md", phase_cost),
     "interrupt-cost": Numbers("reference/control-cost.md", interrupt_cost),
     "measuring": Numbers("how-to/measure-a-motor.md", measuring, 0.02),
+    "observed-rule": Numbers("methods/observed-loops.md", observed_rule, 0.05),
+    "sensorless-samples": Numbers(
+        "methods/observed-loops.md", lambda: sensorless_samples.table(read(KEPT))
+    ),
 }
 
 

@@ -42,12 +42,17 @@ if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
 
 
-LEAST_SHARE = 0.02  # Lowest speed that is tried, over the largest.
+# Lowest speed that is tried, over the largest. Observers count their speed as 0.02 of it at least:
+# there their step has a kink, where central differences tell the slope of neither side.
+LEAST_SHARE = 0.0205
 
 # Least rates at which modes die away at every corner: those that swing over the bandwidth kp/J of
 # the speed loop, all of them over the rate ki/kp of its integral. What takes longer does not hold.
 SWINGING, CREEPING = 0.1, 0.3
 _SPEEDS = 9
+# Above the lowest speed that holds further ones are tried up to this multiple of it: what fails
+# there may lie between two of the nine, as the step of an observer may change with its speed.
+_NEAR, _NEARER = 2.5, 9
 _BISECTIONS = 5
 
 
@@ -162,6 +167,7 @@ def speed_range(
         high, above = _narrowed(found, high, failed[-1])
     if below is not None:
         low, below = _narrowed(found, low, below)
+    low, below = _without_gaps(found, low, below, high)
     error = max(each.speed_error for each in (high, low, *held))
     return SpeedRange(low.omega, high.omega, below, len(corners), above, error)
 
@@ -174,6 +180,22 @@ def _narrowed(
         middle = found(float(np.sqrt(inside.omega * outside.omega)))
         inside, outside = (middle, outside) if middle.why is None else (inside, middle)
     return inside, outside
+
+
+def _without_gaps(
+    found: Callable[[float], FailingCorner],
+    low: FailingCorner,
+    below: FailingCorner | None,
+    high: FailingCorner,
+) -> tuple[FailingCorner, FailingCorner | None]:
+    """The lower end of a range with all that fails a little above it left out."""
+    above = high
+    for omega in np.geomspace(min(_NEAR * low.omega, high.omega), low.omega, _NEARER).tolist()[:-1]:
+        tried = found(omega)
+        if tried.why is not None:
+            return _narrowed(found, above, tried)
+        above = tried
+    return low, below
 
 
 def judge_corners(

@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 from observed_runs import random_design, tuned
 
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.settings import Tolerances
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.optimizer.loops.observed_margins import Corner, FailingCorner
+from dqforge.optimizer.observed_drive import speed_range as speed_range_module
 from dqforge.optimizer.observed_drive.design_drive import (
     observed_drive,
     position_estimator,
@@ -122,3 +126,71 @@ def test_corners_are_every_combination_of_what_is_not_exact() -> None:
     assert box.loads[1] == pytest.approx(
         0.3 * design.machine.torque_per_ampere * design.machine.i_max
     )
+
+
+# Drawn at random: its observer counts its speed as at least 2 % of the largest, and lets the corner
+# of its filter go with the speed from 3.3 % on.
+KINKED = """dqforge: 1
+name: Drawn drive
+machine:
+  model: linear
+  pole_pairs: 6
+  resistance: 0.726 Ohm
+  inductance_d: 0.9126 mH
+  inductance_q: 1.758 mH
+  magnet_flux: 0.08356 Wb
+  max_current: 15.52 A
+  max_speed: 416.6 rad/s
+  inertia: 0.002504 kg m^2
+  friction: 0.0002802 N m s
+inverter: {topology: three-wire, v_dc: 546.1 V, switching_frequency: 8600 Hz, dead_time: 0 s}
+control:
+  current_loop: {method: magnitude-optimum}
+  speed_loop: {method: symmetrical-optimum, ratio: 9}
+  observer: {method: open-loop-flux}
+operation: {strategy: mtpa}
+export: {prefix: drawn}
+"""
+
+
+def test_nothing_fails_between_the_speeds_that_were_tried() -> None:
+    """At 2.2 % of the largest speed this drive swings by 7 % in the emitted C; at 2 % exactly the
+    differences across the kink of its observer called it stable, and its range began there.
+    """
+    design = load_text(KINKED.encode(), "kinked.yaml")
+    gains, machine = tuned(design), design.machine
+    assert isinstance(machine, LinearMachine)
+    assert gains.position is not None
+    assert gains.speed is not None
+    drive = observed_drive(design, (gains.i_d, gains.i_q), position_estimator(gains.position))
+    loop, box = SpeedPi(gains.speed.kp, gains.speed.ki, 9), corner_box(design)
+    corners = box.corners(dead_time=False)
+    swinging = worst_corner(drive, machine, loop, corners, 55.62)
+    assert swinging.radius > 1.2
+    found = speed_range(drive, machine, loop, box, top_speed(design))
+    assert found.low > 55.62
+    for omega in np.geomspace(found.low, found.high, 40):
+        tried = worst_corner(drive, machine, loop, corners, float(omega))
+        assert tried.radius < 1.0
+        assert tried.settling > 0.95  # the ends are found to 2 %
+
+
+def test_what_fails_a_little_above_the_lowest_speed_ends_the_range(
+    drive: tuple[ObservedDrive, SpeedPi, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A gap that lies between two of the nine speeds that are tried first."""
+    made, calm, top = drive
+    steps = np.geomspace(top, LEAST_SHARE * top, 9)
+    gap = (1.1 * float(steps[-2]), 1.3 * float(steps[-2]))
+
+    def judged(*given: object) -> FailingCorner:
+        omega = float(given[4])  # type: ignore[arg-type]
+        corner = Corner({}, 0.0)
+        held = FailingCorner(omega, corner, 0.9, why=None)
+        return replace(held, why="unstable") if gap[0] < omega < gap[1] else held
+
+    monkeypatch.setattr(speed_range_module, "worst_corner", judged)
+    found = speed_range(made, made.data.machine, calm, BOX, top)
+    assert gap[1] <= found.low < 1.02 * gap[1]
+    assert found.below is not None
+    assert gap[0] < found.below.omega < gap[1]
