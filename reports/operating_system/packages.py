@@ -60,7 +60,7 @@ class Package:
 def packages() -> tuple[Package, ...]:
     """Those that the installed dqforge says that it needs or can use, and xarray."""
     found: dict[str, tuple[bool, str]] = {"xarray": (False, "python -m pip install xarray")}
-    for line in metadata.requires("dqforge") or ():
+    for line in _required():
         name = re.split(r"[^A-Za-z0-9._-]", line, maxsplit=1)[0].lower()
         extra = re.search(r"extra\s*==\s*[\"']([a-z0-9]+)[\"']", line)
         if extra is None:
@@ -71,6 +71,14 @@ def packages() -> tuple[Package, ...]:
         Package(name, PACKAGES.get(name, ""), _installed(name), needed, get)
         for name, (needed, get) in sorted(found.items())
     )
+
+
+def _required() -> list[str]:
+    """Lines of what dqforge requires; none where it runs from its folder, not installed."""
+    try:
+        return metadata.requires("dqforge") or []
+    except metadata.PackageNotFoundError:
+        return []
 
 
 def _installed(name: str) -> str:

@@ -145,3 +145,11 @@ def test_packages_of_debian_exist() -> None:
     )
     shown = {line.split()[1] for line in found.stdout.splitlines() if line.startswith("Package:")}
     assert shown == set(names), found.stderr
+
+
+def test_a_folder_that_is_not_installed_requires_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(name: str) -> list[str]:
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "requires", absent)
+    assert [each.name for each in packages.packages()] == ["xarray"]

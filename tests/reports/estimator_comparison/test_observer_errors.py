@@ -36,7 +36,9 @@ def test_tune_shows_warm_machines_and_starts(monkeypatch: pytest.MonkeyPatch) ->
         kept.append(observer_evidence(design, observer))
         return kept[-1]
 
-    monkeypatch.setattr("dqforge.optimizer.estimator_comparison.candidate.observer_evidence", found_once)
+    monkeypatch.setattr(
+        "dqforge.optimizer.estimator_comparison.candidate.observer_evidence", found_once
+    )
     answer = answer_tune(design_with("matsui-current"))
     warm = next(table for table in answer.tables if "warm machine" in table.title)
     starts = next(table for table in answer.tables if "it locks" in table.title)
