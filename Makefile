@@ -31,7 +31,7 @@ PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist workstea
 DEFAULT := -m "not slow and not benchmark"
 
 # The cheap files, and of the costly ones what fills this many seconds: those near a change, then drawn for each commit.
-DRAWN_TESTS ?= 100
+DRAWN_TESTS ?= 80
 test: $(VENV)/dev.stamp
 	$(PYTEST) $(DEFAULT) --drawn $(DRAWN_TESTS)
 
