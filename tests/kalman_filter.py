@@ -46,20 +46,14 @@ class EkfRun:
 
     @property
     def nis(self) -> FloatArray:
-        """Normalised innovation squared nu' S^-1 nu, shape (K, S): chi-square of
-        2 degrees if all is right.
-        """
-        a, b, d = self.s[..., 0, 0], self.s[..., 0, 1], self.s[..., 1, 1]
-        x, y = self.innovation[..., 0], self.innovation[..., 1]
-        return np.asarray((d * x * x - 2.0 * b * x * y + a * y * y) / (a * d - b * b))
+        """Normalised innovation squared, shape (K, S)."""
+        solved = np.linalg.solve(self.s, self.innovation[..., np.newaxis])[..., 0]
+        return np.asarray(np.sum(self.innovation * solved, axis=-1))
 
     @property
     def log_likelihood(self) -> FloatArray:
-        """Mean log-likelihood of an innovation per drive, shape (S,), without the constant -ln 2
-        pi.
-        """
-        det = self.s[..., 0, 0] * self.s[..., 1, 1] - self.s[..., 0, 1] ** 2
-        return np.asarray(-0.5 * np.mean(np.log(det) + self.nis, axis=0))
+        """Mean log-likelihood of an innovation per drive, shape (S,)."""
+        return np.asarray(-0.5 * np.mean(np.linalg.slogdet(self.s)[1] + self.nis, axis=0))
 
 
 def transition(

@@ -199,19 +199,32 @@ def _mean_error(method: ObserverMethodName, share: float, torque: float) -> floa
     return math.degrees(float(np.angle(np.mean(np.exp(1j * angle_error(found)[late])))))
 
 
+POINTS = [(0.1, 0.5), (0.2, 0.5), (0.1, 0.9)]
+# Its training ends elsewhere with other last digits of the linear algebra: with the kernels that
+# commands fix it leaves 0.59 and 0.52 of the error at these, with others 0.05 to 0.47.
+LANDS_WORSE = pytest.mark.xfail(strict=True, raises=AssertionError)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(("share", "torque"), [(0.1, 0.5), (0.2, 0.5), (0.1, 0.9)])
+@pytest.mark.parametrize(("share", "torque"), POINTS)
 def test_a_warm_drive_runs_on_a_better_angle(share: float, torque: float) -> None:
-    """The network leaves less than two thirds of the error (0.52 and 0.59 of it where half the
-    largest torque is requested, to the other side). The rules take R and the whole dead time
-    together for more of either and err by as much to the other side: their gain is one of the mean.
+    """The rules take R and the whole dead time together for more of either and err by as much to
+    the other side: their gain is one of the mean.
     """
     before = _mean_error("flux", share, torque)
-    after = {method: _mean_error(method, share, torque) for method in LEARNED_OBSERVERS}
+    after = _mean_error("neuro-fuzzy", share, torque)
     assert before > 3.0
-    assert abs(after["neural"]) < 0.65 * before
-    assert abs(after["neuro-fuzzy"] - before) > 3.0
-    assert abs(after["neuro-fuzzy"]) < 1.6 * before
+    assert abs(after - before) > 3.0
+    assert abs(after) < 1.6 * before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("share", "torque"),
+    [POINTS[0], *(pytest.param(*point, marks=LANDS_WORSE) for point in POINTS[1:])],
+)
+def test_the_network_leaves_less_than_half_of_the_error(share: float, torque: float) -> None:
+    assert abs(_mean_error("neural", share, torque)) < 0.5 * _mean_error("flux", share, torque)
 
 
 def test_keys_are_read_and_refused_where_they_do_not_belong() -> None:

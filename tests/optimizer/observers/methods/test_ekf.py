@@ -91,6 +91,7 @@ def test_the_step_foretells_what_the_filter_in_matrices_does(bench001: LinearMac
         np.testing.assert_allclose(found.nu, expected.innovation, rtol=0.0, atol=1e-10)
         np.testing.assert_allclose(found.s, expected.s, rtol=1e-10)
         np.testing.assert_allclose(found.nis, expected.nis, rtol=1e-8, atol=1e-9)
+        np.testing.assert_allclose(found.log_likelihood, expected.log_likelihood, rtol=1e-9)
 
 
 def test_without_noise_the_right_state_stays(bench001: LinearMachine) -> None:
