@@ -329,9 +329,9 @@ def explore(  # noqa: PLR0913, PLR0917 - every option of the command is a parame
 
 
 @app.command()
-def machines(name: given.Drive = None, json: given.Json = False) -> None:
-    """List the library of drives, or print one."""
-    respond("machines", lambda: answers.machines.answer_machines(name), json)
+def machines(name: given.Drive = None, search: given.Find = None, json: given.Json = False) -> None:
+    """List drives and motors of the library, or one."""
+    respond("machines", lambda: answers.machines.answer_machines(name, search), json)
 
 
 @app.command()

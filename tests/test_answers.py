@@ -111,10 +111,15 @@ def test_new_and_the_library_as_json(call: Call, tmp_path: Path) -> None:
     made = plain(call, "new", "mine")
     assert check_files(made) == {"design.yaml", "design.schema.json"}
     assert made["next"] == "dqforge check mine/design.yaml"
-    drives = plain(call, "machines")["machines"]
+    listed = plain(call, "machines")
+    drives = listed["machines"]
+    assert [motor["name"] for motor in listed["motors"]] == catalogue.motors()
     assert [drive["name"] for drive in drives] == catalogue.names()
     assert all(set(drive) == {"name", "drive", "about"} for drive in drives)
     assert plain(call, "machines", BENCH)["text"].encode() == catalogue.read_text(BENCH)
+    found = plain(call, "machines", "--search", "hoverboard")
+    assert found["next"] == "dqforge new my-hoverboard-hub --machine hoverboard-hub"
+    assert plain(call, *found["next"].split()[1:])["next"]
     schema = json.loads(call("schema")[1], parse_float=lambda text: float(f"{float(text):.9g}"))
     assert plain(call, "schema")["schema"] == schema
 

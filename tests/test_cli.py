@@ -345,6 +345,8 @@ def test_machines_schema_and_reproduce(
         (["check", "missing.yaml"], "missing.yaml"),
         (["check", "."], "."),
         (["machines", "paper00"], "paper000"),
+        (["machines", "--search", "toaster"], "nothing in the library matches 'toaster'"),
+        (["machines", IPM, "--search", "hub"], "leave one of them out"),
         (["run", "paper000"], "paper000"),
     ],
 )

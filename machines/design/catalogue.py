@@ -67,7 +67,13 @@ from dqforge.machines.entries.former_keys import (
 from dqforge.machines.entries.kinds import Section, quantities
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import InputError, NoSolutionError, shown
-from dqforge.machines.files.library_files import DESIGNS, TEMPLATE
+from dqforge.machines.files.library_files import (
+    DESIGNS,
+    MOTORS,
+    TEMPLATE,
+    design_names,
+    read_design,
+)
 from dqforge.machines.files.positioned_yaml import (
     MAX_DEPTH,
     YamlDocument,
@@ -84,13 +90,25 @@ from dqforge.machines.units.quantities import format_quantity, kind_said
 
 
 def names() -> list[str]:
-    """Names of the designs in the library, in alphabetical order."""
+    """Names of the drives in the library, in alphabetical order: those of papers and benches."""
     return DESIGNS.names()
 
 
+def motors() -> list[str]:
+    """Names of the motors in the library, in alphabetical order: those that people have."""
+    return MOTORS.names()
+
+
+def is_known(name: str) -> bool:
+    """Whether the library has a drive or a motor of this name."""
+    return name in design_names()
+
+
 def read_text(name: str) -> bytes:
-    """Bytes of a design in the library; raises `InputError` when there is none of this name."""
-    return DESIGNS.read(name)
+    """Bytes of a drive or a motor in the library; raises `InputError` when there is none of this
+    name.
+    """
+    return read_design(name)
 
 
 def load(name: str, settings: Sequence[str] = ()) -> Design:
@@ -126,7 +144,7 @@ def load_design(path: str | Path, settings: Sequence[str] = ()) -> Design:
         InputError: The file cannot be read, or its content is wrong; with the position where there
             is one.
     """
-    return load_text(read_bytes(path, DESIGNS.names), str(path), Path(path).parent, settings)
+    return load_text(read_bytes(path, design_names), str(path), Path(path).parent, settings)
 
 
 def load_text(

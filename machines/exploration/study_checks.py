@@ -270,7 +270,7 @@ def _parsed(text: bytes, source: str) -> YamlDocument:
 
 def _design(name: str, files: StudyFolder, document: YamlDocument) -> tuple[bytes, str]:
     """Bytes and name of the design: a drive of the library, or a file beside the study."""
-    if name in catalogue.names():
+    if catalogue.is_known(name):
         return catalogue.read_text(name), f"{name}.yaml"
     if not name.endswith((".yaml", ".yml")):
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from importlib import resources
 from importlib.resources.abc import Traversable
 
@@ -16,6 +17,12 @@ _SUFFIX = ".yaml"
 
 # Names are matched before they meet the file system, so none can leave the folder.
 _NAME = re.compile(r"[a-z0-9]+(?:-[a-z0-9]+)*")
+
+# Words by which an entry is found that its name and its sentence do not say.
+_TAGS = re.compile(rb"^# tags:(.*)$", re.MULTILINE)
+
+# Names that a message has room for.
+_MOST_NAMES = 12
 
 # A line with a key alone begins the first section, and ends the head of a file.
 _SECTION = re.compile(rb"^[a-z_]+:[ \t]*(?:#.*)?$", re.MULTILINE)
@@ -44,12 +51,13 @@ def with_modeline(text: bytes, schema: str) -> bytes:
 @dataclass(frozen=True, slots=True)
 class LibraryEntry:
     """An entry of the library: ``key`` is what commands call it, ``name`` and ``about`` are those
-    of its file.
+    of its file, ``tags`` further words by which it is found: a comment ``# tags:`` in its head.
     """
 
     key: str
     name: str
     about: str
+    tags: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,16 +91,19 @@ class LibraryFiles:
         """
         known = self.names()
         if not _NAME.fullmatch(name) or name not in known:
-            matches = close_matches(name, known) or [
-                part for part in known if name and name in part
-            ]
-            hint = (
-                f"did you mean {' or '.join(matches[:2])}?"
-                if matches
-                else f"there are {', '.join(known)}"
-            )
-            raise InputError(f"no {self.kind} {shown(name)} in the library; {hint}")
+            raise self.unknown(name, known)
         return self.read_unlisted(name)
+
+    def unknown(self, name: str, known: Sequence[str]) -> InputError:
+        """Error on a name that is none of those known; it has those that are like it."""
+        matches = close_matches(name, known) or [part for part in known if name and name in part]
+        if matches:
+            hint = f"did you mean {' or '.join(matches[:2])}?"
+        elif len(known) <= _MOST_NAMES:
+            hint = f"there are {', '.join(known)}"
+        else:
+            hint = "'dqforge machines --search WORDS' finds one"
+        return InputError(f"no {self.kind} {shown(name)} in the library; {hint}")
 
     def read_unlisted(self, name: str) -> bytes:
         """Bytes of a file that is there, listed or not."""
@@ -110,7 +121,8 @@ class LibraryFiles:
         head = _SECTION.split(self.read_unlisted(name), maxsplit=1)[0]
         data = parse_yaml(head, self.source(name)).data
         title, about = (" ".join(str(data[part]).split()) for part in ("name", "about"))
-        return LibraryEntry(name, title, about)
+        tags = b" ".join(_TAGS.findall(head)).decode("utf-8")
+        return LibraryEntry(name, title, about, " ".join(tags.split()))
 
     def source(self, name: str) -> str:
         """What messages call the file of an entry."""
@@ -119,5 +131,22 @@ class LibraryFiles:
 
 TEMPLATE = "template"  # Name of the design file that a new one starts from.
 
-# The drives and the studies that ship with the package.
+# The drives of research, the motors that people have, and the studies that ship with the package.
 DESIGNS, STUDIES = LibraryFiles("design", unlisted=(TEMPLATE,)), LibraryFiles("study", "studies")
+MOTORS = LibraryFiles("design", "motors")
+
+
+def design_names() -> list[str]:
+    """What a command may name in place of a design file: drives, then motors."""
+    return [*DESIGNS.names(), *MOTORS.names()]
+
+
+def read_design(name: str) -> bytes:
+    """Bytes of a drive or a motor; raises `InputError` as `LibraryFiles.read`."""
+    motors = MOTORS.names()
+    if name in motors:
+        return MOTORS.read(name)
+    drives = DESIGNS.names()
+    if name not in drives:
+        raise DESIGNS.unknown(name, [*drives, *motors])
+    return DESIGNS.read(name)

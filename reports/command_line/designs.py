@@ -62,7 +62,7 @@ def load(name: str, settings: Sequence[str] | None = None) -> Design:
     from dqforge.reports.pages.answer import stage
 
     stage("reading the design")
-    from_library = not Path(name).exists() and name in catalogue.names()
+    from_library = not Path(name).exists() and catalogue.is_known(name)
     loaded = (catalogue.load if from_library else loader.load_design)(name, settings or ())
     _loaded.set((*_loaded.get(), loaded))
     return loaded

@@ -23,7 +23,7 @@ from dqforge import __version__
 from dqforge.machines.data_sheet.sheet_values import SHEET_VALUES, SheetValue
 from dqforge.machines.errors import DqforgeError
 from dqforge.machines.files.input_files import line_of
-from dqforge.machines.files.library_files import DESIGNS, STUDIES
+from dqforge.machines.files.library_files import STUDIES, design_names
 from dqforge.reports.operating_system import system
 from dqforge.reports.operating_system.system import spell_out
 
@@ -276,7 +276,7 @@ def application() -> typer.Typer:
             "Controller coefficients, loss budgets and checked C headers for permanent-magnet "
             "drives."
         ),
-        epilog="DESIGN is a design file, or the name of a drive that 'dqforge machines' lists.",
+        epilog="DESIGN is a design file, or a name that 'dqforge machines' lists.",
         context_settings={"help_option_names": ["-h", "--help"]},
         invoke_without_command=True,
         rich_markup_mode=None,
@@ -344,12 +344,12 @@ _DESIGNS = (".yaml", ".yml")
 
 
 def drives(begun: str) -> list[str]:
-    """Drives of the library whose names begin so."""
-    return [name for name in DESIGNS.names() if name.startswith(begun)]
+    """Drives and motors of the library whose names begin so."""
+    return [name for name in design_names() if name.startswith(begun)]
 
 
 def designs(begun: str) -> list[str]:
-    """Drives of the library, and design files and folders, whose names begin so."""
+    """Drives and motors of the library, and design files and folders, whose names begin so."""
     return [*drives(begun), *_near(begun)]
 
 
@@ -435,6 +435,12 @@ Paper = Annotated[str, _argument("PAPER", "Number of the paper: 000, 001 or 002.
 
 
 Drive = Annotated[str | None, _argument("NAME", "Print this drive's design file.", drives)]
+
+
+Find = Annotated[
+    str | None,
+    _text("--search", "WORDS", "List what matches, e.g. hoverboard, gimbal or '48 V'."),
+]
 
 
 Set = Annotated[list[str] | None, _text("--set", "KEY=VALUE", f"{_SET}.")]

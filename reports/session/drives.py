@@ -73,7 +73,7 @@ _OF_A_MAP = ("l_d", "l_q", "psi_pm")
 
 
 def load_design(source: str | Path, changes: Mapping[str, Any] | None = None) -> Design:
-    """The design in a file, or that of a library drive by its name.
+    """The design in a file, or that of a library drive or motor by its name.
 
     Args:
         source: Path of a design file, or one of `library`; a file of that name comes first.
@@ -87,14 +87,14 @@ def load_design(source: str | Path, changes: Mapping[str, Any] | None = None) ->
     name = str(source)
     given = {} if changes is None else changes
     settings = [f"{key}={written(python_values(value))}" for key, value in given.items()]
-    if not Path(source).exists() and name in catalogue.names():
+    if not Path(source).exists() and catalogue.is_known(name):
         return catalogue.load(name, settings)
     return load_file(source, settings)
 
 
 def library() -> tuple[str, ...]:
-    """Names of the drives that come with the package, for `load_design`."""
-    return tuple(catalogue.names())
+    """Names of the drives that come with the package, then of the motors, for `load_design`."""
+    return (*catalogue.names(), *catalogue.motors())
 
 
 def limited(

@@ -35,7 +35,10 @@ def test_the_schemas_of_the_package_are_those_of_the_models(
 
 
 def test_what_ships_keeps_the_schemas() -> None:
-    designs = [catalogue.template(), *map(catalogue.read_text, catalogue.names())]
+    designs = [
+        catalogue.template(),
+        *map(catalogue.read_text, [*catalogue.names(), *catalogue.motors()]),
+    ]
     others = map(studies.read_text, studies.names())
     for name, texts in ((DESIGN_SCHEMA, designs), (STUDY_SCHEMA, others)):
         validator = jsonschema.Draft202012Validator(json.loads(schema_bytes(name)))
@@ -64,7 +67,9 @@ def test_the_modeline_stands_first_and_is_a_comment() -> None:
     assert yaml.safe_load(told) == yaml.safe_load(text)
 
 
-@pytest.mark.parametrize("name", ["paper000", "abb", "thor-pmsyrm", "vdyno-trampa-6430"])
+@pytest.mark.parametrize(
+    "name", ["paper000", "abb", "thor-pmsyrm", "vdyno-trampa-6430", "hoverboard", "teknic-m2310"]
+)
 def test_a_name_that_is_nearly_one_of_the_library_is_answered_with_it(name: str) -> None:
     with pytest.raises(InputError, match=rf"no such file; did you mean {name[:4]}"):
         load_design(name)

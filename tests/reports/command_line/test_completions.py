@@ -39,6 +39,7 @@ def offered(shell: str, line: str) -> str:
 def test_each_shell_gets_drives_commands_and_options(shell: str) -> None:
     assert "paper000-ipmsm-100kw" in offered(shell, "dqforge tune paper0")
     assert "abb-" not in offered(shell, "dqforge tune paper0")
+    assert "hoverboard-hub" in offered(shell, "dqforge run hover")
     assert "estimators" in offered(shell, "dqforge es")
     assert "--speed" in offered(shell, "dqforge mtpa paper000-ipmsm-100kw --sp")
 
@@ -77,7 +78,7 @@ def test_designs_are_drives_files_and_folders(
         (tmp_path / name).mkdir()
     for name in ("a.yaml", "b.YML", "c.txt", ".d.yaml", "one/x.yaml", "one/strange name.yaml"):
         (tmp_path / name).touch()
-    assert designs("") == [*drives.names(), "one/", "a.yaml", "b.YML"]
+    assert designs("") == [*drives.names(), *drives.motors(), "one/", "a.yaml", "b.YML"]
     assert designs("one/") == ["one/deeper/", "one/strange name.yaml", "one/x.yaml"]
     assert designs("./a") == ["./a.yaml"]
     assert designs("nowhere/at/all") == []
