@@ -19,6 +19,7 @@ from dqforge.machines.records import dataclass
 
 N = TypeVar("N")
 C = TypeVar("C")
+_T = TypeVar("_T")
 Reals = NDArray[Any]  # float64 or float32, any shape.
 
 # Electrical angles of the axes of the phases a, b, c in rad, shape (3,).
@@ -99,6 +100,9 @@ class Numbers(Protocol[N, C]):
     def choose(self, condition: C, a: N, b: N) -> N:
         """Number a where the condition holds, else b."""
 
+    def let(self, name: str, value: N, meaning: str = "") -> N:
+        """Give what is used twice its name in the firmware."""
+
 
 @dataclass(frozen=True, slots=True)
 class Floats:
@@ -161,8 +165,13 @@ class Floats:
         return a >= b
 
     def choose(self, condition: Any, a: Reals, b: Reals) -> Reals:
-        """Numbers a where the condition holds, else b."""
+        """Numbers a where the condition holds, else b; Python floats get the type of numbers."""
+        a, b = (self.number(x) if isinstance(x, float) else x for x in (a, b))
         return np.where(condition, a, b)
+
+    def let(self, name: str, value: _T, meaning: str = "") -> _T:  # noqa: ARG002
+        """As it is."""
+        return value
 
 
 DOUBLES = Floats(np.float64)  # Double precision.
@@ -201,12 +210,10 @@ def clarke_inverse(o: Numbers[N, Any], vector: tuple[N, N]) -> Triple[N]:
         o: The arithmetic.
         vector: Alpha and beta in any unit, any shape.
     """
-    half = o.part("clarke inverse: alpha/2", vector[0], 0.5)
-    side = o.part("clarke inverse: beta", vector[1], _HALF_ROOT_3)
-    b = o.settled("clarke inverse: b", o.total("clarke inverse: b", side, o.negative(half)))
-    c = o.settled(
-        "clarke inverse: c", o.total("clarke inverse: c", o.negative(side), o.negative(half))
-    )
+    half = o.let("half", o.negative(o.part("clarke inverse: alpha/2", vector[0], 0.5)))
+    side = o.let("side", o.part("clarke inverse: beta", vector[1], _HALF_ROOT_3))
+    b = o.settled("clarke inverse: b", o.total("clarke inverse: b", half, side))
+    c = o.settled("clarke inverse: c", o.total("clarke inverse: c", half, o.negative(side)))
     return Triple(o.saturated(vector[0]), b, c)
 
 

@@ -265,6 +265,10 @@ class Codes(Generic[N]):
         """Number a where the condition holds, else b."""
         return self.o.choose(condition, a, b)
 
+    def let(self, name: str, value: N, meaning: str = "") -> N:  # noqa: ARG002
+        """As it is."""
+        return value
+
 
 @dataclass(frozen=True, slots=True)
 class WideCodes(Codes[N]):

@@ -14,27 +14,43 @@ from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 import numpy as np
 
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import Floats, Reals, park, park_inverse
+from dqforge.machines.transforms import (
+    Floats,
+    Reals,
+    Triple,
+    clarke,
+    clarke_inverse,
+    park,
+    park_inverse,
+)
 
 Pair = tuple[Reals, Reals]  # The alpha and beta (or d and q) components of a vector.
 
 
+class Abc(NamedTuple):
+    """Phase quantities a, b, c."""
+
+    a: Reals
+    b: Reals
+    c: Reals
+
+
 class AlphaBeta(NamedTuple):
-    """A vector in stationary coordinates."""
+    """Stationary coordinates: alpha along phase a, amplitude-invariant (peak of phase)."""
 
     alpha: Reals
     beta: Reals
 
 
 class Dq(NamedTuple):
-    """A vector in rotor coordinates."""
+    """Rotor coordinates: d along the magnet flux, amplitude-invariant (peak of phase)."""
 
     d: Reals
     q: Reals
 
 
 class Rotation(NamedTuple):
-    """A turn."""
+    """Cosine and sine of an angle."""
 
     cosine: Reals
     sine: Reals
@@ -76,8 +92,8 @@ class Arithmetic(Floats):
 
         Args:
             name: Of a local variable.
-            value: A number, a vector, a numpy array of numbers, which get a name each, or a tuple
-                of a record, which gets a shorter one.
+            value: A number, a condition, a vector, a numpy array of numbers, which get a name each,
+                or a tuple of a record, which gets a shorter one.
             meaning: What it is, with its unit.
         """
         return value
@@ -108,6 +124,28 @@ class Arithmetic(Floats):
         found: _T = self._merged(condition, then(), otherwise())
         return found
 
+    def cases(
+        self,
+        name: str,  # noqa: ARG002
+        *branches: tuple[Any, Callable[[], _T]],
+        otherwise: Callable[[], _T],
+    ) -> _T:
+        """What the first branch returns whose condition holds, else what ``otherwise`` returns.
+
+        The firmware computes one of them; here all are computed, so that what lies outside of a
+        condition may be no number.
+
+        Args:
+            name: Of the local variable that takes the number or vector.
+            branches: Conditions, and what is computed where they hold.
+            otherwise: What is computed where none holds.
+        """
+        with np.errstate(all="ignore"):
+            found = otherwise()
+            for condition, branch in reversed(branches):
+                found = self._merged(condition, branch(), found)
+        return found
+
     def _merged(self, condition: Any, a: Any, b: Any) -> Any:
         if isinstance(a, tuple):
             parts = [self._merged(condition, x, y) for x, y in zip(a, b, strict=True)]
@@ -116,7 +154,20 @@ class Arithmetic(Floats):
             names = [field.name for field in fields(a)]
             parts = [self._merged(condition, getattr(a, n), getattr(b, n)) for n in names]
             return replace(a, **dict(zip(names, parts, strict=True)))  # type: ignore[type-var]
-        return self.choose(condition, a, b) if isinstance(a, np.ndarray) else a
+        numbers = isinstance(a, float | np.ndarray | np.generic)
+        return self.choose(condition, a, b) if numbers else a
+
+    def whole(self, a: Reals) -> Reals:
+        """Numbers without what is behind the point, as integers of the firmware (``long``)."""
+        return np.asarray(a).astype(np.int32)
+
+    def real(self, a: Reals) -> Reals:
+        """Integers as numbers."""
+        return np.asarray(a).astype(self.number)
+
+    def has_bit(self, a: Reals, bit: int) -> Any:
+        """Whether integers have a bit, given by its worth."""
+        return (a & bit) != 0
 
     def root(self, a: Reals) -> Reals:
         """Square roots."""
@@ -126,13 +177,21 @@ class Arithmetic(Floats):
         """A constant for every drive of ``like``."""
         return np.full_like(like, value)
 
-    def park(self, vector: Pair, turn: Pair) -> Dq:
-        """Stationary coordinates in a frame turned by (cosine, sine)."""
-        return Dq(*park(self, vector, turn))
+    def clarke(self, x: Abc) -> AlphaBeta:
+        """Phases to stationary coordinates, factor 2/3; a part common to all phases falls out."""
+        return AlphaBeta(*clarke(self, Triple(*x)))
 
-    def park_inverse(self, vector: Pair, turn: Pair) -> AlphaBeta:
-        """Coordinates of a turned frame back."""
-        return AlphaBeta(*park_inverse(self, vector, turn))
+    def clarke_inverse(self, x: Pair) -> Abc:
+        """Stationary coordinates to phases whose sum is zero."""
+        return Abc(*clarke_inverse(self, x))
+
+    def park(self, x: Pair, turn: Pair) -> Dq:
+        """Stationary coordinates to coordinates turned by an angle."""
+        return Dq(*park(self, x, turn))
+
+    def park_inverse(self, x: Pair, turn: Pair) -> AlphaBeta:
+        """Coordinates turned by an angle to stationary coordinates."""
+        return AlphaBeta(*park_inverse(self, x, turn))
 
 
 def _wrap(theta: Reals) -> Reals:

@@ -45,6 +45,8 @@ ORCHESTRATORS = {
 # Modules that evaluate emitted C in its own arithmetic, for test vectors and to compare with the
 # compiled C.
 MODELS = {
+    "c_code.harness": "angle functions and transforms in single precision",
+    "steps.control_types": "writes angle functions and transforms in C, from their steps",
     "control.fixed_model": "the control functions in integers, step by step, and proven again",
     "firmware.loop_code": "the loops of other firmware in C, by the rules they are judged by",
     "fixed_observers.fixed_observer_model": "the observers in integers, step by step",
