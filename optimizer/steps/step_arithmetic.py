@@ -7,7 +7,7 @@ from it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
@@ -58,10 +58,18 @@ class Rotation(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """What a member of a record is: a phrase, and its SI unit (empty of a pure number)."""
+    """What a member of a record is: a phrase, and its SI unit (empty of a pure number).
+
+    Args:
+        meaning, unit: As said.
+        suffix: The unit as it stands behind the name where names tell units, else nothing.
+        whole: Whether it is a whole number from 0 on.
+    """
 
     meaning: str
     unit: str = ""
+    suffix: str = ""
+    whole: bool = False
 
     @property
     def text(self) -> str:
@@ -71,6 +79,7 @@ class Member:
 
 _Gains = TypeVar("_Gains")
 _T = TypeVar("_T")
+_V = TypeVar("_V", bound=tuple[Any, ...])
 _P = ParamSpec("_P")
 
 
@@ -129,6 +138,7 @@ class Arithmetic(Floats):
         name: str,  # noqa: ARG002
         *branches: tuple[Any, Callable[[], _T]],
         otherwise: Callable[[], _T],
+        changing: Sequence[Any] = (),
     ) -> _T:
         """What the first branch returns whose condition holds, else what ``otherwise`` returns.
 
@@ -136,14 +146,35 @@ class Arithmetic(Floats):
         condition may be no number.
 
         Args:
-            name: Of the local variable that takes the number or vector.
+            name: Of the local variable that takes the number or vector; of none, nothing is
+                returned.
             branches: Conditions, and what is computed where they hold.
             otherwise: What is computed where none holds.
+            changing: Records of a state whose members the branches set.
         """
+        places = [place for record in changing for place in leaves(record)]
+        before = [getattr(record, member) for record, member in places]
+
+        def ran(branch: Callable[[], _T]) -> tuple[_T, list[Any]]:
+            value = branch()
+            after = [getattr(record, member) for record, member in places]
+            put(before)
+            return value, after
+
+        def put(values: list[Any]) -> None:
+            for (record, member), value in zip(places, values, strict=True):
+                setattr(record, member, value)
+
         with np.errstate(all="ignore"):
-            found = otherwise()
+            found, kept = ran(otherwise)
             for condition, branch in reversed(branches):
-                found = self._merged(condition, branch(), found)
+                value, after = ran(branch)
+                found = self._merged(condition, value, found)
+                kept = [
+                    y if x is y else self._merged(condition, x, y)
+                    for x, y in zip(after, kept, strict=True)
+                ]
+        put(kept)
         return found
 
     def _merged(self, condition: Any, a: Any, b: Any) -> Any:
@@ -164,6 +195,30 @@ class Arithmetic(Floats):
     def real(self, a: Reals) -> Reals:
         """Integers as numbers."""
         return np.asarray(a).astype(self.number)
+
+    def is_number(self, a: Reals) -> Any:
+        """Whether it is not not-a-number."""
+        return a == a  # noqa: PLR0124
+
+    def outside(
+        self,
+        kind: type[_V],
+        name: str,  # noqa: ARG002
+        function: Callable[..., Iterable[Any]],
+        *args: Any,
+        filled: str = "",  # noqa: ARG002
+    ) -> _V:
+        """A function of the firmware whose text stands elsewhere.
+
+        Args:
+            kind: The vector that it makes.
+            name: In the firmware.
+            function: What it computes, from the arguments to the numbers of the vector.
+            args: Numbers and vectors.
+            filled: The vector whose members it sets through pointers behind its arguments, empty
+                where it returns one.
+        """
+        return kind(*function(*args))
 
     def has_bit(self, a: Reals, bit: int) -> Any:
         """Whether integers have a bit, given by its worth."""
@@ -218,6 +273,16 @@ def cast(gains: _Gains, maths: Arithmetic) -> _Gains:
         else:
             values[field.name] = maths.number(value)
     return replace(gains, **values)  # type: ignore[type-var]
+
+
+def leaves(record: Any) -> Iterator[tuple[Any, str]]:
+    """Members of a state that are no records, those of records in it as well; None are left out."""
+    for member in fields(record):
+        value = getattr(record, member.name)
+        if is_dataclass(value):
+            yield from leaves(value)
+        elif value is not None:
+            yield record, member.name
 
 
 def at_least(o: Arithmetic, value: Reals, floor: Any) -> Reals:

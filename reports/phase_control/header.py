@@ -17,6 +17,7 @@ from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.reports.c_code.harness import single_from, title
 from dqforge.reports.c_code.numbers import float_literal
+from dqforge.reports.control.control_text import pi_structs, speed_loop_functions
 from dqforge.reports.control.header import speed_filter
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.loops.proven_text import judged_lines
@@ -167,6 +168,8 @@ def header_context(plain: Mapping[str, Any]) -> dict[str, Any]:
             for order, before in zip(ascending, (1, *ascending), strict=False)
         ],
         "gains": _gain_lines(plain),
+        "pi_structs": pi_structs,
+        "speed_loop": speed_loop_functions,
     }
 
 

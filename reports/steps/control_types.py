@@ -6,8 +6,8 @@ from functools import cache
 
 from dqforge.optimizer.steps import angle_functions as angles
 from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Arithmetic, Dq, Rotation
-from dqforge.reports.steps.step_reader import SHARED, Block, Functions, StepReader, vector
-from dqforge.reports.steps.step_reader import vector_struct as struct_of
+from dqforge.reports.steps.record_text import SHARED, vector_struct
+from dqforge.reports.steps.step_reader import Block, Functions, StepReader, vector
 from dqforge.reports.steps.symbols import Expression
 
 
@@ -37,7 +37,7 @@ def control_types(prefix: str, macro: str) -> str:
     return "\n\n".join(
         [
             f"#ifndef {guard}\n#define {guard}",
-            *("\n".join(struct_of(kind, prefix)) for kind in SHARED),
+            *("\n".join(vector_struct(kind, prefix)) for kind in SHARED),
             *functions.texts.values(),
             f"#endif /* {guard} */",
         ]

@@ -13,18 +13,24 @@ import numpy as np
 from dqforge.optimizer.observers.parts import ObserverState
 from dqforge.optimizer.steps.step_arithmetic import AlphaBeta
 from dqforge.reports.c_code.numbers import float_literal
-from dqforge.reports.steps.step_reader import (
-    Block,
-    Functions,
-    StepReader,
+from dqforge.reports.steps.record_text import (
     c_name,
     comment,
     record_numbers,
     record_structs,
     record_values,
     struct,
-    vector,
     vector_struct,
+)
+from dqforge.reports.steps.step_reader import (
+    Assignment,
+    Block,
+    Functions,
+    StepReader,
+    assignments,
+    ordered,
+    vector,
+    vector_of,
 )
 from dqforge.reports.steps.symbols import Expression, expression, folded
 
@@ -155,42 +161,19 @@ def _written(
     members: StateMembers, after: ObserverState, reader: StepReader, indent: str
 ) -> list[str]:
     """Assignments to what changes, none before another one that reads the old value."""
-    open_ = list[tuple[str, str, frozenset[str], set[str]]]()
+    open_ = list[Assignment]()
     names = [*(n for n, _ in members.scalars), "theta_e", "omega_e"]
     for (n, _), pair in zip(members.vectors, after.vectors, strict=True):
-        parts, place = [expression(part) for part in pair], f"observer->{n}"
-        whole = {part.whole for part in parts}
+        place, parts = f"observer->{n}", list(map(expression, pair))
         reader.take(parts)
-        if (
-            whole != {""}
-            and len(whole) == 1
-            and [p.text for p in parts]
-            == [f"{parts[0].whole}.{axis}" for axis in AlphaBeta._fields]
-        ):
-            reads = parts[0].reads | parts[1].reads
-            targets = {f"{place}.{axis}" for axis in AlphaBeta._fields}
-            open_.append((place, parts[0].whole, reads, targets))
-        else:
-            open_ += [
-                (f"{place}.{axis}", part.bare(), part.reads, {f"{place}.{axis}"})
-                for axis, part in zip(AlphaBeta._fields, parts, strict=True)
-            ]
+        before = vector(AlphaBeta, place, state=True)
+        open_ += assignments(place, vector_of(AlphaBeta, parts), parts, before)
     for n, value in zip(names, (*after.scalars, after.theta_e, after.omega_e), strict=True):
-        part, place = expression(value), f"observer->{n}"
+        part = expression(value)
         reader.take([part])
-        open_.append((place, part.bare(), part.reads, {place}))
-    open_ = [item for item in open_ if item[0] != item[1]]
+        open_ += assignments(f"observer->{n}", part, [part], _member(n))
     block = Block(indent, set())
-    while open_:
-        free = [
-            item
-            for item in open_
-            if not any(item[3] & other[2] for other in open_ if other is not item)
-        ]
-        if not free:
-            raise ValueError(f"{open_[0][0]} is needed after it changed: name it by `let`")
-        block.add(f"{free[0][0]} = ", free[0][1])
-        open_.remove(free[0])
+    ordered(open_, block)
     return block.lines
 
 
@@ -235,7 +218,7 @@ def _statements(lines: Sequence[str]) -> list[list[str]]:
     found: list[list[str]] = [[]]
     for line in lines:
         found[-1].append(line)
-        if line.endswith((";", "{", "}")):
+        if line.endswith((";", "{", "}")) and not line.endswith("= {"):
             found.append([])
     return [part for part in found if part]
 

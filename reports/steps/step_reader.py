@@ -8,49 +8,45 @@ Python decides before numbers are known does not reach the C.
 from __future__ import annotations
 
 import inspect
-import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from textwrap import wrap
-from typing import Any, Concatenate, ParamSpec, TypeVar, cast, get_type_hints
+from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numpy as np
 
-from dqforge.machines.transforms import Reals
 from dqforge.optimizer.steps.step_arithmetic import (
     Abc,
     AlphaBeta,
     Arithmetic,
     Dq,
-    Member,
     Pair,
     Rotation,
+    leaves,
 )
-from dqforge.reports.c_code.numbers import comment_text, float_literal
-from dqforge.reports.steps.symbols import Condition, Expression, Origin, expression, folded, joined
+from dqforge.reports.c_code.numbers import comment_text
+from dqforge.reports.steps.record_text import (
+    LINE,
+    SHARED,
+    c_name,
+    comment,
+    kind_fields,
+    kind_of,
+    member_name,
+    sentence,
+)
+from dqforge.reports.steps.symbols import (
+    WIDTH,
+    Condition,
+    Expression,
+    Origin,
+    expression,
+    folded,
+    joined,
+)
 
 _T = TypeVar("_T")
+_V = TypeVar("_V", bound=tuple[Any, ...])
 _P = ParamSpec("_P")
-
-# Vectors that `dqforge.reports.steps.control_types` declares.
-SHARED: dict[type[Any], str] = {
-    Abc: "abc",
-    AlphaBeta: "alphabeta",
-    Dq: "dq",
-    Rotation: "rotation",
-}
-_LINE = 118
-
-
-def c_name(kind: type[Any]) -> str:
-    """Name of a record in C, without prefix and ``_t``."""
-    return SHARED.get(kind) or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", kind.__name__).lower()
-
-
-def comment(text: str) -> list[str]:
-    """Lines of a comment on a function or record."""
-    first, *rest = wrap(comment_text(text), _LINE - 6, break_long_words=False)
-    return [f"/* {first}", *(f" * {line}" for line in rest), " */"] if rest else [f"/* {first} */"]
 
 
 @dataclass(slots=True)
@@ -69,7 +65,7 @@ class Block:
         found = folded(begin, text, ";", self.indent)
         if meaning:
             said = f"/* {comment_text(meaning)} */"
-            if len(found) == 1 and len(found[0]) + len(said) < _LINE:
+            if len(found) == 1 and len(found[0]) + len(said) < LINE:
                 found[0] += f" {said}"
             else:
                 found.insert(0, f"{self.indent}{said}")
@@ -93,14 +89,49 @@ class Block:
 
 @dataclass(slots=True)
 class Functions:
-    """What steps have needed so far: ``texts`` and ``results`` of functions, by name, ``members``
-    of records, and ``vectors`` that are declared nowhere else.
+    """What steps have needed so far: ``texts`` and ``results`` of functions, by name, and which
+    members of their arguments they change, ``members`` of records, and ``vectors`` that are
+    declared nowhere else. A function with a result and no text stands elsewhere.
     """
 
     texts: dict[str, str] = field(default_factory=dict)
     results: dict[str, type[Any] | None] = field(default_factory=dict)
+    changes: dict[str, list[frozenset[str]]] = field(default_factory=dict)
     members: set[Origin] = field(default_factory=set)
     vectors: dict[str, type[Any]] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class _Kept:
+    """A member of a state: where it stands in C, and its value there."""
+
+    record: Any
+    member: str
+    place: str
+    value: Any
+    kind: str = "float"
+    version: int = 0
+
+    @property
+    def set_to(self) -> Any:
+        """What the step has made of it."""
+        return getattr(self.record, self.member)
+
+    def targets(self) -> set[str]:
+        """What is no longer to be read when it changes."""
+        parts = self.value if isinstance(self.value, tuple) else (self.value,)
+        return {name for part in parts for name in part.reads}
+
+    def renewed(self) -> None:
+        """Let it be read as it is from now on."""
+        self.version += 1
+        mark = f"#{self.version}"
+        if isinstance(self.value, tuple):
+            self.value = vector(type(self.value), self.place, state=True, mark=mark)
+        else:
+            reads = frozenset({self.place + mark})
+            self.value = Expression(self.place, reads=reads, kind=self.kind)
+        setattr(self.record, self.member, self.value)
 
 
 class StepReader(Arithmetic):
@@ -119,6 +150,10 @@ class StepReader(Arithmetic):
         self.prefix, self.functions, self.block = prefix, functions, block
         self.branches: tuple[str, list[tuple[Block, Any]]] | None = None
         self._records: list[tuple[Any, str, frozenset[Origin]]] = []
+        self._kept: list[_Kept] = []
+        self._dead: set[str] = set()
+        self._changed: set[str] = set()
+        self._open: Expression | None = None  # a call that changes the state, till it is written
 
     def _wrapped(self, theta: Any) -> Any:
         return self._called("wrap", (theta,), None)
@@ -175,6 +210,31 @@ class StepReader(Arithmetic):
         """An integer as a number."""
         return joined(f"(float){a.operand()}", a, kind="float")
 
+    def is_number(self, a: Any) -> Any:
+        """Whether it equals itself."""
+        text = a.bare()
+        return Condition((joined(f"{text} == {text}", a),))
+
+    def outside(
+        self,
+        kind: type[_V],
+        name: str,
+        function: Callable[..., Iterable[Any]],  # noqa: ARG002
+        *args: Any,
+        filled: str = "",
+    ) -> _V:
+        """A call of a function whose text stands elsewhere."""
+        if not filled:
+            return cast("_V", self._called(name, args, kind))
+        self._new(filled)
+        parts = [expression(part) for part in args]
+        self.take(parts)
+        into = [f"&{filled}.{axis}" for axis in cast("Any", kind)._fields]
+        texts = ", ".join([*(part.bare() for part in parts), *into])
+        self.block.variable(f"{self.prefix}_{c_name(kind)}_t", filled)
+        self.block.work(folded(f"{self.prefix}_{name}(", texts, ");", self.block.indent))
+        return cast("_V", vector(kind, filled))
+
     def has_bit(self, a: Any, bit: int) -> Any:
         """Whether an integer has a bit."""
         return Condition((joined(f"({a.operand()} & {bit}) != 0", a),))
@@ -187,15 +247,16 @@ class StepReader(Arithmetic):
         """Magnitude."""
         return joined(f"fabsf({a.bare()})", a, atom=True)
 
-    def full(self, value: Any, like: Reals) -> Any:  # noqa: ARG002
+    def full(self, value: Any, like: Any) -> Any:
         """A constant."""
-        return expression(value)
+        return expression(value, like.kind if isinstance(like, Expression) else "float")
 
     def choose(self, condition: Any, a: Any, b: Any) -> Any:
         """A conditional expression."""
-        parts = expression(a), expression(b)
+        kind = next((part.kind for part in (a, b) if isinstance(part, Expression)), "float")
+        parts = expression(a, kind), expression(b, kind)
         text = " : ".join(part.operand(signed=True) for part in parts)
-        return joined(f"({condition.text()}) ? {text}", *condition.terms, *parts)
+        return joined(f"({condition.text()}) ? {text}", *condition.terms, *parts, kind=kind)
 
     def remark(self, text: str) -> None:
         """A comment on a line of its own."""
@@ -220,8 +281,11 @@ class StepReader(Arithmetic):
             if not hasattr(value, "_fields"):
                 self._declare("float *const", name, _handed_on(value), meaning, parts)
                 return tuple(Expression(f"{name}[{n}]", whole=name) for n in range(len(value)))
-            text = _whole(value) or f"{{ {', '.join(part.bare() for part in parts)} }}"
-            self._declare(f"{self.prefix}_{c_name(type(value))}_t", name, text, meaning, parts)
+            text = _whole(value)
+            kind = f"{self.prefix}_{c_name(type(value))}_t"
+            if text or not self._listed(kind, name, parts, meaning):
+                text = text or f"{{ {', '.join(part.bare() for part in parts)} }}"
+                self._declare(kind, name, text, meaning, parts)
             return vector(type(value), name)
         number = expression(value)
         self._declare(number.kind, name, number.bare(), meaning, (number,))
@@ -232,27 +296,90 @@ class StepReader(Arithmetic):
         name: str,
         *branches: tuple[Any, Callable[[], _T]],
         otherwise: Callable[[], _T],
+        changing: Sequence[Any] = (),
     ) -> _T:
-        """A variable that an if, its else ifs and its else give their values."""
-        outer, lines, value = self.block, list[str](), None
-        begin = "if ("
+        """A variable that an if, its else ifs and its else give their values, and a state that
+        they change.
+        """
+        self.write_state()
+        outer, lines, begin = self.block, list[str](), "if ("
+        dead, before = set(self._dead), [kept.value for kept in self._kept]
+        versions, changed = [kept.version for kept in self._kept], set[int]()
+        value: Any = None
         for condition, branch in (*branches, (None, otherwise)):
-            if condition is None:
-                lines.append(f"{outer.indent}}} else {{")
-            else:
+            if condition is not None:
                 self.take(condition.terms)
                 lines += folded(begin, condition.text(), ") {", outer.indent)
             self.block = Block(outer.indent + "    ", outer.names | {name})
             value = branch()
-            self._assign(name, value)
+            if name:
+                self._assign(name, value)
+            self.write_state()
+            if condition is None and self.block.lines:
+                lines.append(f"{outer.indent}}} else {{")
             lines += self.block.lines
-            begin = "} else if ("
+            for n, kept in enumerate(self._kept):
+                if kept.version != versions[n]:
+                    changed.add(n)
+                kept.value, kept.version = before[n], versions[n]
+                setattr(kept.record, kept.member, kept.value)
+            self._dead, begin = set(dead), "} else if ("
         self.block = outer
-        self._new(name)
-        outer.variable(self._kind(value), name)
+        if name:
+            self._new(name)
+            outer.variable(self._kind(value), name)
         outer.work([*lines, f"{outer.indent}}}"])
-        found: Any = vector(type(value), name) if isinstance(value, tuple) else Expression(name)
-        return cast("_T", found)
+        told = {id(record) for owner in changing for record, _ in leaves(owner)}
+        for n in changed:
+            if id(self._kept[n].record) not in told:
+                raise ValueError(f"{self._kept[n].place} changes, which `cases` is not told")
+            self._renew(self._kept[n])
+        if not name:
+            return cast("_T", None)
+        if isinstance(value, tuple):
+            return cast("_T", vector(type(value), name))
+        return cast("_T", Expression(name, kind=self._kind(value)))
+
+    def _renew(self, kept: _Kept) -> None:
+        self._dead |= kept.targets()
+        self._changed.add(kept.place)
+        kept.renewed()
+
+    def write_state(self) -> None:
+        """Write what the step has made of its state since it was last written."""
+        changed = [kept for kept in self._kept if kept.set_to is not kept.value]
+        if changed and self._open is not None and not self._open.uses[0]:
+            raise ValueError(f"{self._open.text} changes the state: name it by `let`")
+        open_: list[Assignment] = []
+        for kept in changed:
+            value = kept.set_to
+            parts = value if isinstance(value, tuple) else (value,)
+            numbers = tuple(expression(part, kept.kind) for part in parts)
+            self.take(numbers)
+            open_ += assignments(kept.place, value, numbers, kept.value)
+        block = Block(self.block.indent, set())
+        ordered(open_, block)
+        if block.lines:
+            self.block.work(block.lines)
+        for kept in changed:
+            self._renew(kept)
+
+    def _listed(self, kind: str, name: str, parts: Sequence[Expression], meaning: str) -> bool:
+        """Whether a vector is too long for a line and has one for each of its parts."""
+        begin = f"const {kind} {name} = {{"
+        texts = [part.text for part in parts]
+        if len(f"{self.block.indent}{begin} {', '.join(texts)} }};") <= WIDTH:
+            return False
+        self._new(name)
+        self.take(parts)
+        ends = [","] * (len(parts) - 1) + [""]
+        self.block.lines.append(f"{self.block.indent}{begin}")
+        if meaning:
+            self.block.lines[-1] += f" /* {comment_text(meaning)} */"
+        for part, end in zip(parts, ends, strict=True):
+            self.block.lines += folded("", part.bare(), end, self.block.indent + "    ")
+        self.block.lines.append(f"{self.block.indent}}};")
+        return True
 
     def _kind(self, value: Any) -> str:
         if isinstance(value, tuple):
@@ -285,7 +412,14 @@ class StepReader(Arithmetic):
         self.block.add(f"const {kind} {name} = ", text, meaning)
 
     def take(self, parts: Sequence[Expression]) -> None:
-        """Count the members of records in them as needed."""
+        """Count the members of records in them as needed.
+
+        Raises:
+            ValueError: One of them has been written since it was read.
+        """
+        for part in parts:
+            if part.reads & self._dead:
+                raise ValueError(f"{part.text} has changed since it was read: name it by `let`")
         self.functions.members.update(*(part.members for part in parts))
 
     def call(
@@ -297,10 +431,27 @@ class StepReader(Arithmetic):
         """A call; the first one writes the function."""
         assert not kwargs, "arguments of a function of the firmware have their places"
         name = function.__name__.lstrip("_")
-        if name not in self.functions.texts:
+        if name not in self.functions.results:
             self.write(name, function, args)
-        result: _T = self._called(name, args, self.functions.results[name])
-        return result
+        changes = self.functions.changes.get(name, [])
+        if not any(changes):
+            return cast("_T", self._called(name, args, self.functions.results[name]))
+        self.write_state()
+        result: Any = self._called(name, args, self.functions.results[name])
+        places = {
+            members_at(place[0]) + member
+            for argument, members in zip(args, changes, strict=True)
+            if (place := self._place(argument)) is not None
+            for member in members
+        }
+        for kept in self._kept:
+            if kept.place in places:
+                self._renew(kept)
+        self._open = result[0] if isinstance(result, tuple) else result
+        if self.functions.results[name] is type(None):
+            self.block.work([f"{self.block.indent}{self._open.bare()};"])
+            return cast("_T", None)
+        return cast("_T", result)
 
     def _called(self, name: str, arguments: Sequence[Any], kind: type[Any] | None) -> Any:
         texts, parts = [], list[Expression]()
@@ -309,6 +460,8 @@ class StepReader(Arithmetic):
             if place is not None:
                 texts.append(place[0])
                 self.functions.members |= place[1]
+                if not any(self.functions.changes.get(name, [])):
+                    parts.append(Expression(place[0], reads=self._state_of(place[0])))
             elif isinstance(argument, tuple):
                 texts.append(_handed_on(argument))
                 parts += [expression(part) for part in argument]
@@ -316,13 +469,19 @@ class StepReader(Arithmetic):
                 parts.append(expression(argument))
                 texts.append(parts[-1].bare())
         text = f"{self.prefix}_{name}({', '.join(texts)})"
-        if kind is None:
-            return joined(text, *parts, atom=True)
+        if kind is None or kind is type(None):
+            return joined(text, *parts, atom=True, kind="float")
         names: tuple[str, ...] = kind._fields
         found = [joined(f"{text}.{n}", *parts, atom=True, whole=text) for n in names]
         for part in found:
             part.uses = found[0].uses
         return kind(*found)
+
+    def _state_of(self, address: str) -> frozenset[str]:
+        """What is read through the address of a record."""
+        inside = members_at(address)
+        kept = [kept for kept in self._kept if kept.place.startswith(inside)]
+        return frozenset[str]().union(*(item.targets() for item in kept))
 
     def _place(self, value: Any) -> tuple[str, frozenset[Origin]] | None:
         """Address of a record, and the members through which it is reached; None of others."""
@@ -340,37 +499,53 @@ class StepReader(Arithmetic):
         inner = StepReader(self.prefix, self.functions, Block("    ", set(names)))
         inside = [inner.parameter(n, item) for n, item in zip(names, arguments, strict=True)]
         result = function(inner, *(value for _, value in inside))
-        body, end = inner.block.lines, Block("    ", set())
-        if isinstance(result, tuple):
-            own = c_name(type(result))
-            kind, whole = f"{self.prefix}_{own}_t", _whole(result)
-            if type(result) not in SHARED:
-                self.functions.vectors[own] = type(result)
-            if whole:
-                end.add("return ", whole)
-            else:
-                body.insert(0, f"    {kind} result;")
-                for n, part in zip(kind_fields(result), result, strict=True):
-                    end.add(f"result.{n} = ", expression(part).bare())
-                end.lines.append("    return result;")
-            inner.take([expression(part) for part in result])
-        else:
-            kind, number = "float", expression(result)
-            end.add("return ", number.bare())
-            inner.take([number])
-        parameters = ", ".join(text for text, _ in inside)
-        head = folded(f"static inline {kind} {self.prefix}_{name}(", parameters, ")", "")
+        inner.write_state()
+        kind, end = inner.returned(result)
+        changes = [
+            frozenset(place[len(n) + 2 :] for place in inner._changed if place.startswith(f"{n}->"))
+            for n in names
+        ]
+        parameters = ", ".join(
+            text.removeprefix("const ") if changed else text
+            for (text, _), changed in zip(inside, changes, strict=True)
+        )
+        body = inner.block.lines
         lines = [
-            *comment(_sentence(function)),
-            *head,
+            *comment(sentence(function)),
+            *folded(f"static inline {kind} {self.prefix}_{name}(", parameters, ")", ""),
             "{",
             *body,
-            *([""] if body and inner.block.declared is None else []),
-            *end.lines,
+            *([""] if body and end and inner.block.declared is None else []),
+            *end,
             "}",
         ]
         self.functions.texts[name] = "\n".join(lines)
-        self.functions.results[name] = type(result) if isinstance(result, tuple) else None
+        none = type(None) if result is None else None
+        self.functions.results[name] = type(result) if isinstance(result, tuple) else none
+        self.functions.changes[name] = changes
+
+    def returned(self, result: Any) -> tuple[str, list[str]]:
+        """Type of what a function returns, and the statements that return it."""
+        end = Block(self.block.indent, set())
+        if result is None:
+            return "void", []
+        parts = tuple(map(expression, result if isinstance(result, tuple) else (result,)))
+        self.take(parts)
+        if not isinstance(result, tuple):
+            end.add("return ", parts[0].bare())
+            return parts[0].kind, end.lines
+        own = c_name(type(result))
+        kind, whole = f"{self.prefix}_{own}_t", _whole(result)
+        if type(result) not in SHARED:
+            self.functions.vectors[own] = type(result)
+        if whole:
+            end.add("return ", whole)
+        else:
+            self.block.lines.insert(0, f"{self.block.indent}{kind} result;")
+            for n, part in zip(kind_fields(result), parts, strict=True):
+                end.add(f"result.{n} = ", part.bare())
+            end.lines.append(f"{self.block.indent}return result;")
+        return kind, end.lines
 
     def parameter(self, name: str, like: Any) -> tuple[str, Any]:
         """Declaration of a parameter, and its value inside of the function.
@@ -391,20 +566,31 @@ class StepReader(Arithmetic):
         return f"const float {name}[{len(like)}]", inside
 
     def _record(self, like: Any, address: str, place: str, outer: frozenset[Origin]) -> Any:
-        values: dict[str, Any] = {}
+        values, kept = dict[str, Any](), list[tuple[str, str, str]]()
         for member in fields(like):
-            name, value = f"{place}{member.name}", getattr(like, member.name)
+            value = getattr(like, member.name)
+            name = f"{place}{member_name(type(like), member.name)}"
             own = outer | {(c_name(type(like)), member.name)}
+            kind = kind_of(type(like), member.name)
             if is_dataclass(value):
                 values[member.name] = self._record(value, f"&{name}", f"{name}.", own)
+            elif hasattr(value, "_fields"):
+                values[member.name] = vector(type(value), name, state=True)
             elif isinstance(value, tuple):
                 values[member.name] = tuple(
                     Expression(f"{name}[{n}]", members=own, whole=name) for n in range(len(value))
                 )
-            else:
-                values[member.name] = Expression(name, members=own)
+            elif value is not None:
+                reads = frozenset({name})
+                values[member.name] = Expression(name, members=own, reads=reads, kind=kind)
+            if not is_dataclass(value) and value is not None:
+                kept.append((member.name, name, kind))
         found = replace(like, **values)
         self._records.append((found, address, outer))
+        if not like.__dataclass_params__.frozen:
+            self._kept += [
+                _Kept(found, member, name, values[member], kind) for member, name, kind in kept
+            ]
         return found
 
     def either(self, condition: Any, then: Callable[[], _T], otherwise: Callable[[], _T]) -> _T:
@@ -418,18 +604,73 @@ class StepReader(Arithmetic):
         return found[0][1]
 
 
-def kind_fields(value: Any) -> tuple[str, ...]:
-    """Names of the parts of a vector."""
-    names: tuple[str, ...] = type(value)._fields
-    return names
-
-
-def vector(kind: type[Any], name: str, *, state: bool = False) -> Any:
-    """A vector by its name in C; ``state`` of a member of the state."""
+def vector(kind: type[Any], name: str, *, state: bool = False, mark: str = "") -> Any:
+    """A vector by its name in C; ``state`` of a member of the state, ``mark`` tells when it is
+    read.
+    """
     texts = [f"{name}.{n}" for n in kind._fields]
+    reads = [frozenset({text + mark} if state else ()) for text in texts]
     return kind(
-        *(Expression(text, reads=frozenset({text} if state else ()), whole=name) for text in texts)
+        *(Expression(text, reads=own, whole=name) for text, own in zip(texts, reads, strict=True))
     )
+
+
+def vector_of(kind: type[Any], parts: Sequence[Expression]) -> Any:
+    """A vector of numbers."""
+    return kind(*parts)
+
+
+def members_at(address: str) -> str:
+    """What the members of a record begin with."""
+    return f"{address[1:]}." if address.startswith("&") else f"{address}->"
+
+
+@dataclass(frozen=True, slots=True)
+class Assignment:
+    """A statement ``place = text``, what it reads, and whose reading it ends."""
+
+    place: str
+    text: str
+    reads: frozenset[str]
+    targets: set[str]
+
+
+def assignments(
+    place: str, value: Any, parts: Sequence[Expression], before: Any
+) -> list[Assignment]:
+    """Statements that give a number or vector of the state its value, without what it has.
+
+    Args:
+        place: In C.
+        value, before: What it is to be, and what it is.
+        parts: The numbers of the value.
+    """
+    old = tuple(before) if isinstance(before, tuple) else (before,)
+    whole = _whole(value) if isinstance(value, tuple) else ""
+    if whole:
+        reads = frozenset[str]().union(*(part.reads for part in parts))
+        targets = {name for part in old for name in part.reads}
+        return [] if whole == place else [Assignment(place, whole, reads, targets)]
+    places = [f"{place}.{axis}" for axis in kind_fields(value)] if len(old) > 1 else [place]
+    return [
+        Assignment(own, part.bare(), part.reads, set(last.reads))
+        for own, part, last in zip(places, parts, old, strict=True)
+        if part.text != own
+    ]
+
+
+def ordered(open_: list[Assignment], block: Block) -> None:
+    """Write assignments to what changes, none before another one that reads the old value."""
+    while open_:
+        free = [
+            item
+            for item in open_
+            if not any(item.targets & other.reads for other in open_ if other is not item)
+        ]
+        if not free:
+            raise ValueError(f"{open_[0].place} is needed after it changed: name it by `let`")
+        block.add(f"{free[0].place} = ", free[0].text)
+        open_.remove(free[0])
 
 
 def _whole(value: Any) -> str:
@@ -451,76 +692,3 @@ def _handed_on(value: Any) -> str:
     if not text:
         raise ValueError("a vector is handed on by its name: name it by `let`")
     return text
-
-
-def _said(kind: type[Any], name: str) -> str:
-    hint = get_type_hints(kind, include_extras=True).get(name)
-    said = [item for item in getattr(hint, "__metadata__", ()) if isinstance(item, Member)]
-    return said[0].text if said else ""
-
-
-def _sentence(item: Any) -> str:
-    """The first paragraph of what is said of a function or record."""
-    return (inspect.getdoc(item) or "").split("\n\n")[0].replace("`", "").replace("\n", " ")
-
-
-def struct(name: str, members: Sequence[tuple[str, str]]) -> list[str]:
-    """A type of members, each with what stands behind it, or above it where the line is full."""
-    most, lines = max(len(text) for text, _ in members), list[str]()
-    for text, says in members:
-        said = f" /* {comment_text(says)} */" if says else ""
-        whole = f"    {text};{' ' * (most - len(text)) if said else ''}{said}"
-        if len(whole) <= _LINE:
-            lines.append(whole)
-        else:
-            lines += [f"   {said}", f"    {text};"]
-    return ["typedef struct {", *lines, f"}} {name};"]
-
-
-def vector_struct(kind: type[Any], prefix: str) -> list[str]:
-    """The type of a vector that no header declares."""
-    members = [(f"float {n}", _said(kind, n)) for n in kind._fields]
-    return [*comment(_sentence(kind)), *struct(f"{prefix}_{c_name(kind)}_t", members)]
-
-
-def record_structs(like: Any, prefix: str, members: set[Origin]) -> Iterator[list[str]]:
-    """Types of a record of numbers and of those in it, as far as their members are needed."""
-    own, lines = c_name(type(like)), []
-    for name, value in _needed(like, members):
-        if is_dataclass(value):
-            yield from record_structs(value, prefix, members)
-            lines.append((f"{prefix}_{c_name(type(value))}_t {name}", ""))
-        else:
-            size = f"[{len(value)}]" if isinstance(value, tuple) else ""
-            lines.append((f"float {name}{size}", _said(type(like), name)))
-    yield [*comment(_sentence(type(like))), *struct(f"{prefix}_{own}_t", lines)]
-
-
-def record_values(like: Any, members: set[Origin]) -> list[str]:
-    """Lines of an initialiser, without the outermost braces."""
-    found, indent = list[str](), "    "
-    for _, value in _needed(like, members):
-        if is_dataclass(value):
-            inner = [line.strip() for line in record_values(value, members)]
-            found.append("\n".join(folded("{ ", " ".join(inner), " }", indent)))
-        elif isinstance(value, tuple):
-            numbers = ", ".join(map(float_literal, value))
-            found.append("\n".join(folded("{ ", numbers, " }", indent)))
-        else:
-            found.append(indent + float_literal(value))
-    return ",\n".join(found).split("\n")
-
-
-def _needed(like: Any, members: set[Origin]) -> Iterator[tuple[str, Any]]:
-    for member in fields(like):
-        if (c_name(type(like)), member.name) in members:
-            yield member.name, getattr(like, member.name)
-
-
-def record_numbers(like: Any, members: set[Origin]) -> Iterator[float]:
-    """Numbers of a record in the order of its type."""
-    for _, value in _needed(like, members):
-        if is_dataclass(value):
-            yield from record_numbers(value, members)
-        else:
-            yield from value if isinstance(value, tuple) else (value,)

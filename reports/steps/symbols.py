@@ -192,7 +192,7 @@ def joined(
     )
 
 
-_WIDTH = 110
+WIDTH = 110  # Of lines.
 
 
 def folded(begin: str, text: str, end: str, indent: str) -> list[str]:
@@ -202,12 +202,12 @@ def folded(begin: str, text: str, end: str, indent: str) -> list[str]:
         begin, end: What stands before and behind the text.
         indent: White space of the first line.
     """
-    if len(indent) + len(begin) + len(text) + len(end) <= _WIDTH:
+    if len(indent) + len(begin) + len(text) + len(end) <= WIDTH:
         return [f"{indent}{begin}{text}{end}"]
     further = indent + "    "
     lines, rest = [f"{indent}{begin.rstrip()}"], text + end
-    while len(further) + len(rest) > _WIDTH:
-        place = _break(rest, _WIDTH - len(further))
+    while len(further) + len(rest) > WIDTH:
+        place = _break(rest, WIDTH - len(further))
         if not place:
             break
         lines.append(further + rest[:place].rstrip())

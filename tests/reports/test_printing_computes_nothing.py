@@ -46,12 +46,16 @@ ORCHESTRATORS = {
 # compiled C.
 MODELS = {
     "c_code.harness": "angle functions and transforms in single precision",
+    "steps.step_reader": "runs steps on expressions",
     "steps.control_types": "writes angle functions and transforms in C, from their steps",
+    "control.control_text": "writes the control functions in C, from their steps",
+    "control.header": "the control functions in single precision, by the steps that are emitted",
     "control.fixed_model": "the control functions in integers, step by step, and proven again",
     "firmware.loop_code": "the loops of other firmware in C, by the rules they are judged by",
     "fixed_observers.fixed_observer_model": "the observers in integers, step by step",
     "fixed_reference.mesh_reading": "proves again what is read back",
     "modulation_choice.rule_model": "the choice of modulator in single precision",
+    "phase_control.float32_model": "the control of phases in single precision",
     "phase_control.fixed_phase_model": "the control of phases in integers, step by step",
     "firmware.simplefoc.reader": "what a file amounts to, by the function that serves a design",
     "firmware.st.target": "counts of currents, in which older versions of the files hold them",

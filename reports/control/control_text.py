@@ -1,0 +1,96 @@
+"""The control functions in C, written from their steps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from dqforge.optimizer.float_control.current_control import ControlSteps
+from dqforge.optimizer.float_control.records import (
+    NUMBERS,
+    Control,
+    ControlGains,
+    Measured,
+    Pi,
+    PiGains,
+    at_rest,
+)
+from dqforge.optimizer.float_control.speed_loop import speed_loop
+from dqforge.optimizer.steps.step_arithmetic import Abc, Dq, Rotation
+from dqforge.reports.steps.record_text import member_name, record_structs
+from dqforge.reports.steps.step_reader import (
+    Block,
+    Functions,
+    StepReader,
+    vector,
+)
+from dqforge.reports.steps.symbols import Expression
+
+# Functions of `dqforge.reports.steps.control_types` that steps call by their names.
+_SHARED_FUNCTIONS: dict[str, type[Any] | None] = {"small_rotation": Rotation, "turned": Rotation}
+
+_NUMBER: Any = 0.0  # Stands for any, where names and types of members are asked for alone.
+_PI_GAINS = PiGains(_NUMBER, _NUMBER, _NUMBER)
+_MEASURED = Measured(Abc(_NUMBER, _NUMBER, _NUMBER), _NUMBER, _NUMBER, _NUMBER)
+
+
+def control_structs(gains: ControlGains, state: Control, prefix: str) -> dict[str, str]:
+    """Types of the control: those of ``gains``, and those of ``state`` and samples; members that
+    are None have no place.
+    """
+    known = set[str]()
+
+    def text(*likes: Any) -> str:
+        structs = (part for like in likes for part in record_structs(like, prefix, known=known))
+        return "\n\n".join("\n".join(lines) for lines in structs)
+
+    return {"gains": text(gains), "state": text(state, _MEASURED)}
+
+
+def control_start(state: Control) -> list[str]:
+    """Statements that put a state at rest."""
+    return list(_zeros(state, "state->"))
+
+
+def _zeros(record: Any, place: str) -> Iterator[str]:
+    for member in fields(record):
+        value, name = getattr(record, member.name), place + member_name(type(record), member.name)
+        if is_dataclass(value):
+            yield from _zeros(value, f"{name}.")
+        elif isinstance(value, tuple):
+            yield from (f"{name}.{axis} = 0.0F;" for axis in value._fields)  # type: ignore[attr-defined]
+        elif value is not None:
+            yield f"{name} = {'0U' if value.dtype == np.uint32 else '0.0F'};"
+
+
+def control_functions(steps: ControlSteps, gains: ControlGains, state: Control, prefix: str) -> str:
+    """Control of current, torque and speed, behind the duty cycles."""
+    functions = Functions(results=dict(_SHARED_FUNCTIONS))
+    reader = StepReader(prefix, functions, Block("", set()))
+    reference, number = vector(Dq, "reference"), Expression("number")
+    reader.write("current_control", steps.current_control, [gains, state, _MEASURED, reference])
+    reader.write("torque_control", steps.torque_control, [gains, state, _MEASURED, number])
+    reader.write("speed_control", steps.speed_control, [gains, state, _MEASURED, number])
+    return "\n\n".join(functions.texts.values())
+
+
+def pi_structs(prefix: str) -> str:
+    """Types of a PI controller: gains and state."""
+    likes: list[Any] = [_PI_GAINS, Pi(_NUMBER)]
+    return "\n\n".join("\n".join(part) for like in likes for part in record_structs(like, prefix))
+
+
+def speed_loop_functions(prefix: str) -> str:
+    """The speed loop and the functions of its controller, for gains and state of any control that
+    has its members.
+    """
+    functions = Functions()
+    reader = StepReader(prefix, functions, Block("", set()))
+    numbers = dict.fromkeys(NUMBERS, _NUMBER)
+    gains = ControlGains(_PI_GAINS, _PI_GAINS, _PI_GAINS, ratio=_NUMBER, **numbers)
+    number = Expression("number")
+    reader.write("speed_loop", speed_loop, [gains, at_rest(1, None), number, number])
+    return "\n\n".join(functions.texts.values())
