@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from dqforge.machines.modulation.registry import MODULATORS
+from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
+from dqforge.optimizer.float_control.duties import Duties, centred_duties
 from dqforge.optimizer.float_control.records import (
     UNKNOWN_SQUARE,
     Control,
@@ -28,9 +31,7 @@ class ControlSteps:
     Args:
         currents: Current references in A of a torque in N m and, with ``weakens``, of voltage in V
             and electrical speed in rad/s.
-        duties: Duty cycles of a voltage in V (alpha, beta), the DC-link voltage in V and, unless
-            ``centred``, the currents in A (alpha, beta).
-        centred: Whether the duty cycles take no currents.
+        modulation: The modulator.
         overmodulated: Voltage that the duty cycles make of one beyond the circle in the hexagon and
             the DC-link voltage, None where none goes beyond it.
         weakens: Whether the references weaken the field.
@@ -39,8 +40,7 @@ class ControlSteps:
     """
 
     currents: Numbers
-    duties: Numbers
-    centred: bool = False
+    modulation: ModulationName
     overmodulated: Numbers | None = None
     weakens: bool = False
     reference_share: float = 1.0
@@ -89,9 +89,9 @@ class ControlSteps:
         voltage = o.let("voltage", o.park_inverse(v, acting))
         state.reference = reference
         state.v = made = self._made(o, state, voltage, measured.v_dc)
-        if self.centred:
-            return o.outside(Abc, "centred_duties", self.duties, made, measured.v_dc)
-        return o.outside(Abc, "duties", self.duties, made, measured.v_dc, current)
+        if MODULATORS[self.modulation].kind == "centred" and self.overmodulated is None:
+            return o.call(centred_duties, made, measured.v_dc)
+        return o.call(Duties(self.modulation).duties, made, measured.v_dc, current)
 
     def _made(self, o: Arithmetic, state: Control, voltage: AlphaBeta, v_dc: Reals) -> AlphaBeta:
         """The voltage with what is injected, as the duty cycles make it."""

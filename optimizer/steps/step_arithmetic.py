@@ -7,7 +7,7 @@ from it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
@@ -133,61 +133,6 @@ class Arithmetic(Floats):
         found: _T = self._merged(condition, then(), otherwise())
         return found
 
-    def cases(
-        self,
-        name: str,  # noqa: ARG002
-        *branches: tuple[Any, Callable[[], _T]],
-        otherwise: Callable[[], _T],
-        changing: Sequence[Any] = (),
-    ) -> _T:
-        """What the first branch returns whose condition holds, else what ``otherwise`` returns.
-
-        The firmware computes one of them; here all are computed, so that what lies outside of a
-        condition may be no number.
-
-        Args:
-            name: Of the local variable that takes the number or vector; of none, nothing is
-                returned.
-            branches: Conditions, and what is computed where they hold.
-            otherwise: What is computed where none holds.
-            changing: Records of a state whose members the branches set.
-        """
-        places = [place for record in changing for place in leaves(record)]
-        before = [getattr(record, member) for record, member in places]
-
-        def ran(branch: Callable[[], _T]) -> tuple[_T, list[Any]]:
-            value = branch()
-            after = [getattr(record, member) for record, member in places]
-            put(before)
-            return value, after
-
-        def put(values: list[Any]) -> None:
-            for (record, member), value in zip(places, values, strict=True):
-                setattr(record, member, value)
-
-        with np.errstate(all="ignore"):
-            found, kept = ran(otherwise)
-            for condition, branch in reversed(branches):
-                value, after = ran(branch)
-                found = self._merged(condition, value, found)
-                kept = [
-                    y if x is y else self._merged(condition, x, y)
-                    for x, y in zip(after, kept, strict=True)
-                ]
-        put(kept)
-        return found
-
-    def _merged(self, condition: Any, a: Any, b: Any) -> Any:
-        if isinstance(a, tuple):
-            parts = [self._merged(condition, x, y) for x, y in zip(a, b, strict=True)]
-            return type(a)(*parts) if hasattr(a, "_fields") else tuple(parts)
-        if is_dataclass(a):
-            names = [field.name for field in fields(a)]
-            parts = [self._merged(condition, getattr(a, n), getattr(b, n)) for n in names]
-            return replace(a, **dict(zip(names, parts, strict=True)))  # type: ignore[type-var]
-        numbers = isinstance(a, float | np.ndarray | np.generic)
-        return self.choose(condition, a, b) if numbers else a
-
     def whole(self, a: Reals) -> Reals:
         """Numbers without what is behind the point, as integers of the firmware (``long``)."""
         return np.asarray(a).astype(np.int32)
@@ -223,14 +168,6 @@ class Arithmetic(Floats):
     def has_bit(self, a: Reals, bit: int) -> Any:
         """Whether integers have a bit, given by its worth."""
         return (a & bit) != 0
-
-    def root(self, a: Reals) -> Reals:
-        """Square roots."""
-        return np.asarray(np.sqrt(a))
-
-    def full(self, value: Any, like: Reals) -> Reals:
-        """A constant for every drive of ``like``."""
-        return np.full_like(like, value)
 
     def clarke(self, x: Abc) -> AlphaBeta:
         """Phases to stationary coordinates, factor 2/3; a part common to all phases falls out."""
@@ -273,16 +210,6 @@ def cast(gains: _Gains, maths: Arithmetic) -> _Gains:
         else:
             values[field.name] = maths.number(value)
     return replace(gains, **values)  # type: ignore[type-var]
-
-
-def leaves(record: Any) -> Iterator[tuple[Any, str]]:
-    """Members of a state that are no records, those of records in it as well; None are left out."""
-    for member in fields(record):
-        value = getattr(record, member.name)
-        if is_dataclass(value):
-            yield from leaves(value)
-        elif value is not None:
-            yield record, member.name
 
 
 def at_least(o: Arithmetic, value: Reals, floor: Any) -> Reals:

@@ -8,7 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from dqforge.machines.modulation.registry import MODULATORS
+from dqforge.machines.names import ModulationName
 from dqforge.optimizer.float_control.current_control import ControlSteps
+from dqforge.optimizer.float_control.duties import Duties, centred_duties
 from dqforge.optimizer.float_control.records import (
     NUMBERS,
     Control,
@@ -19,7 +22,7 @@ from dqforge.optimizer.float_control.records import (
     at_rest,
 )
 from dqforge.optimizer.float_control.speed_loop import speed_loop
-from dqforge.optimizer.steps.step_arithmetic import Abc, Dq, Rotation
+from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Dq, Rotation
 from dqforge.reports.steps.record_text import member_name, record_structs
 from dqforge.reports.steps.step_reader import (
     Block,
@@ -29,8 +32,10 @@ from dqforge.reports.steps.step_reader import (
 )
 from dqforge.reports.steps.symbols import Expression
 
-# Functions of `dqforge.reports.steps.control_types` that steps call by their names.
+# Functions that steps call by their names: of `dqforge.reports.steps.control_types`, and those of
+# `duty_functions`.
 _SHARED_FUNCTIONS: dict[str, type[Any] | None] = {"small_rotation": Rotation, "turned": Rotation}
+_DUTY_FUNCTIONS: dict[str, type[Any] | None] = {"centred_duties": Abc, "duties": Abc}
 
 _NUMBER: Any = 0.0  # Stands for any, where names and types of members are asked for alone.
 _PI_GAINS = PiGains(_NUMBER, _NUMBER, _NUMBER)
@@ -68,7 +73,7 @@ def _zeros(record: Any, place: str) -> Iterator[str]:
 
 def control_functions(steps: ControlSteps, gains: ControlGains, state: Control, prefix: str) -> str:
     """Control of current, torque and speed, behind the duty cycles."""
-    functions = Functions(results=dict(_SHARED_FUNCTIONS))
+    functions = Functions(results=_SHARED_FUNCTIONS | _DUTY_FUNCTIONS)
     reader = StepReader(prefix, functions, Block("", set()))
     reference, number = vector(Dq, "reference"), Expression("number")
     reader.write("current_control", steps.current_control, [gains, state, _MEASURED, reference])
@@ -93,4 +98,23 @@ def speed_loop_functions(prefix: str) -> str:
     gains = ControlGains(_PI_GAINS, _PI_GAINS, _PI_GAINS, ratio=_NUMBER, **numbers)
     number = Expression("number")
     reader.write("speed_loop", speed_loop, [gains, at_rest(1, None), number, number])
+    return "\n\n".join(functions.texts.values())
+
+
+def duty_functions(modulation: ModulationName, prefix: str) -> str:
+    """Duty cycles of three legs by a modulator."""
+    rule, functions = MODULATORS[modulation], Functions()
+    reader = StepReader(prefix, functions, Block("", set()))
+    voltage, i, v_dc = vector(AlphaBeta, "voltage"), vector(AlphaBeta, "i"), Expression("v_dc")
+    begin = f"Duty cycles 0 to 1 of the upper switches by {rule.name}, for a voltage in V"
+    if rule.kind == "centred":
+        said = (
+            f"{begin} that is 0 where v_dc is not above 0; {rule.text}; one half each without "
+            "voltage."
+        )
+        reader.write("centred_duties", centred_duties, [voltage, v_dc], said)
+        said = "The same for any voltage; one half each without DC-link voltage."
+    else:
+        said = f"{begin} and currents in A; {rule.text}; one half each without DC-link voltage."
+    reader.write("duties", Duties(modulation).duties, [voltage, v_dc, i], said)
     return "\n\n".join(functions.texts.values())

@@ -21,19 +21,18 @@ from dqforge.machines.modulation.registry import (
     METHODS,
     MODULATORS,
     SIX_STEP,
-    load_turn,
     overmodulated,
-    zero_sequence_of,
 )
 from dqforge.machines.names import ModulationName, OvermodulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.linear_range import fundamental_share
-from dqforge.machines.transforms import Pair, clarke_inverse
+from dqforge.machines.transforms import Pair
 from dqforge.optimizer.current_reference.forms import FixedReference, FloatReference
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.dynamic_references.solve import DynamicReferences
 from dqforge.optimizer.field_weakening.voltage_region import DropReference
 from dqforge.optimizer.float_control.current_control import ControlSteps, Numbers
+from dqforge.optimizer.float_control.duties import Duties
 from dqforge.optimizer.float_control.records import (
     NUMBERS,
     Control,
@@ -58,6 +57,7 @@ from dqforge.reports.control.control_text import (
     control_functions,
     control_start,
     control_structs,
+    duty_functions,
 )
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.field_weakening.header import weakening_from
@@ -395,7 +395,7 @@ def control_files(solution: Solution) -> dict[str, bytes]:
     context = {
         **title(design),
         "weakening": plain["weakening"],
-        "modulator": MODULATORS[plain["modulation"]],
+        "duties": duty_functions(plain["modulation"], prefix),
         "overmodulation": METHODS.get(plain.get("overmodulation", "none")),
         "six_step": SIX_STEP,
         "least_hold": LEAST_HOLD,
@@ -440,10 +440,7 @@ def gain_bytes(plain: Mapping[str, Any]) -> bytes:
 Singles = tuple[SingleArray, ...]
 
 
-_INSIDE = np.float32(0.999999)  # whose rounding keeps all duty cycles within 0 to 1
-
-
-_HALF, _ZERO, _ONE = np.float32(0.5), np.float32(0.0), np.float32(1.0)
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 
 def gains_of(
@@ -559,17 +556,9 @@ def control_steps(
     def made(voltage: AlphaBeta, v_dc: SingleArray) -> Pair[SingleArray]:
         return overmodulated(method, Pair(*voltage), v_dc)
 
-    def duties(voltage: AlphaBeta, v_dc: SingleArray, current: AlphaBeta) -> Singles:
-        return three_leg_duties(modulation, Pair(*voltage), v_dc, Pair(*current))
-
-    def centred(voltage: AlphaBeta, v_dc: SingleArray) -> Singles:
-        return centred_duties(Pair(*voltage), v_dc)
-
-    plain = MODULATORS[modulation].kind == "centred" and method == "none"
     return ControlSteps(
         currents,
-        centred if plain else duties,
-        centred=plain,
+        modulation,
         overmodulated=None if method == "none" else made,
         weakens=weakens,
         reference_share=reference_share,
@@ -589,53 +578,6 @@ def three_leg_duties(
         voltage, current: Alpha and beta in V and A, shape (N,).
         v_dc: DC-link voltage in V, shape (N,).
     """
-    if MODULATORS[modulation].kind == "centred":
-        centred = centred_duties(voltage, v_dc)
-        return tuple(np.where(v_dc > _ZERO, one, _HALF) for one in centred)
-    v = clarke_inverse(SINGLE, voltage)
-    compares_currents = MODULATORS[modulation].compared == "currents"
-    i = clarke_inverse(SINGLE, current) if compares_currents else v
-    turn = _turn(modulation, voltage, current)
-    zero = zero_sequence_of(SINGLE, modulation, v, i, v_dc, voltage, turn)
-    powered = v_dc > _ZERO
-    scale = np.where(powered, _ONE / np.where(powered, v_dc, _ONE), _ZERO)
-    duty = (np.where(powered, (phase + zero) * scale, _HALF) for phase in v)
-    return tuple(_clamped(one) for one in duty)
-
-
-def _clamped(duty: SingleArray) -> SingleArray:
-    """Within 0 to 1; 0 for not-a-number."""
-    return np.where(duty > _ONE, _ONE, np.where(duty > _ZERO, duty, _ZERO))
-
-
-def centred_duties(voltage: Pair[SingleArray], v_dc: SingleArray) -> Singles:
-    """Duty cycles of three legs with a centred zero sequence, as ``<prefix>_centred_duties``.
-
-    Args:
-        voltage: Alpha and beta in V, shape (N,); 0 where ``v_dc`` is not above 0.
-        v_dc: DC-link voltage in V, shape (N,).
-    """
+    made, current_ = AlphaBeta(*voltage), AlphaBeta(*current)
     with np.errstate(divide="ignore", invalid="ignore"):
-        scale = _ONE / v_dc
-        alpha = scale * voltage.x
-        middle = -_HALF * alpha
-        side = np.float32(0.8660254) * (scale * voltage.y)
-        high, low = middle + np.abs(side), middle - np.abs(side)
-        above = alpha > high
-        below = ~above & (alpha < low)
-        high, low = np.where(above, alpha, high), np.where(below, alpha, low)
-        zero = _HALF - (_HALF * (high + low))
-        duty = alpha + zero, (middle + side) + zero, (middle - side) + zero
-        inside = (high + zero) <= _INSIDE
-    beyond = (np.where(v_dc > _ZERO, _clamped(one), _HALF) for one in duty)
-    return tuple(np.where(inside, one, other) for one, other in zip(duty, beyond, strict=True))
-
-
-def _turn(
-    modulation: ModulationName, voltage: Pair[SingleArray], current: Pair[SingleArray]
-) -> Pair[SingleArray] | None:
-    """Delay at which the references are compared, None where they are compared as they are."""
-    rule = MODULATORS[modulation]
-    if rule.delay is not None:
-        return Pair(*(np.full_like(voltage.x, value) for value in rule.delay))
-    return load_turn(voltage, current) if rule.compared == "load angle" else None
+        return Duties(modulation).duties(SINGLE, made, v_dc, current_)

@@ -8,12 +8,14 @@ Python decides before numbers are known does not reach the C.
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numpy as np
 
+from dqforge.machines.transforms import leaves
 from dqforge.optimizer.steps.step_arithmetic import (
     Abc,
     AlphaBeta,
@@ -21,7 +23,6 @@ from dqforge.optimizer.steps.step_arithmetic import (
     Dq,
     Pair,
     Rotation,
-    leaves,
 )
 from dqforge.reports.c_code.numbers import comment_text
 from dqforge.reports.steps.record_text import (
@@ -78,6 +79,13 @@ class Block:
         else:
             self.lines.insert(self.declared, f"{self.indent}{kind} {name};")
             self.declared += 1
+
+    def first(self, lines: Sequence[str]) -> None:
+        """Statements before all others."""
+        if lines:
+            self.work([])
+            place = (self.declared or 0) + bool(self.lines)
+            self.lines[place:place] = lines
 
     def work(self, lines: Sequence[str]) -> None:
         """Statements that are no declarations."""
@@ -198,9 +206,25 @@ class StepReader(Arithmetic):
         """The number with the other sign."""
         return expression(a).negative()
 
+    def halved(self, a: Any) -> Any:
+        """Half of a number."""
+        return 0.5 * expression(a)
+
+    def ratio(self, name: str, a: Any, b: Any) -> Any:  # noqa: ARG002
+        """A quotient, 0 where its divisor is not positive."""
+        return self.choose(b > 0.0, a / b, 0.0)
+
+    def where_above(
+        self, names: Sequence[str], a: Any, b: Any, x: Sequence[Any], y: Sequence[Any]
+    ) -> list[Any]:
+        """A conditional expression, or an if of several variables."""
+        if len(names) == 1:
+            return [self.let(names[0], self.choose(a > b, x[0], y[0]))]
+        return list(self.cases(tuple(names), (a > b, lambda: tuple(x)), otherwise=lambda: tuple(y)))
+
     def part(self, name: str, a: Any, share: float) -> Any:  # noqa: ARG002
         """The product with a constant."""
-        return share * expression(a)
+        return expression(a).scaled(share)
 
     def whole(self, a: Any) -> Any:
         """A number as an integer."""
@@ -293,7 +317,7 @@ class StepReader(Arithmetic):
 
     def cases(
         self,
-        name: str,
+        name: str | tuple[str, ...],
         *branches: tuple[Any, Callable[[], _T]],
         otherwise: Callable[[], _T],
         changing: Sequence[Any] = (),
@@ -302,18 +326,20 @@ class StepReader(Arithmetic):
         they change.
         """
         self.write_state()
+        names = name if isinstance(name, tuple) else (name,) if name else ()
         outer, lines, begin = self.block, list[str](), "if ("
         dead, before = set(self._dead), [kept.value for kept in self._kept]
         versions, changed = [kept.version for kept in self._kept], set[int]()
-        value: Any = None
+        given: Any = ()
         for condition, branch in (*branches, (None, otherwise)):
             if condition is not None:
                 self.take(condition.terms)
                 lines += folded(begin, condition.text(), ") {", outer.indent)
-            self.block = Block(outer.indent + "    ", outer.names | {name})
-            value = branch()
-            if name:
-                self._assign(name, value)
+            self.block = Block(outer.indent + "    ", outer.names | set(names))
+            value: Any = branch()
+            given = value if isinstance(name, tuple) else (value,)
+            for own, part in zip(names, given, strict=False):
+                self._assign(own, part)
             self.write_state()
             if condition is None and self.block.lines:
                 lines.append(f"{outer.indent}}} else {{")
@@ -325,20 +351,22 @@ class StepReader(Arithmetic):
                 setattr(kept.record, kept.member, kept.value)
             self._dead, begin = set(dead), "} else if ("
         self.block = outer
-        if name:
-            self._new(name)
-            outer.variable(self._kind(value), name)
+        for own, part in zip(names, given, strict=False):
+            self._new(own)
+            outer.variable(self._kind(part), own)
         outer.work([*lines, f"{outer.indent}}}"])
         told = {id(record) for owner in changing for record, _ in leaves(owner)}
         for n in changed:
             if id(self._kept[n].record) not in told:
                 raise ValueError(f"{self._kept[n].place} changes, which `cases` is not told")
             self._renew(self._kept[n])
-        if not name:
-            return cast("_T", None)
-        if isinstance(value, tuple):
-            return cast("_T", vector(type(value), name))
-        return cast("_T", Expression(name, kind=self._kind(value)))
+        found = tuple(
+            vector(type(part), own)
+            if isinstance(part, tuple)
+            else Expression(own, kind=self._kind(part))
+            for own, part in zip(names, given, strict=False)
+        )
+        return cast("_T", found if isinstance(name, tuple) else found[0] if found else None)
 
     def _renew(self, kept: _Kept) -> None:
         self._dead |= kept.targets()
@@ -487,13 +515,16 @@ class StepReader(Arithmetic):
         """Address of a record, and the members through which it is reached; None of others."""
         return next(((text, outer) for own, text, outer in self._records if own is value), None)
 
-    def write(self, name: str, function: Callable[..., Any], arguments: Sequence[Any]) -> None:
+    def write(
+        self, name: str, function: Callable[..., Any], arguments: Sequence[Any], text: str = ""
+    ) -> None:
         """Write a function.
 
         Args:
             name: In C, behind the prefix.
             function: Of an arithmetic and the arguments.
             arguments: As of `parameter`.
+            text: What is said of it, empty for its own sentence.
         """
         names = list(inspect.signature(function).parameters)[1:]
         inner = StepReader(self.prefix, self.functions, Block("    ", set(names)))
@@ -510,8 +541,10 @@ class StepReader(Arithmetic):
             for (text, _), changed in zip(inside, changes, strict=True)
         )
         body = inner.block.lines
+        used = set(re.findall(r"\w+", " ".join([*body, *end])))
+        inner.block.first([f"    (void){n};" for n in names if n not in used])
         lines = [
-            *comment(sentence(function)),
+            *comment(text or sentence(function)),
             *folded(f"static inline {kind} {self.prefix}_{name}(", parameters, ")", ""),
             "{",
             *body,

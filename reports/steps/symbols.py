@@ -25,9 +25,10 @@ class Expression:
 
     Attributes:
         minus: What it is the negative of, None of others.
+        opposite: Its negative where that is no longer than itself, else None.
     """
 
-    __slots__ = ("atom", "kind", "members", "minus", "reads", "text", "uses", "whole")
+    __slots__ = ("atom", "kind", "members", "minus", "opposite", "reads", "text", "uses", "whole")
 
     def __init__(
         self,
@@ -42,6 +43,7 @@ class Expression:
         self.text, self.atom, self.reads, self.members = text, atom, reads, members
         self.whole, self.kind = whole, kind
         self.minus: Expression | None = None
+        self.opposite: Expression | None = None
         self.uses = [0]
 
     @property
@@ -64,6 +66,15 @@ class Expression:
         """Text within an operation; ``signed`` where a minus may stand before a name."""
         text = self.bare()
         return text if self.atom or (signed and text[0] == "-") else f"({text})"
+
+    def scaled(self, share: float) -> Expression:
+        """The product with a constant, which takes the sign of a negative."""
+        text = self.operand()
+        found, other = (
+            joined(f"{expression(factor).text} * {text}", self) for factor in (share, -share)
+        )
+        found.opposite, other.minus, other.uses = other, found, found.uses
+        return found
 
     def _with(self, sign: str, other: Any, *, swapped: bool = False) -> Expression:
         if isinstance(other, np.ndarray):
@@ -110,8 +121,8 @@ class Expression:
 
     def negative(self) -> Expression:
         """The negative, which a sum subtracts; the negative of a negative is what it was."""
-        if self.minus is not None:
-            return self.minus
+        if self.minus is not None or self.opposite is not None:
+            return self.minus or self.opposite or self
         found = joined(f"-{self.text if self.atom else f'({self.text})'}", self)
         found.minus = self
         if not self.is_name:

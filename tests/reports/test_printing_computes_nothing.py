@@ -46,7 +46,6 @@ ORCHESTRATORS = {
 # compiled C.
 MODELS = {
     "c_code.harness": "angle functions and transforms in single precision",
-    "steps.step_reader": "runs steps on expressions",
     "steps.control_types": "writes angle functions and transforms in C, from their steps",
     "control.control_text": "writes the control functions in C, from their steps",
     "control.header": "the control functions in single precision, by the steps that are emitted",

@@ -28,7 +28,8 @@ from dqforge.reports.c_code.harness import SINGLE
 COUNT = 4000
 # Roundings of single precision that a voltage or current of some hundred units gathers.
 NEAR = 4e-6
-MOVING = ReferenceGains(*(np.float32(x) for x in (0.4, 3.0, 1e-4, 9.0, 12.0)))
+_MOVING: Any = [np.float32(x) for x in (0.4, 3.0, 1e-4, 9.0, 12.0)]
+MOVING = ReferenceGains(*_MOVING)
 
 
 def gains(moving: ReferenceGains | None = None) -> ControlGains:
@@ -40,24 +41,17 @@ def gains(moving: ReferenceGains | None = None) -> ControlGains:
             "advance": 150e-6, "torque_max": 5.0, "speed_filter": 0.3,
         }.items()
     }  # fmt: skip
-    d, q, speed = (
-        PiGains(*(np.float32(x) for x in triple))
-        for triple in ((5.0, 0.4, 0.2), (7.0, 0.3, 0.1), (0.2, 0.01, 0.5))
-    )
     ratio: Any = 3
+    triples: Any = np.array([[5.0, 0.4, 0.2], [7.0, 0.3, 0.1], [0.2, 0.01, 0.5]], dtype=np.float32)
+    d, q, speed = (PiGains(*triple) for triple in triples)
     return ControlGains(d, q, speed, ratio=ratio, references=moving, **numbers)
-
-
-def told(voltage: AlphaBeta, _v_dc: Any, current: AlphaBeta) -> tuple[Any, Any, Any]:
-    """In place of duty cycles what they would be made of."""
-    return voltage.alpha, voltage.beta, current.alpha
 
 
 def steps(**choices: Any) -> ControlSteps:
     def currents(torque: Any) -> tuple[Any, Any]:
         return np.float32(-0.25) * torque, np.float32(1.5) * torque
 
-    return ControlSteps(currents, told, **choices)
+    return ControlSteps(currents, "svpwm", **choices)
 
 
 def drawn(seed: int, *sizes: float) -> list[Any]:
@@ -106,7 +100,8 @@ def test_the_current_control_is_its_definition(injects: bool) -> None:
         state.added = AlphaBeta(*drawn(5, 3.0, 3.0))
         added = state.added.alpha.astype(np.float64) + 1j * state.added.beta
     before = state.d.integral.astype(np.float64) + 1j * state.q.integral
-    alpha, beta, _ = steps().current_control(SINGLE, g, state, measured, Dq(d, q))
+    duty = np.array(steps().current_control(SINGLE, g, state, measured, Dq(d, q)))
+    alpha, beta = state.v
     reference = d.astype(np.float64) + 1j * q
     voltage, integral, whole = exact(g, measured, before, reference, np.abs(added))
     assert 0.2 < np.mean(whole) < 0.8
@@ -114,8 +109,11 @@ def test_the_current_control_is_its_definition(injects: bool) -> None:
     assert np.all(np.abs(alpha + 1j * beta - voltage - added) < NEAR * size)
     found = state.d.integral + 1j * state.q.integral
     assert np.all(np.abs(found - integral) < NEAR * size)
-    np.testing.assert_array_equal(state.v, (alpha, beta))
     np.testing.assert_array_equal(state.reference, (d, q))
+    inside = np.all((duty > 0.0) & (duty < 1.0), axis=0)
+    assert inside.mean() > 0.5
+    made = np.array([2.0, -1.0, -1.0]) / 3.0 @ duty * measured.v_dc
+    np.testing.assert_allclose(made[inside], alpha[inside], atol=4e-4)
 
 
 def test_without_room_or_with_what_is_no_number_there_is_no_voltage() -> None:
@@ -124,8 +122,9 @@ def test_without_room_or_with_what_is_no_number_there_is_no_voltage() -> None:
     none = np.full(COUNT, np.nan, dtype=np.float32)
     bad = Measured(measured.i, measured.theta_e, measured.omega_m, none)
     with np.errstate(invalid="ignore"):
-        made = steps().current_control(SINGLE, g, state, bad, Dq(none, none))
-    np.testing.assert_array_equal(made[:2], np.zeros((2, COUNT)))
+        duty = steps().current_control(SINGLE, g, state, bad, Dq(none, none))
+    np.testing.assert_array_equal(state.v, np.zeros((2, COUNT)))
+    np.testing.assert_array_equal(duty, np.full((3, COUNT), 0.5))
     np.testing.assert_array_equal(state.d.integral, kept)
 
 
@@ -218,7 +217,7 @@ def test_references_that_weaken_the_field_see_their_share_of_the_voltage() -> No
     def currents(torque: Any, v_max: Any, omega_e: Any) -> tuple[Any, Any]:
         return -v_max, omega_e + np.float32(0.0) * torque
 
-    made = ControlSteps(currents, told, weakens=True, reference_share=0.75)
+    made = ControlSteps(currents, "svpwm", weakens=True, reference_share=0.75)
     made.torque_control(SINGLE, g, state, measured, measured.omega_m)
     np.testing.assert_allclose(state.reference.d, -0.75 * 0.55 * measured.v_dc, rtol=1e-6)
     np.testing.assert_allclose(state.reference.q, 4.0 * measured.omega_m, rtol=1e-6)

@@ -21,11 +21,13 @@ from dqforge.machines.modulation.modulators import MODULATORS, modulate
 from dqforge.machines.modulation.registry import DISCONTINUOUS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import Pair
+from dqforge.optimizer.float_control.duties import centred_duties
 from dqforge.optimizer.loops.plants import current_loop, current_step
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.optimizer.steps.step_arithmetic import AlphaBeta
+from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.control.header import (
     ControlModel,
-    centred_duties,
     control_files,
     control_from,
     control_inputs,
@@ -133,10 +135,10 @@ def test_centred_duties_stay_within_0_and_1_with_every_rounding() -> None:
     any_bits = generator.integers(0, 2**32, (3, count), dtype=np.uint64).astype(np.uint32)
     rough = any_bits.view(np.float32)
     off = ~(rough[2] > 0.0)  # there the voltage is 0, as the current control has it
-    bare = Pair(*(np.where(off, np.float32(0.0), part) for part in rough[:2]))
+    bare = AlphaBeta(*(np.where(off, np.float32(0.0), part) for part in rough[:2]))
     with np.errstate(all="ignore"):
-        single = Pair(*(np.asarray(part, dtype=np.float32) for part in near))
-        found = [*centred_duties(single, v_dc), *centred_duties(bare, rough[2])]
+        single = AlphaBeta(*(np.asarray(part, dtype=np.float32) for part in near))
+        found = [*centred_duties(SINGLE, single, v_dc), *centred_duties(SINGLE, bare, rough[2])]
     assert all(np.all((duty >= 0.0) & (duty <= 1.0)) for duty in found)
     assert 0.2 < np.mean(np.max(found[:3], axis=0) > 0.999999) < 0.8  # both ways are taken
 
