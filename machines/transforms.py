@@ -10,6 +10,8 @@ emitted integers and, on ranges, the proof that no word overflows.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields, is_dataclass, replace
 from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -19,6 +21,7 @@ from dqforge.machines.records import dataclass
 
 N = TypeVar("N")
 C = TypeVar("C")
+_T = TypeVar("_T")
 Reals = NDArray[Any]  # float64 or float32, any shape.
 
 # Electrical angles of the axes of the phases a, b, c in rad, shape (3,).
@@ -99,6 +102,14 @@ class Numbers(Protocol[N, C]):
     def choose(self, condition: C, a: N, b: N) -> N:
         """Number a where the condition holds, else b."""
 
+    def where_above(
+        self, names: Sequence[str], a: N, b: N, x: Sequence[N], y: Sequence[N]
+    ) -> list[N]:
+        """Numbers x where a > b, else y, under their names in the firmware."""
+
+    def let(self, name: str, value: N, meaning: str = "") -> N:
+        """Give what is used twice its name in the firmware."""
+
 
 @dataclass(frozen=True, slots=True)
 class Floats:
@@ -161,8 +172,101 @@ class Floats:
         return a >= b
 
     def choose(self, condition: Any, a: Reals, b: Reals) -> Reals:
-        """Numbers a where the condition holds, else b."""
+        """Numbers a where the condition holds, else b; Python floats get the type of numbers."""
+        a, b = (self.number(x) if isinstance(x, float) else x for x in (a, b))
         return np.where(condition, a, b)
+
+    def where_above(
+        self,
+        names: Sequence[str],  # noqa: ARG002
+        a: Reals,
+        b: Reals,
+        x: Sequence[Reals],
+        y: Sequence[Reals],
+    ) -> list[Reals]:
+        """Numbers x where a > b, else y."""
+        return [self.choose(a > b, one, other) for one, other in zip(x, y, strict=True)]
+
+    def let(self, name: str, value: _T, meaning: str = "") -> _T:  # noqa: ARG002
+        """As it is."""
+        return value
+
+    def cases(
+        self,
+        name: str | tuple[str, ...],  # noqa: ARG002
+        *branches: tuple[Any, Callable[[], _T]],
+        otherwise: Callable[[], _T],
+        changing: Sequence[Any] = (),
+    ) -> _T:
+        """What the first branch returns whose condition holds, else what ``otherwise`` returns.
+
+        The firmware computes one of them; here all are computed, so that what lies outside of a
+        condition may be no number.
+
+        Args:
+            name: Of the local variable that takes the number or vector, or of one for each; where
+                it is empty, nothing is returned.
+            branches: Conditions, and what is computed where they hold.
+            otherwise: What is computed where none holds.
+            changing: Records of a state whose members the branches set.
+        """
+        places = [place for record in changing for place in leaves(record)]
+        before = [getattr(record, member) for record, member in places]
+
+        def ran(branch: Callable[[], _T]) -> tuple[_T, list[Any]]:
+            value = branch()
+            after = [getattr(record, member) for record, member in places]
+            put(before)
+            return value, after
+
+        def put(values: list[Any]) -> None:
+            for (record, member), value in zip(places, values, strict=True):
+                setattr(record, member, value)
+
+        with np.errstate(all="ignore"):
+            found, kept = ran(otherwise)
+            for condition, branch in reversed(branches):
+                value, after = ran(branch)
+                found = self._merged(condition, value, found)
+                kept = [
+                    y if x is y else self._merged(condition, x, y)
+                    for x, y in zip(after, kept, strict=True)
+                ]
+        put(kept)
+        return found
+
+    def _merged(self, condition: Any, a: Any, b: Any) -> Any:
+        if isinstance(a, tuple):
+            parts = [self._merged(condition, x, y) for x, y in zip(a, b, strict=True)]
+            return type(a)(*parts) if hasattr(a, "_fields") else tuple(parts)
+        if is_dataclass(a):
+            names = [field.name for field in fields(a)]
+            parts = [self._merged(condition, getattr(a, n), getattr(b, n)) for n in names]
+            return replace(a, **dict(zip(names, parts, strict=True)))  # type: ignore[type-var]
+        numbers = isinstance(a, float | np.ndarray | np.generic)
+        return self.choose(condition, a, b) if numbers else a
+
+    def root(self, a: Reals) -> Reals:
+        """Square roots."""
+        return np.asarray(np.sqrt(a))
+
+    def full(self, value: Any, like: Reals) -> Reals:
+        """A constant for every drive of ``like``."""
+        return np.full_like(like, value)
+
+
+def leaves(record: Any) -> Iterator[tuple[Any, str]]:
+    """Members of a state that are no records, those of records in it as well; None are left out.
+
+    Args:
+        record: A dataclass whose members can be set.
+    """
+    for member in fields(record):
+        value = getattr(record, member.name)
+        if is_dataclass(value):
+            yield from leaves(value)
+        elif value is not None:
+            yield record, member.name
 
 
 DOUBLES = Floats(np.float64)  # Double precision.
@@ -201,12 +305,10 @@ def clarke_inverse(o: Numbers[N, Any], vector: tuple[N, N]) -> Triple[N]:
         o: The arithmetic.
         vector: Alpha and beta in any unit, any shape.
     """
-    half = o.part("clarke inverse: alpha/2", vector[0], 0.5)
-    side = o.part("clarke inverse: beta", vector[1], _HALF_ROOT_3)
-    b = o.settled("clarke inverse: b", o.total("clarke inverse: b", side, o.negative(half)))
-    c = o.settled(
-        "clarke inverse: c", o.total("clarke inverse: c", o.negative(side), o.negative(half))
-    )
+    half = o.let("half", o.negative(o.part("clarke inverse: alpha/2", vector[0], 0.5)))
+    side = o.let("side", o.part("clarke inverse: beta", vector[1], _HALF_ROOT_3))
+    b = o.settled("clarke inverse: b", o.total("clarke inverse: b", half, side))
+    c = o.settled("clarke inverse: c", o.total("clarke inverse: c", half, o.negative(side)))
     return Triple(o.saturated(vector[0]), b, c)
 
 

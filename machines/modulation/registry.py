@@ -5,12 +5,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from pkgutil import iter_modules
 from types import MappingProxyType
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -95,6 +95,8 @@ def registered(*modulators: Modulator) -> Iterator[None]:
 #     Transactions on Power Electronics 13(4), 1998, doi:10.1109/63.704136 (least magnitude error is
 #     what saturated space-vector modulation does). The polynomials and the stretched side are our
 #     own.
+
+_Turn = TypeVar("_Turn")
 
 # Radius over v_dc of the circle in the hexagon: the largest fundamental without overmodulation.
 INSCRIBED = 1.0 / math.sqrt(3.0)
@@ -313,16 +315,18 @@ def zero_sequence_of(
     if rule.kind == "third-harmonic":
         third = third_harmonic(o, v, rule.share, vector)
         return o.total(f"{name}: zero sequence", o.halved(v_dc), o.negative(third))
-    if rule.kind != "compared":
-        (high,), (low,) = extremes(o, v)
-        upper = o.total(f"{name}: zero sequence", v_dc, o.negative(high))
-        lower = o.negative(low)
-        if rule.kind == "centred":
-            return o.halved(o.total(f"{name}: zero sequence", upper, lower))
-        return upper if rule.kind == "highest" else lower
-    (high, of_high), (low, of_low) = extremes(o, v, compared(o, name, v, i, vector, turn))
+    if rule.kind == "lowest":
+        return o.negative(lowest(o, v)[0])
+    looked_at = (compared(o, name, v, i, vector, turn),) if rule.kind == "compared" else ()
+    high, *of_high = highest(o, v, *looked_at)
     upper = o.total(f"{name}: zero sequence", v_dc, o.negative(high))
-    return o.choose(highest_rests(o, name, of_high, of_low), upper, o.negative(low))
+    if rule.kind == "highest":
+        return upper
+    low, *of_low = lowest(o, v, *looked_at)
+    lower = o.negative(low)
+    if rule.kind == "centred":
+        return o.halved(o.total(f"{name}: zero sequence", upper, lower))
+    return o.choose(highest_rests(o, name, of_high[0], of_low[0]), upper, lower)
 
 
 def third_harmonic(
@@ -350,29 +354,55 @@ def third_harmonic(
     cube = o.product(
         "third harmonic: a b c", o.lowered(o.product("third harmonic: a b", v.a, v.b)), v.c
     )
-    quarter = o.ratio("third harmonic: ratio", cube, length)
+    quarter = o.ratio("third harmonic: ratio", cube, o.let("square", length))
     if share == 0.25:
         return quarter
     return o.settled("third harmonic", o.part("third harmonic", quarter, 4.0 * share))
 
 
-def extremes(
-    o: Numbers[N, Any], v: Triple[N], *views: Triple[N]
-) -> tuple[tuple[N, ...], tuple[N, ...]]:
-    """The highest and the lowest of three phases: its value, then what each view has of that phase.
+def highest(o: Numbers[N, Any], v: Triple[N], *views: Triple[N]) -> list[N]:
+    """The highest of three phases: its value, then what each view has of that phase.
 
     Args:
         o: The arithmetic.
         v: References of the phases.
         views: Other values of the phases, that of the found phase is returned for each.
     """
-    high = low = (v.a, *(view.a for view in views))
-    for k in (1, 2):
-        other = (v[k], *(view[k] for view in views))
-        keeps, falls = o.at_least(high[0], other[0]), o.at_least(low[0], other[0])
-        high = tuple(o.choose(keeps, x, y) for x, y in zip(high, other, strict=True))
-        low = tuple(o.choose(falls, y, x) for x, y in zip(low, other, strict=True))
-    return high, low
+    high = [v.a, *(view.a for view in views)]
+    for name, k in (("higher", 1), ("high", 2)):
+        other = [v[k], *(view[k] for view in views)]
+        high = o.where_above(_names(name, other), other[0], high[0], other, high)
+    return high
+
+
+def lowest(o: Numbers[N, Any], v: Triple[N], *views: Triple[N]) -> list[N]:
+    """As `highest`, of the lowest phase.
+
+    Args:
+        o: The arithmetic.
+        v, views: As of `highest`.
+    """
+    low = [v.c, *(view.c for view in views)]
+    for name, k in (("lower", 1), ("low", 0)):
+        other = [v[k], *(view[k] for view in views)]
+        low = o.where_above(_names(name, other), low[0], other[0], other, low)
+    return low
+
+
+def extremes(
+    o: Numbers[N, Any], v: Triple[N], *views: Triple[N]
+) -> tuple[tuple[N, ...], tuple[N, ...]]:
+    """What `highest` and `lowest` have.
+
+    Args:
+        o: The arithmetic.
+        v, views: As of `highest`.
+    """
+    return tuple(highest(o, v, *views)), tuple(lowest(o, v, *views))
+
+
+def _names(name: str, values: list[N]) -> list[str]:
+    return [f"{'of_' * k}{name}" for k in range(len(values))]
 
 
 def compared(
@@ -404,7 +434,10 @@ def compared(
     if rule.compared == "voltages":
         return v
     if vector is not None and turn is not None:
-        return clarke_inverse(o, park(o, vector, turn))
+        seen = park(o, vector, turn)
+        phases = clarke_inverse(o, (o.let("seen_alpha", seen.x), o.let("seen_beta", seen.y)))
+        names = ("seen_a", "seen_b", "seen_c")
+        return Triple(*(o.let(own, x) for own, x in zip(names, phases, strict=True)))
     assert rule.delay is not None, f"{name} needs the vectors of voltage and current"
     other = Triple(v.b, v.c, v.a) if rule.delay.y < 0.0 else Triple(v.c, v.a, v.b)
     return Triple(
@@ -426,7 +459,13 @@ def highest_rests(o: Numbers[N, Any], name: ModulationName, of_high: N, of_low: 
     return o.at_least(of_high, of_low)
 
 
-def load_turn(voltage: Pair[Reals], current: Pair[Reals], reactive: float = 0.0) -> Pair[Reals]:
+def load_turn(
+    o: Floats,
+    kind: Callable[[Reals, Reals], _Turn],
+    voltage: tuple[Reals, Reals],
+    current: tuple[Reals, Reals],
+    reactive: float = 0.0,
+) -> _Turn:
     """Cosine and sine of the angle by which the current lags the voltage, held within 30 degrees;
     0 without current.
 
@@ -434,23 +473,29 @@ def load_turn(voltage: Pair[Reals], current: Pair[Reals], reactive: float = 0.0)
     with the current reversed.
 
     Args:
-        voltage, current: Alpha and beta in any units, numpy arrays of one type and any shapes that
-            fit together.
+        o: The arithmetic.
+        kind: Makes the result of both.
+        voltage, current: Alpha and beta in any units, any shapes that fit together.
         reactive: Loads whose power is above this share of the apparent power, taken negative, count
             as motoring, so that rounding does not turn the angle to and fro.
     """
-    number = np.result_type(voltage.x, current.x).type
-    zero, half, one = number(0.0), number(0.5), number(1.0)
-    along = (voltage.x * current.x) + (voltage.y * current.y)
-    across = (voltage.y * current.x) - (voltage.x * current.y)
-    length = np.sqrt((along * along) + (across * across))
-    generating = along < (-number(reactive) * length if reactive else zero)
-    across, along = np.where(generating, -across, across), np.abs(along)
-    known, wide = length > zero, np.abs(across) > number(1.0 / math.sqrt(3.0)) * along
-    divisor = np.where(known, length, one)
-    cosine = np.where(wide, number(math.sqrt(0.75)), along / divisor)
-    sine = np.where(wide, np.where(across < zero, -half, half), across / divisor)
-    return Pair(np.where(known, cosine, one), np.where(known, sine, zero))
+    along = o.let("along", voltage[0] * current[0] + voltage[1] * current[1])
+    across = o.let("across", voltage[1] * current[0] - voltage[0] * current[1])
+    length = o.let("length", o.root(along * along + across * across))
+    generating = along < (-reactive * length if reactive else 0.0)
+    lag = o.let("lag", o.choose(generating, -across, across))
+    size = o.let("size", o.magnitude(along))
+
+    def bound() -> _Turn:
+        half = o.choose(lag < 0.0, o.full(-0.5, lag), o.full(0.5, lag))
+        return kind(o.full(math.sqrt(0.75), lag), half)
+
+    return o.cases(
+        "turn",
+        ((length > 0.0) & (o.magnitude(lag) > math.sqrt(1.0 / 3.0) * size), bound),
+        (length > 0.0, lambda: kind(size / length, lag / length)),
+        otherwise=lambda: kind(o.full(1.0, lag), o.full(0.0, lag)),
+    )
 
 
 # Which phase discontinuous modulators tie to which rail, and what that
@@ -493,7 +538,7 @@ def compared_at(
     if MODULATORS[name].compared != "load angle":
         return v, i, None, None
     vector = clarke(DOUBLES, v)
-    return v, i, vector, load_turn(vector, clarke(DOUBLES, i), REACTIVE)
+    return v, i, vector, load_turn(DOUBLES, Pair[Reals], vector, clarke(DOUBLES, i), REACTIVE)
 
 
 def resting_phase(

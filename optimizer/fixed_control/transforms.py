@@ -9,7 +9,7 @@ are a share of a turn, 2^width of them.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, ClassVar, Generic, Literal, Protocol
 
@@ -264,6 +264,22 @@ class Codes(Generic[N]):
     def choose(self, condition: Any, a: N, b: N) -> N:
         """Number a where the condition holds, else b."""
         return self.o.choose(condition, a, b)
+
+    def where_above(
+        self,
+        names: Sequence[str],  # noqa: ARG002
+        a: N,
+        b: N,
+        x: Sequence[N],
+        y: Sequence[N],
+    ) -> list[N]:
+        """Numbers x where a > b, else y."""
+        keeps = self.o.at_least(b, a)
+        return [self.o.choose(keeps, other, one) for one, other in zip(x, y, strict=True)]
+
+    def let(self, name: str, value: N, meaning: str = "") -> N:  # noqa: ARG002
+        """As it is."""
+        return value
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,34 +7,50 @@ from it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import Floats, Reals, park, park_inverse
+from dqforge.machines.transforms import (
+    Floats,
+    Reals,
+    Triple,
+    clarke,
+    clarke_inverse,
+    park,
+    park_inverse,
+)
 
 Pair = tuple[Reals, Reals]  # The alpha and beta (or d and q) components of a vector.
 
 
+class Abc(NamedTuple):
+    """Phase quantities a, b, c."""
+
+    a: Reals
+    b: Reals
+    c: Reals
+
+
 class AlphaBeta(NamedTuple):
-    """A vector in stationary coordinates."""
+    """Stationary coordinates: alpha along phase a, amplitude-invariant (peak of phase)."""
 
     alpha: Reals
     beta: Reals
 
 
 class Dq(NamedTuple):
-    """A vector in rotor coordinates."""
+    """Rotor coordinates: d along the magnet flux, amplitude-invariant (peak of phase)."""
 
     d: Reals
     q: Reals
 
 
 class Rotation(NamedTuple):
-    """A turn."""
+    """Cosine and sine of an angle."""
 
     cosine: Reals
     sine: Reals
@@ -42,10 +58,18 @@ class Rotation(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """What a member of a record is: a phrase, and its SI unit (empty of a pure number)."""
+    """What a member of a record is: a phrase, and its SI unit (empty of a pure number).
+
+    Args:
+        meaning, unit: As said.
+        suffix: The unit as it stands behind the name where names tell units, else nothing.
+        whole: Whether it is a whole number from 0 on.
+    """
 
     meaning: str
     unit: str = ""
+    suffix: str = ""
+    whole: bool = False
 
     @property
     def text(self) -> str:
@@ -55,6 +79,7 @@ class Member:
 
 _Gains = TypeVar("_Gains")
 _T = TypeVar("_T")
+_V = TypeVar("_V", bound=tuple[Any, ...])
 _P = ParamSpec("_P")
 
 
@@ -76,8 +101,8 @@ class Arithmetic(Floats):
 
         Args:
             name: Of a local variable.
-            value: A number, a vector, a numpy array of numbers, which get a name each, or a tuple
-                of a record, which gets a shorter one.
+            value: A number, a condition, a vector, a numpy array of numbers, which get a name each,
+                or a tuple of a record, which gets a shorter one.
             meaning: What it is, with its unit.
         """
         return value
@@ -108,31 +133,57 @@ class Arithmetic(Floats):
         found: _T = self._merged(condition, then(), otherwise())
         return found
 
-    def _merged(self, condition: Any, a: Any, b: Any) -> Any:
-        if isinstance(a, tuple):
-            parts = [self._merged(condition, x, y) for x, y in zip(a, b, strict=True)]
-            return type(a)(*parts) if hasattr(a, "_fields") else tuple(parts)
-        if is_dataclass(a):
-            names = [field.name for field in fields(a)]
-            parts = [self._merged(condition, getattr(a, n), getattr(b, n)) for n in names]
-            return replace(a, **dict(zip(names, parts, strict=True)))  # type: ignore[type-var]
-        return self.choose(condition, a, b) if isinstance(a, np.ndarray) else a
+    def whole(self, a: Reals) -> Reals:
+        """Numbers without what is behind the point, as integers of the firmware (``long``)."""
+        return np.asarray(a).astype(np.int32)
 
-    def root(self, a: Reals) -> Reals:
-        """Square roots."""
-        return np.asarray(np.sqrt(a))
+    def real(self, a: Reals) -> Reals:
+        """Integers as numbers."""
+        return np.asarray(a).astype(self.number)
 
-    def full(self, value: Any, like: Reals) -> Reals:
-        """A constant for every drive of ``like``."""
-        return np.full_like(like, value)
+    def is_number(self, a: Reals) -> Any:
+        """Whether it is not not-a-number."""
+        return a == a  # noqa: PLR0124
 
-    def park(self, vector: Pair, turn: Pair) -> Dq:
-        """Stationary coordinates in a frame turned by (cosine, sine)."""
-        return Dq(*park(self, vector, turn))
+    def outside(
+        self,
+        kind: type[_V],
+        name: str,  # noqa: ARG002
+        function: Callable[..., Iterable[Any]],
+        *args: Any,
+        filled: str = "",  # noqa: ARG002
+    ) -> _V:
+        """A function of the firmware whose text stands elsewhere.
 
-    def park_inverse(self, vector: Pair, turn: Pair) -> AlphaBeta:
-        """Coordinates of a turned frame back."""
-        return AlphaBeta(*park_inverse(self, vector, turn))
+        Args:
+            kind: The vector that it makes.
+            name: In the firmware.
+            function: What it computes, from the arguments to the numbers of the vector.
+            args: Numbers and vectors.
+            filled: The vector whose members it sets through pointers behind its arguments, empty
+                where it returns one.
+        """
+        return kind(*function(*args))
+
+    def has_bit(self, a: Reals, bit: int) -> Any:
+        """Whether integers have a bit, given by its worth."""
+        return (a & bit) != 0
+
+    def clarke(self, x: Abc) -> AlphaBeta:
+        """Phases to stationary coordinates, factor 2/3; a part common to all phases falls out."""
+        return AlphaBeta(*clarke(self, Triple(*x)))
+
+    def clarke_inverse(self, x: Pair) -> Abc:
+        """Stationary coordinates to phases whose sum is zero."""
+        return Abc(*clarke_inverse(self, x))
+
+    def park(self, x: Pair, turn: Pair) -> Dq:
+        """Stationary coordinates to coordinates turned by an angle."""
+        return Dq(*park(self, x, turn))
+
+    def park_inverse(self, x: Pair, turn: Pair) -> AlphaBeta:
+        """Coordinates turned by an angle to stationary coordinates."""
+        return AlphaBeta(*park_inverse(self, x, turn))
 
 
 def _wrap(theta: Reals) -> Reals:

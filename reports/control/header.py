@@ -7,10 +7,10 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping
-from typing import Any, Protocol
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
@@ -21,31 +21,44 @@ from dqforge.machines.modulation.registry import (
     METHODS,
     MODULATORS,
     SIX_STEP,
-    load_turn,
     overmodulated,
-    zero_sequence_of,
 )
 from dqforge.machines.names import ModulationName, OvermodulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.linear_range import fundamental_share
-from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
+from dqforge.machines.transforms import Pair
 from dqforge.optimizer.current_reference.forms import FixedReference, FloatReference
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.dynamic_references.solve import DynamicReferences
 from dqforge.optimizer.field_weakening.voltage_region import DropReference
+from dqforge.optimizer.float_control.current_control import ControlSteps, Numbers
+from dqforge.optimizer.float_control.duties import Duties
+from dqforge.optimizer.float_control.records import (
+    NUMBERS,
+    Control,
+    ControlGains,
+    Measured,
+    PiGains,
+    ReferenceGains,
+    at_rest,
+)
+from dqforge.optimizer.float_control.speed_loop import speed_loop
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.solution import Solution
+from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Dq
 from dqforge.reports.c_code.harness import (
     SINGLE,
     Programme,
-    rotation,
     single_from,
-    small_rotation,
     title,
-    turned,
 )
 from dqforge.reports.c_code.numbers import float_literal
-from dqforge.reports.control.fixed_header import ReferenceModel, ReferenceState, reference_model
+from dqforge.reports.control.control_text import (
+    control_functions,
+    control_start,
+    control_structs,
+    duty_functions,
+)
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.loops.firmware_text import stability_lines
 from dqforge.reports.loops.proven_text import proven_lines
@@ -54,12 +67,6 @@ from dqforge.reports.plain_data import PlainData, shortest
 from dqforge.reports.single_headers.field_weakening import weakening_from
 
 _PIS = ("d", "q", "speed")
-
-
-_NUMBERS = (
-    "pole_pairs", "r_s", "l_d", "l_q", "psi_pm", "voltage_share", "advance", "torque_max",
-    "speed_filter",
-)  # fmt: skip
 
 
 _COMMENTS = {
@@ -202,10 +209,10 @@ def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> Cont
         gains: dict[str, Any] = {
             name: tuple(single_from(x) for x in described[name]) for name in _PIS
         }
-        gains |= {name: single_from(described[name]) for name in _NUMBERS}
+        gains |= {name: single_from(described[name]) for name in NUMBERS}
         modulation, ratio = described["modulation"], described["ratio"]
         method = described.get("overmodulation", "none")
-        moving = reference_model(described.get("references"))
+        moving = _reference_gains(described.get("references"))
         left = single_from(described.get("reference_share", 1.0))
         reference = from_plain(whole["header"]["reference"])
         weakening = weakening_from(whole["weakening_header"]) if described["weakening"] else None
@@ -222,6 +229,17 @@ def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> Cont
     return ControlModel(
         gains, ratio, modulation, reference, weakening, method, left, moving, injecting, holds
     )
+
+
+def _reference_gains(plain: Mapping[str, Any] | None) -> ReferenceGains | None:
+    """Read the members back; None where a control has none."""
+    if plain is None:
+        return None
+    found: dict[str, Any] = {
+        member.name: None if plain[member.name] is None else single_from(plain[member.name])
+        for member in fields(ReferenceGains)
+    }
+    return ReferenceGains(**found)
 
 
 def control_inputs(model: ControlModel) -> SingleArray:
@@ -303,12 +321,12 @@ def _results(model: ControlModel, inputs: SingleArray) -> SingleArray:
     results = np.empty((rows.shape[0], _DRIVES, 8), dtype=np.float32)
     for mode, chosen in enumerate(drives):
         mine = rows[:, chosen]
-        state = ControlState.start(mine.shape[1])
+        state = model.at_rest(mine.shape[1])
         for step, row in enumerate(mine):
             reference = np.ascontiguousarray(row[:, 7])
             measured = np.ascontiguousarray(row[:, 1:7])
             if model.injects:
-                state.added = (row[:, 9].copy(), row[:, 10].copy())
+                state.added = AlphaBeta(row[:, 9].copy(), row[:, 10].copy())
             if mode == 0:
                 duty = model.current_control(
                     state, measured, (reference, np.ascontiguousarray(row[:, 8]))
@@ -340,7 +358,7 @@ def _gain_lines(plain: PlainData) -> list[tuple[str, str]]:
         ("{ " + ", ".join(float_literal(value) for value in plain[name]) + " }", _COMMENTS[name])
         for name in _PIS
     ]
-    numbers = [(float_literal(plain[name]), f"{name}, {_COMMENTS[name]}") for name in _NUMBERS]
+    numbers = [(float_literal(plain[name]), f"{name}, {_COMMENTS[name]}") for name in NUMBERS]
     lines = [*triples, *numbers, (f"{plain['ratio']}U", "current samples per speed sample")]
     moving = _moving(plain)
     if moving:
@@ -363,18 +381,28 @@ def control_files(solution: Solution) -> dict[str, bytes]:
     """
     design, plain = solution.design, plain_control(solution)
     prefix = design.export.prefix
+    gains = gains_of(plain, plain["ratio"], _reference_gains(plain.get("references")))
+    state = at_rest(
+        1, gains.references, injects=plain.get("injects", False), holds=plain.get("start_up", False)
+    )
+    steps = control_steps(
+        plain["modulation"],
+        plain.get("overmodulation", "none"),
+        tuple,
+        weakens=plain["weakening"],
+        reference_share=plain.get("reference_share", 1.0),
+    )
     context = {
         **title(design),
         "weakening": plain["weakening"],
-        "modulator": MODULATORS[plain["modulation"]],
+        "duties": duty_functions(plain["modulation"], prefix),
         "overmodulation": METHODS.get(plain.get("overmodulation", "none")),
-        "reference_share": plain.get("reference_share", 1.0) != 1.0 and plain["reference_share"],
         "six_step": SIX_STEP,
         "least_hold": LEAST_HOLD,
-        "dynamic": plain.get("references"),
-        "injects": plain.get("injects", False),
-        "start_up": plain.get("start_up", False),
         "gains": _gain_lines(plain),
+        "structs": control_structs(gains, state, prefix),
+        "start": control_start(state),
+        "functions": control_functions(steps, gains, state, prefix),
         "preamble": [
             (
                 f"Sampled every {design.control.t_s * 1e6:.6g} us; the duty cycles of a sample act "
@@ -400,55 +428,29 @@ def gain_bytes(plain: Mapping[str, Any]) -> bytes:
     """Bytes of ``<prefix>_control_gains_t`` on this machine, from data as
     `plain_control` makes them.
     """
-    numbers = [value for name in _PIS for value in plain[name]] + [plain[name] for name in _NUMBERS]
+    numbers = [value for name in _PIS for value in plain[name]] + [plain[name] for name in NUMBERS]
     moving = _moving(plain).values()
     return struct.pack(f"={len(numbers)}fI{len(moving)}f", *numbers, plain["ratio"], *moving)
 
 
-# The C functions of ``control.h.j2`` on numpy arrays of float32, many drives side by side:
-# same operations, same bits.
-#
-# The compiled code equals it bit for bit without contraction of products and
-# sums (-ffp-contract=off).
+# The control functions in single precision, many drives side by side: the steps that are emitted,
+# so that the compiled code equals it bit for bit without contraction of products and sums
+# (-ffp-contract=off).
 
 Singles = tuple[SingleArray, ...]
 
 
-_UNKNOWN, _UNKNOWN_SQUARE = np.float32(1.0e15), np.float32(1.0e30)  # beyond, and not-a-number
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 
-_INSIDE = np.float32(0.999999)  # whose rounding keeps all duty cycles within 0 to 1
-
-
-_HALF, _ZERO, _ONE = np.float32(0.5), np.float32(0.0), np.float32(1.0)
-
-
-@dataclass(slots=True)
-class ControlState:
-    """State of N drives, arrays of shape (N,), as ``<prefix>_control_t``."""
-
-    d: SingleArray
-    q: SingleArray
-    speed: SingleArray
-    reference: Singles
-    v: Singles
-    omega_m: SingleArray
-    torque: SingleArray
-    count: NDArray[np.uint32]
-    moving: ReferenceState
-    added: Singles | None = None
-    held: Singles = (np.zeros(1, dtype=np.float32), np.zeros(1, dtype=np.float32))
-
-    @classmethod
-    def start(cls, count: int) -> ControlState:
-        """Everything at rest."""
-        zeros = [np.zeros(count, dtype=np.float32) for _ in range(9)]
-        return cls(
-            zeros[0], zeros[1], zeros[2], (zeros[3], zeros[4]), (zeros[5], zeros[6]), zeros[7],
-            zeros[8],
-            np.zeros(count, dtype=np.uint32),
-            ReferenceState.start(count),
-        )  # fmt: skip
+def gains_of(
+    gains: Mapping[str, Any], ratio: int, moving: ReferenceGains | None = None
+) -> ControlGains:
+    """The record of gains as `ControlModel` has them; what is not there is 0."""
+    pis = {name: PiGains(*gains.get(name, (_ZERO, _ZERO, _ZERO))) for name in _PIS}
+    numbers = {name: gains.get(name, _ZERO) for name in NUMBERS}
+    members: dict[str, Any] = {**pis, **numbers, "ratio": ratio}
+    return ControlGains(**members, references=moving)
 
 
 @dataclass(frozen=True, slots=True)
@@ -477,7 +479,7 @@ class ControlModel:
     weakening: DropReference | None = None
     overmodulation: OvermodulationName = "none"
     reference_share: np.float32 = _ONE
-    moving: ReferenceModel | None = None
+    moving: ReferenceGains | None = None
     injects: bool = False
     holds: bool = False
 
@@ -487,133 +489,80 @@ class ControlModel:
         """Duty cycles of a voltage in V and currents in A, both alpha and beta."""
         return three_leg_duties(self.modulation, voltage, v_dc, current)
 
-    def current_control(
-        self, state: ControlState, measured: SingleArray, reference: Singles
-    ) -> Singles:
+    def at_rest(self, count: int) -> Control:
+        """The state of so many drives, everything at rest."""
+        return at_rest(count, self.moving, injects=self.injects, holds=self.holds)
+
+    def steps(self) -> ControlSteps:
+        """What the control is made of."""
+        return control_steps(
+            self.modulation,
+            self.overmodulation,
+            self.reference.currents if self.weakening is None else self.weakening.currents,
+            weakens=self.weakening is not None,
+            reference_share=float(self.reference_share),
+        )
+
+    def record(self) -> ControlGains:
+        """The gains as the steps take them."""
+        return gains_of(self.gains, self.ratio, self.moving)
+
+    def current_control(self, state: Control, measured: SingleArray, reference: Singles) -> Singles:
         """Duty cycles from samples (N, 6): i_a, i_b, i_c, theta_e, omega_m, v_dc,
         and references (d, q) in A.
         """
-        gains = self.gains
-        i_a, i_b, i_c, theta, omega_m, v_dc = (
-            np.ascontiguousarray(column) for column in measured.T
-        )
-        omega_e = gains["pole_pairs"] * omega_m
-        v_max = gains["voltage_share"] * v_dc
-        if state.added is not None:
-            x, y = state.added
-            v_max = v_max - np.sqrt((x * x) + (y * y))
-        current = clarke(SINGLE, Triple(i_a, i_b, i_c))
-        now, ahead = rotation(theta), small_rotation(omega_e * gains["advance"])
-        i_d, i_q = park(SINGLE, current, now)
-        error_d, error_q = reference[0] - i_d, reference[1] - i_q
-        integral_d = state.d + (gains["d"][1] * error_d)
-        integral_q = state.q + (gains["q"][1] * error_q)
-        wanted_d = ((gains["d"][0] * error_d) + integral_d) - (omega_e * (gains["l_q"] * i_q))
-        wanted_q = ((gains["q"][0] * error_q) + integral_q) + (
-            omega_e * ((gains["l_d"] * i_d) + gains["psi_pm"])
-        )
-        square = (wanted_d * wanted_d) + (wanted_q * wanted_q)
-        told = (square < _UNKNOWN_SQUARE) & (v_max >= _ZERO)
-        state.moving.square = np.where(told, square, state.moving.square)
-        within = (square - (v_max * np.abs(v_max))) <= _ZERO
-        short = ~within & (square < _UNKNOWN_SQUARE) & (v_max >= _ZERO)
-        share = np.where(short, v_max / np.sqrt(np.where(short, square, _ONE)), _ONE)
-        known = within | short
-        v_d, v_q = (
-            np.where(known, share * wanted_d, _ZERO),
-            np.where(known, share * wanted_q, _ZERO),
-        )
-        back_d, back_q = gains["d"][2] * (v_d - wanted_d), gains["q"][2] * (v_q - wanted_q)
-        next_d = np.where(short, integral_d + back_d, integral_d)
-        next_q = np.where(short, integral_q + back_q, integral_q)
-        state.d, state.q = np.where(known, next_d, state.d), np.where(known, next_q, state.q)
-        state.reference = reference
-        voltage = park_inverse(SINGLE, (v_d, v_q), turned(now, ahead))
-        if state.added is not None:
-            voltage = Pair(voltage.x + state.added[0], voltage.y + state.added[1])
-        state.v = voltage = overmodulated(self.overmodulation, voltage, v_dc)
-        if MODULATORS[self.modulation].kind == "centred" and self.overmodulation == "none":
-            return centred_duties(voltage, v_dc)
-        return self.duties(voltage, v_dc, current)
+        samples, wanted = _samples(measured), Dq(*reference)
+        return self.steps().current_control(SINGLE, self.record(), state, samples, wanted)
 
-    def torque_control(
-        self, state: ControlState, measured: SingleArray, torque: SingleArray
-    ) -> Singles:
+    def torque_control(self, state: Control, measured: SingleArray, torque: SingleArray) -> Singles:
         """Duty cycles for a torque in N m."""
-        asked = torque if self.moving is None else self.moving.ramped_torque(state.moving, torque)
-        v_max = self.gains["voltage_share"] * measured[:, 5]
-        if self.weakening is None:
-            reference: Singles = self.reference.currents(asked)
-        else:
-            omega_e = self.gains["pole_pairs"] * measured[:, 4]
-            reference = self.weakening.currents(asked, self.reference_share * v_max, omega_e)
-        state.torque = torque
-        if self.moving is not None:
-            reference = self.moving.weakened(state.moving, v_max, reference)
-            reference = self.moving.ramped_current(state.moving, reference)
-        if self.holds:
-            reference = (reference[0] + state.held[0], reference[1] + state.held[1])
-        return self.current_control(state, measured, reference)
+        samples = _samples(measured)
+        return self.steps().torque_control(SINGLE, self.record(), state, samples, torque)
 
     def speed_loop(
-        self, state: ControlState, omega_m: SingleArray, reference: SingleArray
+        self, state: Control, omega_m: SingleArray, reference: SingleArray
     ) -> SingleArray:
         """Torque reference in N m for a speed in rad/s."""
-        step = None if self.moving is None else self.moving.torque_step
-        return speed_loop(self.gains, self.ratio, state, omega_m, reference, step)
+        return speed_loop(SINGLE, self.record(), state, omega_m, reference)
 
     def speed_control(
-        self, state: ControlState, measured: SingleArray, reference: SingleArray
+        self, state: Control, measured: SingleArray, reference: SingleArray
     ) -> Singles:
         """Duty cycles for a speed in rad/s."""
-        omega_m = np.ascontiguousarray(measured[:, 4])
-        return self.torque_control(state, measured, self.speed_loop(state, omega_m, reference))
+        samples = _samples(measured)
+        return self.steps().speed_control(SINGLE, self.record(), state, samples, reference)
 
 
-class SpeedLoopState(Protocol):
-    """What the speed loop keeps, arrays of shape (N,)."""
-
-    speed: SingleArray
-    omega_m: SingleArray
-    torque: SingleArray
-    count: NDArray[np.uint32]
+def _samples(measured: SingleArray) -> Measured:
+    columns = [np.ascontiguousarray(column) for column in measured.T]
+    return Measured(Abc(*columns[:3]), *columns[3:])
 
 
-def speed_loop(
-    gains: Mapping[str, Any],
-    ratio: int,
-    state: SpeedLoopState,
-    omega_m: SingleArray,
-    reference: SingleArray,
-    torque_step: np.float32 | None = None,
-) -> SingleArray:
-    """Torque reference in N m, as ``<prefix>_speed_loop``.
+def control_steps(
+    modulation: ModulationName,
+    method: OvermodulationName,
+    currents: Numbers,
+    *,
+    weakens: bool,
+    reference_share: float,
+) -> ControlSteps:
+    """What a control is made of, with the duty cycles in single precision.
 
     Args:
-        gains: As of `ControlModel`: ``speed``, ``torque_max`` and ``speed_filter``.
-        ratio: Current samples per speed sample.
-        state: What the loop keeps; it is changed.
-        omega_m, reference: Mechanical speed and its reference in rad/s, shape (N,).
-        torque_step: Largest change of the torque per current sample in N m, None where there is no
-            limit.
+        modulation, method: Modulator and overmodulation.
+        currents, weakens, reference_share: As of `ControlSteps`.
     """
-    _, ki_ts, tracking = gains["speed"]
-    most = gains["torque_max"]
-    filtered = state.omega_m + (gains["speed_filter"] * (omega_m - state.omega_m))
-    state.omega_m = np.where(np.abs(omega_m) < _UNKNOWN, filtered, state.omega_m)
-    due = (state.count == 0) & (np.abs(reference) < _UNKNOWN)
-    error = reference - state.omega_m
-    wanted = _pi_output(gains["speed"], state.speed, error)
-    high, low = most, -most
-    if torque_step is not None:
-        step = np.float32(ratio) * torque_step
-        high, low = np.minimum(state.torque + step, most), np.maximum(state.torque - step, -most)
-    limited = np.where(wanted > high, high, np.where(wanted < low, low, wanted))
-    integral = state.speed + ((ki_ts * error) + (tracking * (limited - wanted)))
-    state.torque = np.where(due, limited, state.torque)
-    state.speed = np.where(due, integral, state.speed)
-    state.count = np.where(state.count + 1 < ratio, state.count + 1, 0).astype(np.uint32)
-    return state.torque
+
+    def made(voltage: AlphaBeta, v_dc: SingleArray) -> Pair[SingleArray]:
+        return overmodulated(method, Pair(*voltage), v_dc)
+
+    return ControlSteps(
+        currents,
+        modulation,
+        overmodulated=None if method == "none" else made,
+        weakens=weakens,
+        reference_share=reference_share,
+    )
 
 
 def three_leg_duties(
@@ -629,57 +578,6 @@ def three_leg_duties(
         voltage, current: Alpha and beta in V and A, shape (N,).
         v_dc: DC-link voltage in V, shape (N,).
     """
-    if MODULATORS[modulation].kind == "centred":
-        centred = centred_duties(voltage, v_dc)
-        return tuple(np.where(v_dc > _ZERO, one, _HALF) for one in centred)
-    v = clarke_inverse(SINGLE, voltage)
-    compares_currents = MODULATORS[modulation].compared == "currents"
-    i = clarke_inverse(SINGLE, current) if compares_currents else v
-    turn = _turn(modulation, voltage, current)
-    zero = zero_sequence_of(SINGLE, modulation, v, i, v_dc, voltage, turn)
-    powered = v_dc > _ZERO
-    scale = np.where(powered, _ONE / np.where(powered, v_dc, _ONE), _ZERO)
-    duty = (np.where(powered, (phase + zero) * scale, _HALF) for phase in v)
-    return tuple(_clamped(one) for one in duty)
-
-
-def _clamped(duty: SingleArray) -> SingleArray:
-    """Within 0 to 1; 0 for not-a-number."""
-    return np.where(duty > _ONE, _ONE, np.where(duty > _ZERO, duty, _ZERO))
-
-
-def centred_duties(voltage: Pair[SingleArray], v_dc: SingleArray) -> Singles:
-    """Duty cycles of three legs with a centred zero sequence, as ``<prefix>_centred_duties``.
-
-    Args:
-        voltage: Alpha and beta in V, shape (N,); 0 where ``v_dc`` is not above 0.
-        v_dc: DC-link voltage in V, shape (N,).
-    """
+    made, current_ = AlphaBeta(*voltage), AlphaBeta(*current)
     with np.errstate(divide="ignore", invalid="ignore"):
-        scale = _ONE / v_dc
-        alpha = scale * voltage.x
-        middle = -_HALF * alpha
-        side = np.float32(0.8660254) * (scale * voltage.y)
-        high, low = middle + np.abs(side), middle - np.abs(side)
-        above = alpha > high
-        below = ~above & (alpha < low)
-        high, low = np.where(above, alpha, high), np.where(below, alpha, low)
-        zero = _HALF - (_HALF * (high + low))
-        duty = alpha + zero, (middle + side) + zero, (middle - side) + zero
-        inside = (high + zero) <= _INSIDE
-    beyond = (np.where(v_dc > _ZERO, _clamped(one), _HALF) for one in duty)
-    return tuple(np.where(inside, one, other) for one, other in zip(duty, beyond, strict=True))
-
-
-def _turn(
-    modulation: ModulationName, voltage: Pair[SingleArray], current: Pair[SingleArray]
-) -> Pair[SingleArray] | None:
-    """Delay at which the references are compared, None where they are compared as they are."""
-    rule = MODULATORS[modulation]
-    if rule.delay is not None:
-        return Pair(*(np.full_like(voltage.x, value) for value in rule.delay))
-    return load_turn(voltage, current) if rule.compared == "load angle" else None
-
-
-def _pi_output(gains: Singles, integral: SingleArray, error: SingleArray) -> SingleArray:
-    return gains[0] * error + (integral + gains[1] * error)
+        return Duties(modulation).duties(SINGLE, made, v_dc, current_)

@@ -27,6 +27,7 @@ from dqforge.optimizer.firmware.configuration import (
     whole_ratio,
 )
 from dqforge.reports.c_code.numbers import float_literal
+from dqforge.reports.control.control_text import duty_functions
 from dqforge.reports.pages.templating import render
 
 if TYPE_CHECKING:
@@ -155,7 +156,7 @@ def loop_files(profile: LoopProfile, values: DriveValues) -> dict[str, bytes]:
         "prefix": PREFIX,
         "macro": PREFIX.upper(),
         "title": f"loops with the structure of {profile.firmware} {profile.version}",
-        "modulator": MODULATORS[modulation_of(profile)],
+        "duties": duty_functions(modulation_of(profile), PREFIX),
         "samples": SAMPLES,
         "points": POINTS,
         "gains": lines,

@@ -44,6 +44,7 @@ from dqforge.reports.figure_data.figure_sheet import read_figure
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.pages.html_text import symbols
 from dqforge.reports.plain_data import PlainData
+from dqforge.reports.steps.control_types import control_types
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -90,6 +91,7 @@ def _environment() -> Environment:
     from dqforge.reports.pages.figures_style import DARK
 
     environment.globals["figure_colours"] = DARK
+    environment.globals["control_types"] = control_types
     environment.filters.update(
         f32=float_literal,
         addend=addend,

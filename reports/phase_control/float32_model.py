@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Pair, Triple, clarke, park, park_inverse
 from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.optimizer.float_control.records import Control, Pi
+from dqforge.optimizer.float_control.speed_loop import speed_loop
+from dqforge.optimizer.steps.step_arithmetic import AlphaBeta, Dq
 from dqforge.reports.c_code.harness import (
     SINGLE,
     rotation,
@@ -25,7 +28,7 @@ from dqforge.reports.c_code.harness import (
     turned,
     wrap,
 )
-from dqforge.reports.control.header import speed_loop, three_leg_duties
+from dqforge.reports.control.header import gains_of, three_leg_duties
 from dqforge.reports.phase_control.float32_parts import (
     Stationary,
     Turn,
@@ -442,7 +445,21 @@ class PhaseControlModel:
     ) -> SingleArray:
         """Torque in N m for a speed in rad/s."""
         omega_m = np.ascontiguousarray(measured[:, 4])
-        return speed_loop(self.gains, self.structure.ratio, state, omega_m, reference)
+        loop = Control(
+            d=Pi(state.d),
+            q=Pi(state.q),
+            speed=Pi(state.speed),
+            reference=Dq(*state.reference),
+            v=AlphaBeta(*state.v),
+            omega_m=state.omega_m,
+            torque=state.torque,
+            count=state.count,
+        )
+        gains = gains_of(self.gains, self.structure.ratio)
+        torque = speed_loop(SINGLE, gains, loop, omega_m, reference)
+        state.speed, state.omega_m = loop.speed.integral, loop.omega_m
+        state.torque, state.count = loop.torque, loop.count
+        return torque
 
     def current_control(
         self, state: PhaseControlState, measured: SingleArray, reference: Singles

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
@@ -17,6 +18,11 @@ from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.reports.c_code.harness import single_from, title
 from dqforge.reports.c_code.numbers import float_literal
+from dqforge.reports.control.control_text import (
+    duty_functions,
+    pi_structs,
+    speed_loop_functions,
+)
 from dqforge.reports.control.header import speed_filter
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.loops.proven_text import judged_lines
@@ -167,6 +173,9 @@ def header_context(plain: Mapping[str, Any]) -> dict[str, Any]:
             for order, before in zip(ascending, (1, *ascending), strict=False)
         ],
         "gains": _gain_lines(plain),
+        "pi_structs": pi_structs,
+        "three_leg_duties": partial(duty_functions, made.modulation),
+        "speed_loop": speed_loop_functions,
     }
 
 

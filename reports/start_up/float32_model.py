@@ -16,8 +16,10 @@ import numpy as np
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.estimators import Tracker
+from dqforge.optimizer.float_control.records import Control
+from dqforge.optimizer.steps.step_arithmetic import Dq
 from dqforge.reports.c_code.harness import SINGLE, rotation, wrap
-from dqforge.reports.control.header import ControlModel, ControlState
+from dqforge.reports.control.header import ControlModel
 from dqforge.reports.phase_control.float32_model import PhaseControlModel, PhaseControlState
 
 if TYPE_CHECKING:
@@ -195,7 +197,7 @@ class Drive:
 
     def hold(self, d: Any, q: Any) -> None:
         """Add currents to the references."""
-        self.control.held = (array(d), array(q))
+        self.control.held = Dq(array(d), array(q))
 
 
 class Settings:
@@ -211,17 +213,13 @@ class Settings:
         raise AttributeError(name)
 
 
-def control_at_rest(model: StartUpModel) -> ControlState | PhaseControlState:
+def control_at_rest(model: StartUpModel) -> Control | PhaseControlState:
     """As ``<prefix>_control_start``."""
     if isinstance(model.control, PhaseControlModel):
         found = PhaseControlState.start(1, model.control.structure)
         found.held = (array(0.0), array(0.0))
         return found
-    state = ControlState.start(1)
-    state.held = (array(0.0), array(0.0))
-    if model.control.injects:
-        state.added = (array(0.0), array(0.0))
-    return state
+    return model.control.at_rest(1)
 
 
 def observer_start(model: StartUpModel, theta: Any, omega: Any) -> ObserverState:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dqforge.machines.transforms import Pair
+from dqforge.optimizer.float_control.records import Pi
+from dqforge.optimizer.steps.step_arithmetic import AlphaBeta, Dq
 from dqforge.reports.phase_control.float32_model import PhaseControlModel
 from dqforge.reports.start_up.float32_model import (
     Drive,
@@ -103,16 +105,20 @@ class Phases:
             turned_integrals(control, state, omega, i, v)
         else:
             usual = control.reference.currents(array(torque))
-            state.d = array(v[0] + (omega * (gains["l_q"] * i[1])))
-            state.q = array(v[1] - (omega * ((gains["l_d"] * i[0]) + gains["psi_pm"])))
-        state.speed, state.torque = array(torque), array(torque)
+            put_integrals(
+                state,
+                d=v[0] + (omega * (gains["l_q"] * i[1])),
+                q=v[1] - (omega * ((gains["l_d"] * i[0]) + gains["psi_pm"])),
+            )
+        put_integrals(state, speed=torque)
+        state.torque = array(torque)
         state.omega_m = array(omega / self.pole_pairs)
         state.count = np.zeros(1, dtype=np.uint32)
         if not isinstance(control, PhaseControlModel) and control.moving is not None:
             if control.moving.torque_step is not None:
-                state.moving.torque = array(torque)
+                state.references.torque = array(torque)
             if control.moving.current_step is not None:
-                state.moving.current = (usual[0], usual[1])
+                state.references.current = Dq(usual[0], usual[1])
         held = (i[0] - scalar(usual[0]), i[1] - scalar(usual[1]))
         drive.hold(*held)
         drive.fade = (share * held[0], share * held[1])
@@ -177,7 +183,7 @@ class Phases:
         emf = omega * s.psi_pm_Wb
         drive.acted = turned_out((_ZERO, emf), theta + (_HALF * (s.t_s * omega)))
         gains = self.model.control.gains
-        drive.control.q = array(omega * (s.psi_pm_Wb - gains["psi_pm"]))
+        put_integrals(drive.control, q=omega * (s.psi_pm_Wb - gains["psi_pm"]))
         drive.control.omega_m = array(omega / self.pole_pairs)
         drive.reference, drive.emf = omega, emf
 
@@ -250,7 +256,7 @@ class Phases:
         """What follows the alignment."""
         drive, s = self.drive, self.s
         if s.alignment == 3:
-            drive.control.d = array(s.align_V)
+            put_integrals(drive.control, d=s.align_V)
             drive.current = turned_into(current, _ZERO)[0]
         drive.observer = observer_start(self.model, _ZERO, _ZERO)
         if self.model.low is not None and s.method == 3:
@@ -323,7 +329,7 @@ class Phases:
             if mixing:
                 drive.fade = (drive.held[0] / F(s.fade_samples), _ZERO)
                 drive.fading = s.fade_samples
-                drive.control.added = (array(0.0), array(0.0))
+                drive.control.added = AlphaBeta(array(0.0), array(0.0))
             return
         drive.late = drive.late + 1 if asked >= s.hand_over else 0
         if drive.late >= s.patience_samples:
@@ -423,7 +429,7 @@ class Phases:
             low = drive.low = restarted(low, wrapped(scalar(low.theta_e) + F(3.1415927)))
         enter(drive, State.LOW)
         drive.omega_e = _ZERO
-        drive.control.d = drive.control.q = array(0.0)
+        put_integrals(drive.control, d=0.0, q=0.0)
         drive.observer = observer_start(self.model, scalar(low.theta_e), _ZERO)
 
     def mix(self) -> Duties:
@@ -484,6 +490,21 @@ def sees_current_ahead(i: Vector, omega_e: Any, size: Any) -> bool:
     """
     across = -i[1] if omega_e < _ZERO else i[1]
     return bool((_ALONG * i[0]) + (_ACROSS * across) > _HALF * size)
+
+
+def put_integrals(state: Any, **values: Any) -> None:
+    """Set integrals of controllers.
+
+    Args:
+        state: Of either control.
+        values: By the names of the controllers, in V or N m.
+    """
+    for name, value in values.items():
+        kept = getattr(state, name)
+        if isinstance(kept, Pi):
+            kept.integral = array(value)
+        else:
+            setattr(state, name, array(value))
 
 
 def usual_currents(control: PhaseControlModel, torque: Any) -> tuple[Any, Any]:

@@ -21,9 +21,14 @@ class Expression:
         reads: Members of the state that it takes.
         members: Members of other records that it takes.
         whole: The vector or array that it is a part of, empty of others.
+        kind: Type in C.
+
+    Attributes:
+        minus: What it is the negative of, None of others.
+        opposite: Its negative where that is no longer than itself, else None.
     """
 
-    __slots__ = ("atom", "members", "reads", "text", "uses", "whole")
+    __slots__ = ("atom", "kind", "members", "minus", "opposite", "reads", "text", "uses", "whole")
 
     def __init__(
         self,
@@ -33,9 +38,12 @@ class Expression:
         reads: frozenset[str] = frozenset(),
         members: frozenset[Origin] = frozenset(),
         whole: str = "",
+        kind: str = "float",
     ) -> None:
         self.text, self.atom, self.reads, self.members = text, atom, reads, members
-        self.whole = whole
+        self.whole, self.kind = whole, kind
+        self.minus: Expression | None = None
+        self.opposite: Expression | None = None
         self.uses = [0]
 
     @property
@@ -59,10 +67,20 @@ class Expression:
         text = self.bare()
         return text if self.atom or (signed and text[0] == "-") else f"({text})"
 
+    def scaled(self, share: float) -> Expression:
+        """The product with a constant, which takes the sign of a negative."""
+        text = self.operand()
+        found, other = (
+            joined(f"{expression(factor).text} * {text}", self) for factor in (share, -share)
+        )
+        found.opposite, other.minus, other.uses = other, found, found.uses
+        return found
+
     def _with(self, sign: str, other: Any, *, swapped: bool = False) -> Expression:
         if isinstance(other, np.ndarray):
             return NotImplemented  # type: ignore[no-any-return]  # the array takes it apart
-        parts = (expression(other), self) if swapped else (self, expression(other))
+        own = expression(other, self.kind)
+        parts = (own, self) if swapped else (self, own)
         return joined(f" {sign} ".join(part.operand() for part in parts), *parts)
 
     def __add__(self, other: Any) -> Expression:
@@ -101,6 +119,16 @@ class Expression:
         """The negative."""
         return joined(f"-{self.operand()}", self)
 
+    def negative(self) -> Expression:
+        """The negative, which a sum subtracts; the negative of a negative is what it was."""
+        if self.minus is not None or self.opposite is not None:
+            return self.minus or self.opposite or self
+        found = joined(f"-{self.text if self.atom else f'({self.text})'}", self)
+        found.minus = self
+        if not self.is_name:
+            found.uses = self.uses
+        return found
+
     def __lt__(self, other: Any) -> Condition:
         """Whether it is less."""
         return self._compared("<", other)
@@ -118,7 +146,7 @@ class Expression:
         return self._compared(">=", other)
 
     def _compared(self, sign: str, other: Any) -> Condition:
-        parts = self, expression(other)
+        parts = self, expression(other, self.kind)
         text = f" {sign} ".join(part.operand(signed=True) for part in parts)
         return Condition((joined(text, *parts),))
 
@@ -148,25 +176,34 @@ class Condition:
         return " && ".join(f"({term.bare()})" for term in self.terms)
 
 
-def expression(value: Any) -> Expression:
-    """A number as an expression; constants become literals of float."""
+# What stands behind the digits of an integer.
+_SUFFIXES = {"long": "L", "uint32_t": "U"}
+
+
+def expression(value: Any, kind: str = "float") -> Expression:
+    """A number as an expression; constants become literals of a type."""
     if isinstance(value, Expression):
         return value
+    if kind in _SUFFIXES:
+        return Expression(f"{int(value)}{_SUFFIXES[kind]}", kind=kind)
     return Expression(float_literal(float(value)))
 
 
-def joined(text: str, *parts: Expression, atom: bool = False, whole: str = "") -> Expression:
-    """An expression made of others."""
+def joined(
+    text: str, *parts: Expression, atom: bool = False, whole: str = "", kind: str = ""
+) -> Expression:
+    """An expression made of others, of their type unless another is given."""
     return Expression(
         text,
         atom=atom,
         reads=frozenset[str]().union(*(part.reads for part in parts)),
         members=frozenset[Origin]().union(*(part.members for part in parts)),
         whole=whole,
+        kind=kind or (parts[-1].kind if parts else "float"),
     )
 
 
-_WIDTH = 110
+WIDTH = 110  # Of lines.
 
 
 def folded(begin: str, text: str, end: str, indent: str) -> list[str]:
@@ -176,12 +213,12 @@ def folded(begin: str, text: str, end: str, indent: str) -> list[str]:
         begin, end: What stands before and behind the text.
         indent: White space of the first line.
     """
-    if len(indent) + len(begin) + len(text) + len(end) <= _WIDTH:
+    if len(indent) + len(begin) + len(text) + len(end) <= WIDTH:
         return [f"{indent}{begin}{text}{end}"]
     further = indent + "    "
     lines, rest = [f"{indent}{begin.rstrip()}"], text + end
-    while len(further) + len(rest) > _WIDTH:
-        place = _break(rest, _WIDTH - len(further))
+    while len(further) + len(rest) > WIDTH:
+        place = _break(rest, WIDTH - len(further))
         if not place:
             break
         lines.append(further + rest[:place].rstrip())

@@ -102,7 +102,7 @@ def test_every_arithmetic_finds_the_same_zero_sequence(name: ModulationName) -> 
     wanted = modulate(name, np.stack(v, axis=-1), np.stack(i, axis=-1), 1.0).zero_sequence
     single_v, single_i = (Triple(*(x.astype(np.float32) for x in values)) for values in (v, i))
     vector = clarke(SINGLES, single_v)
-    turn = load_turn(vector, clarke(SINGLES, single_i))
+    turn = load_turn(SINGLES, Pair, vector, clarke(SINGLES, single_i))
     delay = MODULATORS[name].delay
     if delay is not None:
         turn = Pair(*(np.full(ANGLE.size, x, dtype=np.float32) for x in delay))

@@ -45,11 +45,16 @@ ORCHESTRATORS = {
 # Modules that evaluate emitted C in its own arithmetic, for test vectors and to compare with the
 # compiled C.
 MODELS = {
+    "c_code.harness": "angle functions and transforms in single precision",
+    "steps.control_types": "writes angle functions and transforms in C, from their steps",
+    "control.control_text": "writes the control functions in C, from their steps",
+    "control.header": "the control functions in single precision, by the steps that are emitted",
     "control.fixed_model": "the control functions in integers, step by step, and proven again",
     "firmware.loop_code": "the loops of other firmware in C, by the rules they are judged by",
     "fixed_observers.fixed_observer_model": "the observers in integers, step by step",
     "single_headers.fixed_mesh_reading": "proves again what is read back",
     "modulation_choice.rule_model": "the choice of modulator in single precision",
+    "phase_control.float32_model": "the control of phases in single precision",
     "phase_control.fixed_phase_model": "the control of phases in integers, step by step",
     "output.stored_proof": "proves again what is read back",
     "six_step.float32_model": "control of a six-step drive in single precision",

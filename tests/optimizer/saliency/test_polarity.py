@@ -27,6 +27,7 @@ from dqforge.optimizer.saliency.inform import (
 from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic
 from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.pages.templating import render
+from dqforge.reports.steps.control_types import control_types
 
 BALDOR = "baldor-pmsyrm-5k6"
 GAINS = PolarityGains(voltage=1.0, periods=1.0, pause=5.0, pulses=1.0, sign=1.0)
@@ -162,7 +163,7 @@ def test_c_is_its_model_bit_for_bit(tmp_path: Path) -> None:
     gains = replace(plan.gains, pulses=4.0)
     names = {"prefix": "drive", "macro": "DRIVE"}
     source = HARNESS.format(
-        types=render("c_code/control_types.j2", names),
+        types=control_types("drive", "DRIVE"),
         polarity=render("observers/polarity.j2", names | {"polarity": asdict(gains)}),
     )
     (tmp_path / "harness.c").write_text(source, encoding="ascii")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dqforge.reports.c_code import harness as model
-from dqforge.reports.pages.templating import render
+from dqforge.reports.steps.control_types import control_types
 
 # Largest errors of rotation(theta), of small_rotation(theta) within 0.4 rad, and of a random pair
 # of both, in double precision.
@@ -90,7 +90,7 @@ def largest_errors(
         pytest.skip(f"{compiler} is not installed")
     if "-mfma" in flags and "fma" not in Path("/proc/cpuinfo").read_text(encoding="utf-8"):
         pytest.skip("this processor has no fused multiply-add")
-    types = render("c_code/control_types.j2", {"prefix": "t", "macro": "T"})
+    types = control_types("t", "T")
     (folder / "errors.c").write_text(PROGRAMME % types, encoding="ascii")
     command = [compiler, "-std=c99", "-O2", *flags, "errors.c", "-o", "errors", "-lm"]
     subprocess.run(command, cwd=folder, check=True)

@@ -21,12 +21,13 @@ from dqforge.machines.modulation.modulators import MODULATORS, modulate
 from dqforge.machines.modulation.registry import DISCONTINUOUS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import Pair
+from dqforge.optimizer.float_control.duties import centred_duties
 from dqforge.optimizer.loops.plants import current_loop, current_step
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.optimizer.steps.step_arithmetic import AlphaBeta
+from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.control.header import (
     ControlModel,
-    ControlState,
-    centred_duties,
     control_files,
     control_from,
     control_inputs,
@@ -134,10 +135,10 @@ def test_centred_duties_stay_within_0_and_1_with_every_rounding() -> None:
     any_bits = generator.integers(0, 2**32, (3, count), dtype=np.uint64).astype(np.uint32)
     rough = any_bits.view(np.float32)
     off = ~(rough[2] > 0.0)  # there the voltage is 0, as the current control has it
-    bare = Pair(*(np.where(off, np.float32(0.0), part) for part in rough[:2]))
+    bare = AlphaBeta(*(np.where(off, np.float32(0.0), part) for part in rough[:2]))
     with np.errstate(all="ignore"):
-        single = Pair(*(np.asarray(part, dtype=np.float32) for part in near))
-        found = [*centred_duties(single, v_dc), *centred_duties(bare, rough[2])]
+        single = AlphaBeta(*(np.asarray(part, dtype=np.float32) for part in near))
+        found = [*centred_duties(SINGLE, single, v_dc), *centred_duties(SINGLE, bare, rough[2])]
     assert all(np.all((duty >= 0.0) & (duty <= 1.0)) for duty in found)
     assert 0.2 < np.mean(np.max(found[:3], axis=0) > 0.999999) < 0.8  # both ways are taken
 
@@ -149,12 +150,12 @@ def test_two_bad_samples_at_once_leave_numbers_behind(solution: Solution, bad: f
     for column in range(5):
         spoilt = np.array([[0.2, -0.1, -0.1, 0.3, 20.0, bad]], dtype=np.float32)
         spoilt[0, column] = bad
-        state = ControlState.start(1)
+        state = model.at_rest(1)
         reference = (np.zeros(1, dtype=np.float32), np.ones(1, dtype=np.float32))
         with np.errstate(all="ignore"):
             duty = np.concatenate(model.current_control(state, spoilt, reference))
         assert np.all((duty >= 0.0) & (duty <= 1.0))
-        assert np.all(np.isfinite(np.concatenate([state.d, state.q, *state.v])))
+        assert np.all(np.isfinite(np.concatenate([state.d.integral, state.q.integral, *state.v])))
 
 
 def settled(
@@ -164,7 +165,7 @@ def settled(
     with one period of delay.
     """
     machine, t_s = solution.design.machine, solution.design.control.t_s
-    state = ControlState.start(1)
+    state = model.at_rest(1)
     decay = np.exp(-machine.r_s * t_s / np.array([machine.l_d, machine.l_q]))
     current, waiting, seen = np.zeros(2), np.zeros(2), []
     for _ in range(steps):
@@ -199,7 +200,7 @@ def test_what_the_limit_cuts_off_does_not_wind_up(solution: Solution) -> None:
     the loop is back at once.
     """
     model = model_of(solution)
-    state = ControlState.start(1)
+    state = model.at_rest(1)
     measured = np.array([[0.0, 0.0, 0.0, 0.3, 0.0, 300.0]], dtype=np.float32)
     far = (np.zeros(1, dtype=np.float32), np.full(1, 1e5, dtype=np.float32))
     for _ in range(2000):
@@ -208,12 +209,12 @@ def test_what_the_limit_cuts_off_does_not_wind_up(solution: Solution) -> None:
     # in the steady state of back-calculation ki_ts e = tracking (wanted - limited)
     kp, ki_ts, tracking = (float(x) for x in model.gains["q"])
     bound = 300.0 / np.sqrt(3.0) + (ki_ts / tracking - kp - ki_ts) * 1e5
-    assert float(state.q[0]) == pytest.approx(bound, rel=1e-3)
+    assert float(state.q.integral[0]) == pytest.approx(bound, rel=1e-3)
 
 
 def test_the_speed_loop_works_at_its_own_rate_and_holds_its_limit(solution: Solution) -> None:
     model = model_of(solution)
-    state = ControlState.start(1)
+    state = model.at_rest(1)
     most = float(model.gains["torque_max"])
     seen = [
         float(
@@ -241,12 +242,21 @@ def test_a_bad_sample_makes_no_voltage_and_is_forgotten(
     spoilt = good.copy()
     spoilt[0, column] = bad
     target = np.full(1, 50.0, dtype=np.float32)
-    state = ControlState.start(1)
+    state = model.at_rest(1)
     model.speed_control(state, good, target)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         duty = model.speed_control(state, spoilt, target)
     assert all(np.isfinite(one) and 0.0 <= one <= 1.0 for one in np.concatenate(duty))
-    kept = np.concatenate([state.d, state.q, state.speed, state.omega_m, state.torque, *state.v])
+    kept = np.concatenate(
+        [
+            state.d.integral,
+            state.q.integral,
+            state.speed.integral,
+            state.omega_m,
+            state.torque,
+            *state.v,
+        ]
+    )
     assert np.all(np.isfinite(kept))
     after = np.concatenate(model.speed_control(state, good, target))
     assert np.all((after > 0.2) & (after < 0.8))
@@ -292,7 +302,7 @@ def test_torque_control_weakens_the_field_where_the_design_does() -> None:
     output = export_design(design, verify=True)
     plain = json.loads(output.files["result.json"])
     model = control_from(plain["control_header"], plain)
-    state = ControlState.start(2)
+    state = model.at_rest(2)
     measured = np.array(
         [[0.0, 0.0, 0.0, 0.0, speed, design.inverter.v_dc] for speed in (10.0, 300.0)]
     )

@@ -9,7 +9,7 @@ import pytest
 from chain_steps import COUNT, current_control, drive_rows, solution
 
 from dqforge.machines.transforms import Pair
-from dqforge.reports.control.header import ControlState, control_from, plain_control
+from dqforge.reports.control.header import control_from, plain_control
 from dqforge.reports.result import plain_solution
 
 
@@ -30,8 +30,8 @@ def test_a_step_of_the_current_control_takes_at_most_200_instructions(flag: str)
 
 def test_a_third_of_the_costed_samples_is_beyond_the_voltage() -> None:
     model = control_from(plain_control(solution()), plain_solution(solution()))
-    rows, state = drive_rows(), ControlState.start(COUNT)
-    state.d, state.q = rows[:, 8].copy(), rows[:, 9].copy()
+    rows, state = drive_rows(), model.at_rest(COUNT)
+    state.d.integral, state.q.integral = rows[:, 8].copy(), rows[:, 9].copy()
     reference = (rows[:, 6].copy(), rows[:, 7].copy())
     model.current_control(state, np.ascontiguousarray(rows[:, :6]), reference)
     limit = float(model.gains["voltage_share"]) * rows[:, 5]

@@ -44,6 +44,7 @@ from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic, cast
 from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.operating_system.host_compiler import find_compiler
 from dqforge.reports.pages.templating import render
+from dqforge.reports.steps.control_types import control_types
 from dqforge.reports.steps.observer_text import observer_text
 from dqforge.reports.verification.host import COMPILERS, WARNINGS, Compiler
 
@@ -183,7 +184,7 @@ def compiled(item: Emitted, sequences: FloatArray, compiler: Compiler, folder: P
         else observer_text(method, item.gains, "drive", "DRIVE")
     )
     source = HARNESS.format(
-        types=render("c_code/control_types.j2", names), observer=observer, code=item.code,
+        types=control_types("drive", "DRIVE"), observer=observer, code=item.code,
         upper=item.code.upper(),
         more=item.more, extra=item.extra,
     )  # fmt: skip

@@ -18,7 +18,7 @@ from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import ObserverState, StateMembers
 from dqforge.optimizer.steps.step_arithmetic import AlphaBeta, Arithmetic, Member, cast, limited
 from dqforge.reports.c_code.harness import SINGLE
-from dqforge.reports.pages.templating import render
+from dqforge.reports.steps.control_types import control_types
 from dqforge.reports.steps.observer_text import observer_text
 
 ROWS = 2000
@@ -66,10 +66,21 @@ def tried(gains: Any, state: ObserverState, v: Any, i: Any, o: Arithmetic) -> Ob
     speed = o.let("speed", o.call(horner, gains.k, root))
     held = o.let("held", limited(o, speed, gains.limit))
     own = o.let("own", n)
+    share = o.cases(
+        "share",
+        ((own > 0.5) & (held < 1.0), lambda: 0.25 * o.let("half", 0.5 * own) - held),
+        (own <= 0.5, lambda: o.real(o.whole(held))),
+        otherwise=lambda: held,
+    )
+    swapped = o.cases(
+        "swapped",
+        (o.has_bit(o.let("count", o.whole(held)), 2), lambda: AlphaBeta(share, -seen.alpha)),
+        otherwise=lambda: seen,
+    )
     good = (held <= 1e3) & (held >= -1e3) & (c[1] < 2.0)
     return o.either(
         good,
-        lambda: ObserverState((seen,), o.wrap(state.theta_e + held), held, True, (m, own)),
+        lambda: ObserverState((swapped,), o.wrap(state.theta_e + held), held, True, (m, own)),
         lambda: ObserverState((AlphaBeta(e[1], i[0]),), state.theta_e, state.omega_e, True, (n, m)),
     )
 
@@ -89,13 +100,12 @@ def both(gains: Any, state: ObserverState, v: Any, i: Any, o: Arithmetic) -> Obs
 @pytest.mark.parametrize("step", [tried, both])
 def test_the_c_of_a_step_is_the_step(step: Step, tmp_path: Path) -> None:
     gains = TriedGains((0.25, -1.5, 0.1), 300.0, 7.0)
-    names = {"prefix": "t", "macro": "T"}
     text = observer_text(method_of(step), gains, "t", "T")
     assert "unread" not in text
     members = ["s.e.alpha", "s.e.beta", "s.n", "s.m", "s.theta_e", "s.omega_e"]
     source = [
         "#include <math.h>\n#include <stdio.h>",
-        render("c_code/control_types.j2", names),
+        control_types("t", "T"),
         text,
         "int main(void) { float r[11]; t_tried_t s;",
         "while (fread(r, sizeof r, 1, stdin) == 1) {",

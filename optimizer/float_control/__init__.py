@@ -1,0 +1,1 @@
+"""Field-oriented control in single precision: the steps that are emitted."""

@@ -1,0 +1,727 @@
+"""C written from a step: the step is run once on expressions instead of numbers.
+
+Records become structs, `let` declares a local constant, `choose` is a conditional expression,
+`call` a call of a function that is written once, `cases` and `either` are an if with its else. What
+Python decides before numbers are known does not reach the C.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any, Concatenate, ParamSpec, TypeVar, cast
+
+import numpy as np
+
+from dqforge.machines.transforms import leaves
+from dqforge.optimizer.steps.step_arithmetic import (
+    Abc,
+    AlphaBeta,
+    Arithmetic,
+    Dq,
+    Pair,
+    Rotation,
+)
+from dqforge.reports.c_code.numbers import comment_text
+from dqforge.reports.steps.record_text import (
+    LINE,
+    SHARED,
+    c_name,
+    comment,
+    kind_fields,
+    kind_of,
+    member_name,
+    sentence,
+)
+from dqforge.reports.steps.symbols import (
+    WIDTH,
+    Condition,
+    Expression,
+    Origin,
+    expression,
+    folded,
+    joined,
+)
+
+_T = TypeVar("_T")
+_V = TypeVar("_V", bound=tuple[Any, ...])
+_P = ParamSpec("_P")
+
+
+@dataclass(slots=True)
+class Block:
+    """Statements of a function in the order of their text; ``names`` are taken in it, and
+    ``declared`` lines stand before the first statement that is no declaration, None without one.
+    """
+
+    indent: str
+    names: set[str]
+    lines: list[str] = field(default_factory=list)
+    declared: int | None = None
+
+    def add(self, begin: str, text: str, meaning: str = "") -> None:
+        """A statement, with a comment behind or above it."""
+        found = folded(begin, text, ";", self.indent)
+        if meaning:
+            said = f"/* {comment_text(meaning)} */"
+            if len(found) == 1 and len(found[0]) + len(said) < LINE:
+                found[0] += f" {said}"
+            else:
+                found.insert(0, f"{self.indent}{said}")
+        self.lines += found
+
+    def variable(self, kind: str, name: str) -> None:
+        """Declare what statements will give its value, before all of them."""
+        if self.declared is None:
+            self.lines.append(f"{self.indent}{kind} {name};")
+        else:
+            self.lines.insert(self.declared, f"{self.indent}{kind} {name};")
+            self.declared += 1
+
+    def first(self, lines: Sequence[str]) -> None:
+        """Statements before all others."""
+        if lines:
+            self.work([])
+            place = (self.declared or 0) + bool(self.lines)
+            self.lines[place:place] = lines
+
+    def work(self, lines: Sequence[str]) -> None:
+        """Statements that are no declarations."""
+        if self.declared is None:
+            self.declared = len(self.lines)
+            self.lines += [""] if self.lines else []
+        self.lines += lines
+
+
+@dataclass(slots=True)
+class Functions:
+    """What steps have needed so far: ``texts`` and ``results`` of functions, by name, and which
+    members of their arguments they change, ``members`` of records, and ``vectors`` that are
+    declared nowhere else. A function with a result and no text stands elsewhere.
+    """
+
+    texts: dict[str, str] = field(default_factory=dict)
+    results: dict[str, type[Any] | None] = field(default_factory=dict)
+    changes: dict[str, list[frozenset[str]]] = field(default_factory=dict)
+    members: set[Origin] = field(default_factory=set)
+    vectors: dict[str, type[Any]] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class _Kept:
+    """A member of a state: where it stands in C, and its value there."""
+
+    record: Any
+    member: str
+    place: str
+    value: Any
+    kind: str = "float"
+    version: int = 0
+
+    @property
+    def set_to(self) -> Any:
+        """What the step has made of it."""
+        return getattr(self.record, self.member)
+
+    def targets(self) -> set[str]:
+        """What is no longer to be read when it changes."""
+        parts = self.value if isinstance(self.value, tuple) else (self.value,)
+        return {name for part in parts for name in part.reads}
+
+    def renewed(self) -> None:
+        """Let it be read as it is from now on."""
+        self.version += 1
+        mark = f"#{self.version}"
+        if isinstance(self.value, tuple):
+            self.value = vector(type(self.value), self.place, state=True, mark=mark)
+        else:
+            reads = frozenset({self.place + mark})
+            self.value = Expression(self.place, reads=reads, kind=self.kind)
+        setattr(self.record, self.member, self.value)
+
+
+class StepReader(Arithmetic):
+    """Writes what a step computes into ``block``.
+
+    Args:
+        prefix: Before every name of a function or record.
+        functions: Takes what `call` writes.
+        block: Where the statements go.
+    """
+
+    __setattr__ = object.__setattr__  # its parents are frozen, it writes
+
+    def __init__(self, prefix: str, functions: Functions, block: Block) -> None:
+        super().__init__(np.float32, self._wrapped, self._rotated)
+        self.prefix, self.functions, self.block = prefix, functions, block
+        self.branches: tuple[str, list[tuple[Block, Any]]] | None = None
+        self._records: list[tuple[Any, str, frozenset[Origin]]] = []
+        self._kept: list[_Kept] = []
+        self._dead: set[str] = set()
+        self._changed: set[str] = set()
+        self._open: Expression | None = None  # a call that changes the state, till it is written
+
+    def _wrapped(self, theta: Any) -> Any:
+        return self._called("wrap", (theta,), None)
+
+    def _rotated(self, theta: Any) -> Any:
+        return self._called("rotation", (theta,), Rotation)
+
+    def clarke(self, x: Abc) -> AlphaBeta:
+        """Phases to stationary coordinates."""
+        found: AlphaBeta = self._called("clarke", (x,), AlphaBeta)
+        return found
+
+    def clarke_inverse(self, x: Pair) -> Abc:
+        """Stationary coordinates to phases."""
+        found: Abc = self._called("clarke_inverse", (x,), Abc)
+        return found
+
+    def park(self, x: Pair, turn: Pair) -> Dq:
+        """Stationary coordinates in a turned frame."""
+        found: Dq = self._called("park", (x, turn), Dq)
+        return found
+
+    def park_inverse(self, x: Pair, turn: Pair) -> AlphaBeta:
+        """Coordinates of a turned frame back."""
+        found: AlphaBeta = self._called("park_inverse", (x, turn), AlphaBeta)
+        return found
+
+    def product(self, name: str, a: Any, b: Any) -> Any:  # noqa: ARG002
+        """A product, whose sign stands before it."""
+        x, y = expression(a), expression(b)
+        found = (x.minus or x) * (y.minus or y)
+        return found if (x.minus is None) == (y.minus is None) else found.negative()
+
+    def total(self, name: str, *terms: Any) -> Any:  # noqa: ARG002
+        """A sum, from the left; a negative is subtracted."""
+        found, *rest = map(expression, terms)
+        for term in rest:
+            found = found + term if term.minus is None else found - term.minus
+        return found
+
+    def negative(self, a: Any) -> Any:
+        """The number with the other sign."""
+        return expression(a).negative()
+
+    def halved(self, a: Any) -> Any:
+        """Half of a number."""
+        return 0.5 * expression(a)
+
+    def ratio(self, name: str, a: Any, b: Any) -> Any:  # noqa: ARG002
+        """A quotient, 0 where its divisor is not positive."""
+        return self.choose(b > 0.0, a / b, 0.0)
+
+    def where_above(
+        self, names: Sequence[str], a: Any, b: Any, x: Sequence[Any], y: Sequence[Any]
+    ) -> list[Any]:
+        """A conditional expression, or an if of several variables."""
+        if len(names) == 1:
+            return [self.let(names[0], self.choose(a > b, x[0], y[0]))]
+        return list(self.cases(tuple(names), (a > b, lambda: tuple(x)), otherwise=lambda: tuple(y)))
+
+    def part(self, name: str, a: Any, share: float) -> Any:  # noqa: ARG002
+        """The product with a constant."""
+        return expression(a).scaled(share)
+
+    def whole(self, a: Any) -> Any:
+        """A number as an integer."""
+        return joined(f"(long){a.operand()}", a, kind="long")
+
+    def real(self, a: Any) -> Any:
+        """An integer as a number."""
+        return joined(f"(float){a.operand()}", a, kind="float")
+
+    def is_number(self, a: Any) -> Any:
+        """Whether it equals itself."""
+        text = a.bare()
+        return Condition((joined(f"{text} == {text}", a),))
+
+    def outside(
+        self,
+        kind: type[_V],
+        name: str,
+        function: Callable[..., Iterable[Any]],  # noqa: ARG002
+        *args: Any,
+        filled: str = "",
+    ) -> _V:
+        """A call of a function whose text stands elsewhere."""
+        if not filled:
+            return cast("_V", self._called(name, args, kind))
+        self._new(filled)
+        parts = [expression(part) for part in args]
+        self.take(parts)
+        into = [f"&{filled}.{axis}" for axis in cast("Any", kind)._fields]
+        texts = ", ".join([*(part.bare() for part in parts), *into])
+        self.block.variable(f"{self.prefix}_{c_name(kind)}_t", filled)
+        self.block.work(folded(f"{self.prefix}_{name}(", texts, ");", self.block.indent))
+        return cast("_V", vector(kind, filled))
+
+    def has_bit(self, a: Any, bit: int) -> Any:
+        """Whether an integer has a bit."""
+        return Condition((joined(f"({a.operand()} & {bit}) != 0", a),))
+
+    def root(self, a: Any) -> Any:
+        """Square root."""
+        return joined(f"sqrtf({a.bare()})", a, atom=True)
+
+    def magnitude(self, a: Any) -> Any:
+        """Magnitude."""
+        return joined(f"fabsf({a.bare()})", a, atom=True)
+
+    def full(self, value: Any, like: Any) -> Any:
+        """A constant."""
+        return expression(value, like.kind if isinstance(like, Expression) else "float")
+
+    def choose(self, condition: Any, a: Any, b: Any) -> Any:
+        """A conditional expression."""
+        kind = next((part.kind for part in (a, b) if isinstance(part, Expression)), "float")
+        parts = expression(a, kind), expression(b, kind)
+        text = " : ".join(part.operand(signed=True) for part in parts)
+        return joined(f"({condition.text()}) ? {text}", *condition.terms, *parts, kind=kind)
+
+    def remark(self, text: str) -> None:
+        """A comment on a line of its own."""
+        self.block.lines.append(f"{self.block.indent}/* {comment_text(text)} */")
+
+    def let(self, name: str, value: _T, meaning: str = "") -> _T:
+        """A constant of the block, or as many as an array has numbers to be computed."""
+        result: _T = self._named(name, value, meaning)
+        return result
+
+    def _named(self, name: str, value: Any, meaning: str) -> Any:
+        if isinstance(value, np.ndarray):
+            found, named = value.copy(), dict[int, Any]()
+            for at in np.ndindex(value.shape):
+                item, own = expression(value[at]), f"{name}_{''.join(map(str, at))}"
+                if not item.is_name and id(item) not in named:
+                    named[id(item)] = self._named(own, item, "" if named else meaning)
+                found[at] = named.get(id(item), item)
+            return found
+        if isinstance(value, tuple):
+            parts = tuple(map(expression, value))
+            if not hasattr(value, "_fields"):
+                self._declare("float *const", name, _handed_on(value), meaning, parts)
+                return tuple(Expression(f"{name}[{n}]", whole=name) for n in range(len(value)))
+            text = _whole(value)
+            kind = f"{self.prefix}_{c_name(type(value))}_t"
+            if text or not self._listed(kind, name, parts, meaning):
+                text = text or f"{{ {', '.join(part.bare() for part in parts)} }}"
+                self._declare(kind, name, text, meaning, parts)
+            return vector(type(value), name)
+        number = expression(value)
+        self._declare(number.kind, name, number.bare(), meaning, (number,))
+        return Expression(name, kind=number.kind)
+
+    def cases(
+        self,
+        name: str | tuple[str, ...],
+        *branches: tuple[Any, Callable[[], _T]],
+        otherwise: Callable[[], _T],
+        changing: Sequence[Any] = (),
+    ) -> _T:
+        """A variable that an if, its else ifs and its else give their values, and a state that
+        they change.
+        """
+        self.write_state()
+        names = name if isinstance(name, tuple) else (name,) if name else ()
+        outer, lines, begin = self.block, list[str](), "if ("
+        dead, before = set(self._dead), [kept.value for kept in self._kept]
+        versions, changed = [kept.version for kept in self._kept], set[int]()
+        given: Any = ()
+        for condition, branch in (*branches, (None, otherwise)):
+            if condition is not None:
+                self.take(condition.terms)
+                lines += folded(begin, condition.text(), ") {", outer.indent)
+            self.block = Block(outer.indent + "    ", outer.names | set(names))
+            value: Any = branch()
+            given = value if isinstance(name, tuple) else (value,)
+            for own, part in zip(names, given, strict=False):
+                self._assign(own, part)
+            self.write_state()
+            if condition is None and self.block.lines:
+                lines.append(f"{outer.indent}}} else {{")
+            lines += self.block.lines
+            for n, kept in enumerate(self._kept):
+                if kept.version != versions[n]:
+                    changed.add(n)
+                kept.value, kept.version = before[n], versions[n]
+                setattr(kept.record, kept.member, kept.value)
+            self._dead, begin = set(dead), "} else if ("
+        self.block = outer
+        for own, part in zip(names, given, strict=False):
+            self._new(own)
+            outer.variable(self._kind(part), own)
+        outer.work([*lines, f"{outer.indent}}}"])
+        told = {id(record) for owner in changing for record, _ in leaves(owner)}
+        for n in changed:
+            if id(self._kept[n].record) not in told:
+                raise ValueError(f"{self._kept[n].place} changes, which `cases` is not told")
+            self._renew(self._kept[n])
+        found = tuple(
+            vector(type(part), own)
+            if isinstance(part, tuple)
+            else Expression(own, kind=self._kind(part))
+            for own, part in zip(names, given, strict=False)
+        )
+        return cast("_T", found if isinstance(name, tuple) else found[0] if found else None)
+
+    def _renew(self, kept: _Kept) -> None:
+        self._dead |= kept.targets()
+        self._changed.add(kept.place)
+        kept.renewed()
+
+    def write_state(self) -> None:
+        """Write what the step has made of its state since it was last written."""
+        changed = [kept for kept in self._kept if kept.set_to is not kept.value]
+        if changed and self._open is not None and not self._open.uses[0]:
+            raise ValueError(f"{self._open.text} changes the state: name it by `let`")
+        open_: list[Assignment] = []
+        for kept in changed:
+            value = kept.set_to
+            parts = value if isinstance(value, tuple) else (value,)
+            numbers = tuple(expression(part, kept.kind) for part in parts)
+            self.take(numbers)
+            open_ += assignments(kept.place, value, numbers, kept.value)
+        block = Block(self.block.indent, set())
+        ordered(open_, block)
+        if block.lines:
+            self.block.work(block.lines)
+        for kept in changed:
+            self._renew(kept)
+
+    def _listed(self, kind: str, name: str, parts: Sequence[Expression], meaning: str) -> bool:
+        """Whether a vector is too long for a line and has one for each of its parts."""
+        begin = f"const {kind} {name} = {{"
+        texts = [part.text for part in parts]
+        if len(f"{self.block.indent}{begin} {', '.join(texts)} }};") <= WIDTH:
+            return False
+        self._new(name)
+        self.take(parts)
+        ends = [","] * (len(parts) - 1) + [""]
+        self.block.lines.append(f"{self.block.indent}{begin}")
+        if meaning:
+            self.block.lines[-1] += f" /* {comment_text(meaning)} */"
+        for part, end in zip(parts, ends, strict=True):
+            self.block.lines += folded("", part.bare(), end, self.block.indent + "    ")
+        self.block.lines.append(f"{self.block.indent}}};")
+        return True
+
+    def _kind(self, value: Any) -> str:
+        if isinstance(value, tuple):
+            return f"{self.prefix}_{c_name(type(value))}_t"
+        return expression(value).kind
+
+    def _assign(self, name: str, value: Any) -> None:
+        """Give a variable its value at the end of a block."""
+        parts = tuple(map(expression, value if isinstance(value, tuple) else (value,)))
+        self.take(parts)
+        self.block.work([])
+        if not isinstance(value, tuple):
+            self.block.add(f"{name} = ", parts[0].bare())
+        elif text := _whole(value):
+            self.block.add(f"{name} = ", text)
+        else:
+            for axis, part in zip(kind_fields(value), parts, strict=True):
+                self.block.add(f"{name}.{axis} = ", part.bare())
+
+    def _new(self, name: str) -> None:
+        if name in self.block.names:
+            raise ValueError(f"there is a {name} already")
+        self.block.names.add(name)
+
+    def _declare(
+        self, kind: str, name: str, text: str, meaning: str, parts: Sequence[Expression]
+    ) -> None:
+        self._new(name)
+        self.take(parts)
+        self.block.add(f"const {kind} {name} = ", text, meaning)
+
+    def take(self, parts: Sequence[Expression]) -> None:
+        """Count the members of records in them as needed.
+
+        Raises:
+            ValueError: One of them has been written since it was read.
+        """
+        for part in parts:
+            if part.reads & self._dead:
+                raise ValueError(f"{part.text} has changed since it was read: name it by `let`")
+        self.functions.members.update(*(part.members for part in parts))
+
+    def call(
+        self,
+        function: Callable[Concatenate[Arithmetic, _P], _T],
+        *args: _P.args,
+        **kwargs: _P.kwargs,
+    ) -> _T:
+        """A call; the first one writes the function."""
+        assert not kwargs, "arguments of a function of the firmware have their places"
+        name = function.__name__.lstrip("_")
+        if name not in self.functions.results:
+            self.write(name, function, args)
+        changes = self.functions.changes.get(name, [])
+        if not any(changes):
+            return cast("_T", self._called(name, args, self.functions.results[name]))
+        self.write_state()
+        result: Any = self._called(name, args, self.functions.results[name])
+        places = {
+            members_at(place[0]) + member
+            for argument, members in zip(args, changes, strict=True)
+            if (place := self._place(argument)) is not None
+            for member in members
+        }
+        for kept in self._kept:
+            if kept.place in places:
+                self._renew(kept)
+        self._open = result[0] if isinstance(result, tuple) else result
+        if self.functions.results[name] is type(None):
+            self.block.work([f"{self.block.indent}{self._open.bare()};"])
+            return cast("_T", None)
+        return cast("_T", result)
+
+    def _called(self, name: str, arguments: Sequence[Any], kind: type[Any] | None) -> Any:
+        texts, parts = [], list[Expression]()
+        for argument in arguments:
+            place = self._place(argument)
+            if place is not None:
+                texts.append(place[0])
+                self.functions.members |= place[1]
+                if not any(self.functions.changes.get(name, [])):
+                    parts.append(Expression(place[0], reads=self._state_of(place[0])))
+            elif isinstance(argument, tuple):
+                texts.append(_handed_on(argument))
+                parts += [expression(part) for part in argument]
+            else:
+                parts.append(expression(argument))
+                texts.append(parts[-1].bare())
+        text = f"{self.prefix}_{name}({', '.join(texts)})"
+        if kind is None or kind is type(None):
+            return joined(text, *parts, atom=True, kind="float")
+        names: tuple[str, ...] = kind._fields
+        found = [joined(f"{text}.{n}", *parts, atom=True, whole=text) for n in names]
+        for part in found:
+            part.uses = found[0].uses
+        return kind(*found)
+
+    def _state_of(self, address: str) -> frozenset[str]:
+        """What is read through the address of a record."""
+        inside = members_at(address)
+        kept = [kept for kept in self._kept if kept.place.startswith(inside)]
+        return frozenset[str]().union(*(item.targets() for item in kept))
+
+    def _place(self, value: Any) -> tuple[str, frozenset[Origin]] | None:
+        """Address of a record, and the members through which it is reached; None of others."""
+        return next(((text, outer) for own, text, outer in self._records if own is value), None)
+
+    def write(
+        self, name: str, function: Callable[..., Any], arguments: Sequence[Any], text: str = ""
+    ) -> None:
+        """Write a function.
+
+        Args:
+            name: In C, behind the prefix.
+            function: Of an arithmetic and the arguments.
+            arguments: As of `parameter`.
+            text: What is said of it, empty for its own sentence.
+        """
+        names = list(inspect.signature(function).parameters)[1:]
+        inner = StepReader(self.prefix, self.functions, Block("    ", set(names)))
+        inside = [inner.parameter(n, item) for n, item in zip(names, arguments, strict=True)]
+        result = function(inner, *(value for _, value in inside))
+        inner.write_state()
+        kind, end = inner.returned(result)
+        changes = [
+            frozenset(place[len(n) + 2 :] for place in inner._changed if place.startswith(f"{n}->"))
+            for n in names
+        ]
+        parameters = ", ".join(
+            text.removeprefix("const ") if changed else text
+            for (text, _), changed in zip(inside, changes, strict=True)
+        )
+        body = inner.block.lines
+        used = set(re.findall(r"\w+", " ".join([*body, *end])))
+        inner.block.first([f"    (void){n};" for n in names if n not in used])
+        lines = [
+            *comment(text or sentence(function)),
+            *folded(f"static inline {kind} {self.prefix}_{name}(", parameters, ")", ""),
+            "{",
+            *body,
+            *([""] if body and end and inner.block.declared is None else []),
+            *end,
+            "}",
+        ]
+        self.functions.texts[name] = "\n".join(lines)
+        none = type(None) if result is None else None
+        self.functions.results[name] = type(result) if isinstance(result, tuple) else none
+        self.functions.changes[name] = changes
+
+    def returned(self, result: Any) -> tuple[str, list[str]]:
+        """Type of what a function returns, and the statements that return it."""
+        end = Block(self.block.indent, set())
+        if result is None:
+            return "void", []
+        parts = tuple(map(expression, result if isinstance(result, tuple) else (result,)))
+        self.take(parts)
+        if not isinstance(result, tuple):
+            end.add("return ", parts[0].bare())
+            return parts[0].kind, end.lines
+        own = c_name(type(result))
+        kind, whole = f"{self.prefix}_{own}_t", _whole(result)
+        if type(result) not in SHARED:
+            self.functions.vectors[own] = type(result)
+        if whole:
+            end.add("return ", whole)
+        else:
+            self.block.lines.insert(0, f"{self.block.indent}{kind} result;")
+            for n, part in zip(kind_fields(result), parts, strict=True):
+                end.add(f"result.{n} = ", part.bare())
+            end.lines.append(f"{self.block.indent}return result;")
+        return kind, end.lines
+
+    def parameter(self, name: str, like: Any) -> tuple[str, Any]:
+        """Declaration of a parameter, and its value inside of the function.
+
+        Args:
+            name: Of the parameter.
+            like: An argument: a record, a vector, an array or a number.
+        """
+        if is_dataclass(like):
+            kind = f"{self.prefix}_{c_name(type(like))}_t"
+            return f"const {kind} *{name}", self._record(like, name, f"{name}->", frozenset())
+        if not isinstance(like, tuple):
+            return f"float {name}", Expression(name)
+        if hasattr(like, "_fields"):
+            kind = f"{self.prefix}_{c_name(type(like))}_t"
+            return f"{kind} {name}", vector(type(like), name)
+        inside = tuple(Expression(f"{name}[{n}]", whole=name) for n in range(len(like)))
+        return f"const float {name}[{len(like)}]", inside
+
+    def _record(self, like: Any, address: str, place: str, outer: frozenset[Origin]) -> Any:
+        values, kept = dict[str, Any](), list[tuple[str, str, str]]()
+        for member in fields(like):
+            value = getattr(like, member.name)
+            name = f"{place}{member_name(type(like), member.name)}"
+            own = outer | {(c_name(type(like)), member.name)}
+            kind = kind_of(type(like), member.name)
+            if is_dataclass(value):
+                values[member.name] = self._record(value, f"&{name}", f"{name}.", own)
+            elif hasattr(value, "_fields"):
+                values[member.name] = vector(type(value), name, state=True)
+            elif isinstance(value, tuple):
+                values[member.name] = tuple(
+                    Expression(f"{name}[{n}]", members=own, whole=name) for n in range(len(value))
+                )
+            elif value is not None:
+                reads = frozenset({name})
+                values[member.name] = Expression(name, members=own, reads=reads, kind=kind)
+            if not is_dataclass(value) and value is not None:
+                kept.append((member.name, name, kind))
+        found = replace(like, **values)
+        self._records.append((found, address, outer))
+        if not like.__dataclass_params__.frozen:
+            self._kept += [
+                _Kept(found, member, name, values[member], kind) for member, name, kind in kept
+            ]
+        return found
+
+    def either(self, condition: Any, then: Callable[[], _T], otherwise: Callable[[], _T]) -> _T:
+        """An if at the end of the step, with its else."""
+        outer, found = self.block, []
+        text = condition.text()
+        for branch in (then, otherwise):
+            self.block = Block(outer.indent + "    ", set(outer.names))
+            found.append((self.block, branch()))
+        self.block, self.branches = outer, (text, found)
+        return found[0][1]
+
+
+def vector(kind: type[Any], name: str, *, state: bool = False, mark: str = "") -> Any:
+    """A vector by its name in C; ``state`` of a member of the state, ``mark`` tells when it is
+    read.
+    """
+    texts = [f"{name}.{n}" for n in kind._fields]
+    reads = [frozenset({text + mark} if state else ()) for text in texts]
+    return kind(
+        *(Expression(text, reads=own, whole=name) for text, own in zip(texts, reads, strict=True))
+    )
+
+
+def vector_of(kind: type[Any], parts: Sequence[Expression]) -> Any:
+    """A vector of numbers."""
+    return kind(*parts)
+
+
+def members_at(address: str) -> str:
+    """What the members of a record begin with."""
+    return f"{address[1:]}." if address.startswith("&") else f"{address}->"
+
+
+@dataclass(frozen=True, slots=True)
+class Assignment:
+    """A statement ``place = text``, what it reads, and whose reading it ends."""
+
+    place: str
+    text: str
+    reads: frozenset[str]
+    targets: set[str]
+
+
+def assignments(
+    place: str, value: Any, parts: Sequence[Expression], before: Any
+) -> list[Assignment]:
+    """Statements that give a number or vector of the state its value, without what it has.
+
+    Args:
+        place: In C.
+        value, before: What it is to be, and what it is.
+        parts: The numbers of the value.
+    """
+    old = tuple(before) if isinstance(before, tuple) else (before,)
+    whole = _whole(value) if isinstance(value, tuple) else ""
+    if whole:
+        reads = frozenset[str]().union(*(part.reads for part in parts))
+        targets = {name for part in old for name in part.reads}
+        return [] if whole == place else [Assignment(place, whole, reads, targets)]
+    places = [f"{place}.{axis}" for axis in kind_fields(value)] if len(old) > 1 else [place]
+    return [
+        Assignment(own, part.bare(), part.reads, set(last.reads))
+        for own, part, last in zip(places, parts, old, strict=True)
+        if part.text != own
+    ]
+
+
+def ordered(open_: list[Assignment], block: Block) -> None:
+    """Write assignments to what changes, none before another one that reads the old value."""
+    while open_:
+        free = [
+            item
+            for item in open_
+            if not any(item.targets & other.reads for other in open_ if other is not item)
+        ]
+        if not free:
+            raise ValueError(f"{open_[0].place} is needed after it changed: name it by `let`")
+        block.add(f"{free[0].place} = ", free[0].text)
+        open_.remove(free[0])
+
+
+def _whole(value: Any) -> str:
+    """The vector or array whose parts these are, in their order; else nothing."""
+    places = {part.whole for part in value if isinstance(part, Expression)}
+    if len(places) != 1:
+        return ""
+    (place,) = places
+    names = (
+        [f"{place}.{n}" for n in kind_fields(value)]
+        if hasattr(value, "_fields")
+        else [f"{place}[{n}]" for n in range(len(value))]
+    )
+    return place if [getattr(part, "text", "") for part in value] == names else ""
+
+
+def _handed_on(value: Any) -> str:
+    text = _whole(value)
+    if not text:
+        raise ValueError("a vector is handed on by its name: name it by `let`")
+    return text
