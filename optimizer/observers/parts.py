@@ -28,10 +28,13 @@ from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic, Member, P
 
 @dataclass(frozen=True, slots=True)
 class StateMembers:
-    """Vectors and scalars of an `ObserverState` by their names in the firmware, in their order."""
+    """Vectors and scalars of an `ObserverState` by their names in the firmware, in their order,
+    and what its angle is.
+    """
 
     vectors: tuple[tuple[str, Member], ...]
     scalars: tuple[tuple[str, Member], ...] = ()
+    angle: Member = Member("estimated electrical angle", "rad, -pi to pi")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -420,6 +423,35 @@ class ObserverMethod:
         | None
     ) = None
     members: StateMembers | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FirmwareStep:
+    """An observer of any kind as far as the firmware runs it.
+
+    Args:
+        code: Part of the names in C.
+        gains: Type of the gains.
+        start: (angle in rad, speed in rad/s) -> first state, shapes (N,).
+        step: (gains, state, voltage, current, arithmetic, further numbers) -> next state.
+        members: Vectors and scalars of the state.
+        started, stepped: What is said of both functions.
+        further: Names of the numbers that the step is told besides.
+    """
+
+    code: str
+    gains: type[Any]
+    start: Callable[[Reals, Reals], ObserverState]
+    step: Callable[..., ObserverState]
+    members: StateMembers
+    started: str = (
+        "Start from an angle in rad and a speed in rad/s (electrical) at the instant of the first "
+        "step."
+    )
+    stepped: str = (
+        "One sample: v in V acted over the period that ends at the sampling instant of i in A."
+    )
+    further: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

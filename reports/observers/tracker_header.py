@@ -62,6 +62,7 @@ from dqforge.reports.pages.html_text import (
 )
 from dqforge.reports.pages.labels import NEGLIGIBLE
 from dqforge.reports.pages.templating import LOOPS, render
+from dqforge.reports.steps.tracker_text import tracker_text
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -114,15 +115,17 @@ def _preamble(design: Design, found: TunedTracker) -> list[str]:
 
 def tracker_files(design: Design, found: TunedTracker, file: str = "observer") -> dict[str, bytes]:
     """Name and bytes of the header ``<prefix>_<file>.h`` of a tracker."""
-    prefix = design.export.prefix
+    prefix, tracker = design.export.prefix, found.tracker
     context: PlainData = {
         **title(design),
         "preamble": _preamble(design, found),
         "file": file,
         "kind": "position",
-        "code": found.tracker.code,
+        "code": tracker.code,
         "gains": asdict(found.gains),
     }
+    if tracker.members is not None:
+        context["body"] = tracker_text(tracker, found.gains, prefix, prefix.upper())
     return {f"{prefix}_{file}.h": render("observers/observer.h.j2", context).encode("ascii")}
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, get_type
 import numpy as np
 
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.observers.parts import ObserverState
+from dqforge.optimizer.observers.parts import FirmwareStep, ObserverState
 from dqforge.optimizer.steps.step_arithmetic import (
     AlphaBeta,
     Arithmetic,
@@ -29,10 +29,12 @@ if TYPE_CHECKING:
     from dqforge.optimizer.observers.parts import ObserverMethod, StateMembers
 
 
-_ANGLE = ("float theta_e", "estimated electrical angle, rad, -pi to pi")
-
-
 _SPEED = ("float omega_e", "estimated electrical speed, rad/s")
+
+
+def _emitted(method: ObserverMethod) -> FirmwareStep:
+    assert method.members is not None
+    return FirmwareStep(method.code, method.gains, method.start, method.step, method.members)
 
 
 def observer_text(method: ObserverMethod, gains: Any, prefix: str, macro: str) -> str:
@@ -43,7 +45,11 @@ def observer_text(method: ObserverMethod, gains: Any, prefix: str, macro: str) -
         gains: Its gains.
         prefix, macro: Before the names of functions and types, and before that of the gains.
     """
-    assert method.members is not None
+    return step_text(_emitted(method), gains, prefix, macro)
+
+
+def step_text(method: FirmwareStep, gains: Any, prefix: str, macro: str) -> str:
+    """As `observer_text`, of an observer of any kind."""
     code, functions = method.code, Functions()
     if c_name(method.gains) != f"{code}_gains":
         raise ValueError(f"{method.gains.__name__} is not named like {code}")
@@ -52,10 +58,10 @@ def observer_text(method: ObserverMethod, gains: Any, prefix: str, macro: str) -
     parts = [
         *(vector_struct(kind, prefix) for kind in functions.vectors.values()),
         *record_structs(gains, prefix, functions.members),
-        struct(state, _state_members(method.members, prefix)),
+        struct(state, _state_members(method, prefix)),
         _start(method, prefix, state),
         *([text] for text in functions.texts.values()),
-        _step(f"{prefix}_{code}_step(", own, state, prefix, first, then),
+        _step(method, prefix, first, then),
         [
             f"static const {own} {macro}_{code.upper()}_GAINS = {{",
             *record_values(gains, functions.members),
@@ -69,34 +75,43 @@ def gains_bytes(method: ObserverMethod, gains: Any) -> bytes:
     """Bytes of ``<prefix>_<code>_gains_t``, for runs that are given their own."""
     functions = Functions()
     for started in (False, True):
-        _path(method, gains, "", functions, started)
+        _path(_emitted(method), gains, "", functions, started)
     numbers = list(record_numbers(gains, functions.members))
     return pack(f"={len(numbers)}f", *numbers)
 
 
-def _state_members(members: StateMembers, prefix: str) -> list[tuple[str, str]]:
+def _first(method: FirmwareStep) -> ObserverState:
+    return method.start(np.ones(1), np.ones(1))
+
+
+def _kinds(method: FirmwareStep) -> list[type[Any]]:
+    """Types of the vectors of the state."""
     return [
-        *((f"{prefix}_alphabeta_t {n}", own.text) for n, own in members.vectors),
+        type(pair) if hasattr(pair, "_fields") else AlphaBeta for pair in _first(method).vectors
+    ]
+
+
+def _state_members(method: FirmwareStep, prefix: str) -> list[tuple[str, str]]:
+    members = method.members
+    vectors = zip(members.vectors, _kinds(method), strict=True)
+    return [
+        *((f"{prefix}_{c_name(kind)}_t {n}", own.text) for (n, own), kind in vectors),
         *((f"float {n}", own.text) for n, own in members.scalars),
         ("int started", "0 before the first step"),
-        _ANGLE,
+        ("float theta_e", members.angle.text),
         _SPEED,
     ]
 
 
-def _start(method: ObserverMethod, prefix: str, state: str) -> list[str]:
+def _start(method: FirmwareStep, prefix: str, state: str) -> list[str]:
     """The first state, whose vectors and scalars depend on nothing."""
-    assert method.members is not None
-    first = method.start(np.ones(1), np.ones(1))
-    targets = [f"{n}.{axis}" for n, _ in method.members.vectors for axis in AlphaBeta._fields]
+    first, vectors = _first(method), zip(method.members.vectors, _kinds(method), strict=True)
+    targets = [f"{n}.{axis}" for (n, _), kind in vectors for axis in kind._fields]
     targets += [n for n, _ in method.members.scalars]
     values = [part for pair in first.vectors for part in pair] + list(first.scalars)
     head = f"static inline void {prefix}_{method.code}_start("
     return [
-        *comment(
-            "Start from an angle in rad and a speed in rad/s (electrical) at the instant of the "
-            "first step."
-        ),
+        *comment(method.started),
         *folded(head, f"{state} *observer, float theta_e, float omega_e", ")", ""),
         "{",
         *(
@@ -119,20 +134,22 @@ class _Path:
 
 
 def _path(
-    method: ObserverMethod, gains: Any, prefix: str, functions: Functions, started: bool
+    method: FirmwareStep, gains: Any, prefix: str, functions: Functions, started: bool
 ) -> _Path:
-    assert method.members is not None
-    block = Block("        ", {"gains", "observer", "v", "i"})
+    block = Block("        ", {"gains", "observer", "v", "i", *method.further})
     reader = StepReader(prefix, functions, block)
     _, own = reader.parameter("gains", gains)
+    vectors = zip(method.members.vectors, _kinds(method), strict=True)
     state = ObserverState(
-        tuple(vector(AlphaBeta, f"observer->{n}", state=True) for n, _ in method.members.vectors),
+        tuple(vector(kind, f"observer->{n}", state=True) for (n, _), kind in vectors),
         _member("theta_e"),
         _member("omega_e"),
         started,
         tuple(_member(n) for n, _ in method.members.scalars),
     )
-    result = method.step(own, state, vector(AlphaBeta, "v"), vector(AlphaBeta, "i"), reader)
+    further = map(Expression, method.further)
+    seen = vector(AlphaBeta, "v"), vector(AlphaBeta, "i")
+    result = method.step(own, state, *seen, reader, *further)
     if reader.branches is None:
         return _Path(block.lines, _written(method.members, result, reader, block.indent))
     condition, branches = reader.branches
@@ -156,21 +173,21 @@ def _written(
     names = [*(n for n, _ in members.scalars), "theta_e", "omega_e"]
     for (n, _), pair in zip(members.vectors, after.vectors, strict=True):
         parts, place = [expression(part) for part in pair], f"observer->{n}"
+        axes = kind_fields(pair) if hasattr(pair, "_fields") else AlphaBeta._fields
         whole = {part.whole for part in parts}
         reader.take(parts)
         if (
             whole != {""}
             and len(whole) == 1
-            and [p.text for p in parts]
-            == [f"{parts[0].whole}.{axis}" for axis in AlphaBeta._fields]
+            and [p.text for p in parts] == [f"{parts[0].whole}.{axis}" for axis in axes]
         ):
             reads = parts[0].reads | parts[1].reads
-            targets = {f"{place}.{axis}" for axis in AlphaBeta._fields}
+            targets = {f"{place}.{axis}" for axis in axes}
             open_.append((place, parts[0].whole, reads, targets))
         else:
             open_ += [
                 (f"{place}.{axis}", part.bare(), part.reads, {f"{place}.{axis}"})
-                for axis, part in zip(AlphaBeta._fields, parts, strict=True)
+                for axis, part in zip(axes, parts, strict=True)
             ]
     for n, value in zip(names, (*after.scalars, after.theta_e, after.omega_e), strict=True):
         part, place = expression(value), f"observer->{n}"
@@ -191,7 +208,7 @@ def _written(
     return block.lines
 
 
-def _step(head: str, gains: str, state: str, prefix: str, first: _Path, then: _Path) -> list[str]:
+def _step(method: FirmwareStep, prefix: str, first: _Path, then: _Path) -> list[str]:
     """The step of both paths: what they share stands before and behind the branch."""
     before = _shared(first.declared, then.declared)
     inside = _declared([*first.declared[before:], *then.declared[before:]])
@@ -206,16 +223,14 @@ def _step(head: str, gains: str, state: str, prefix: str, first: _Path, then: _P
         written = [part for part in _statements(path.written) if part not in after]
         branches.append([*own, *_gap(own), *(line for part in written for line in part)])
     both = [line[4:] for line in first.declared[:before]]
-    vector_kind = f"{prefix}_alphabeta_t"
-    arguments = f"const {gains} *gains, {state} *observer, {vector_kind} v, {vector_kind} i"
-    return [
-        *comment(
-            "One sample: v in V acted over the period that ends at the sampling instant of i in A."
-        ),
-        *folded(f"static inline void {head}", arguments, ")", ""),
-        "{",
-        *both,
-        *_gap(both),
+    name = f"{prefix}_{method.code}"
+    arguments = [
+        f"const {name}_gains_t *gains",
+        f"{name}_t *observer",
+        *(f"{prefix}_alphabeta_t {n}" for n in ("v", "i")),
+        *(f"float {n}" for n in method.further),
+    ]
+    body = [
         "    if (observer->started == 0) {",
         *branches[0],
         "        observer->started = 1;",
@@ -223,6 +238,16 @@ def _step(head: str, gains: str, state: str, prefix: str, first: _Path, then: _P
         *branches[1],
         "    }",
         *(line[4:] for statement in after for line in statement),
+    ]
+    names = set(re.findall(r"\w+", " ".join([*both, *body])))
+    return [
+        *comment(method.stepped),
+        *folded(f"static inline void {name}_step(", ", ".join(arguments), ")", ""),
+        "{",
+        *both,
+        *_gap(both),
+        *(f"    (void){n};" for n in ("v", "i", *method.further) if n not in names),
+        *body,
         "}",
     ]
 
@@ -477,7 +502,7 @@ class StepReader(Arithmetic):
         parameters = ", ".join(text for text, _ in inside)
         head = folded(f"static inline {kind} {self.prefix}_{name}(", parameters, ")", "")
         lines = [
-            *comment(_sentence(function)),
+            *comment(sentence(function)),
             *head,
             "{",
             *body,
@@ -575,7 +600,7 @@ def _said(kind: type[Any], name: str) -> str:
     return said[0].text if said else ""
 
 
-def _sentence(item: Any) -> str:
+def sentence(item: Any) -> str:
     """The first paragraph of what is said of a function or record."""
     return (inspect.getdoc(item) or "").split("\n\n")[0].replace("`", "").replace("\n", " ")
 
@@ -596,7 +621,7 @@ def struct(name: str, members: Sequence[tuple[str, str]]) -> list[str]:
 def vector_struct(kind: type[Any], prefix: str) -> list[str]:
     """The type of a vector that no header declares."""
     members = [(f"float {n}", _said(kind, n)) for n in kind._fields]
-    return [*comment(_sentence(kind)), *struct(f"{prefix}_{c_name(kind)}_t", members)]
+    return [*comment(sentence(kind)), *struct(f"{prefix}_{c_name(kind)}_t", members)]
 
 
 def record_structs(like: Any, prefix: str, members: set[Origin]) -> Iterator[list[str]]:
@@ -609,7 +634,7 @@ def record_structs(like: Any, prefix: str, members: set[Origin]) -> Iterator[lis
         else:
             size = f"[{len(value)}]" if isinstance(value, tuple) else ""
             lines.append((f"float {name}{size}", _said(type(like), name)))
-    yield [*comment(_sentence(type(like))), *struct(f"{prefix}_{own}_t", lines)]
+    yield [*comment(sentence(type(like))), *struct(f"{prefix}_{own}_t", lines)]
 
 
 def record_values(like: Any, members: set[Origin]) -> list[str]:
