@@ -399,8 +399,8 @@ class ObserverMethod:
         train: (gains of ``design``, machine, settings, box, largest electrical speed in rad/s) ->
             gains with what was learned in them, and what that gains. None for a method that learns
             nothing.
-        members: What the firmware calls vectors and scalars of the state: the C of the method is
-            written from ``step``. None of a method that has a template ``observers/<code>.j2``.
+        members: What the firmware calls vectors and scalars of the state; its C is written from
+            ``step``.
     """
 
     name: str
@@ -413,6 +413,7 @@ class ObserverMethod:
     searched: tuple[str, ...]
     gains: type[Any]
     scale: Callable[[Any], tuple[float, float]]
+    members: StateMembers
     in_words: Callable[[ObserverTuning, Any, float], str] = loop_in_words
     settle: int = 0
     rest: Callable[[Any, FloatArray, ComplexArray, ComplexArray], FloatArray] | None = None
@@ -422,7 +423,6 @@ class ObserverMethod:
         Callable[[Any, LinearMachine, ObserverSettings, TrainingBox, float], tuple[Any, Training]]
         | None
     ) = None
-    members: StateMembers | None = None
 
 
 @dataclass(frozen=True, slots=True)

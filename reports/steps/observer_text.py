@@ -23,6 +23,7 @@ from dqforge.optimizer.steps.step_arithmetic import (
     Rotation,
 )
 from dqforge.reports.c_code.numbers import comment_text, float_literal
+from dqforge.reports.steps.counted_loops import Index, filled, item, reached, summed
 from dqforge.reports.steps.symbols import Expression, Origin, expression, folded, joined
 
 if TYPE_CHECKING:
@@ -33,7 +34,6 @@ _SPEED = ("float omega_e", "estimated electrical speed, rad/s")
 
 
 def _emitted(method: ObserverMethod) -> FirmwareStep:
-    assert method.members is not None
     return FirmwareStep(method.code, method.gains, method.start, method.step, method.members)
 
 
@@ -41,7 +41,7 @@ def observer_text(method: ObserverMethod, gains: Any, prefix: str, macro: str) -
     """What stands in a header behind the types that control and observers share.
 
     Args:
-        method: With ``members``.
+        method: The observer.
         gains: Its gains.
         prefix, macro: Before the names of functions and types, and before that of the gains.
     """
@@ -151,7 +151,7 @@ def _path(
     seen = vector(AlphaBeta, "v"), vector(AlphaBeta, "i")
     result = method.step(own, state, *seen, reader, *further)
     if reader.branches is None:
-        return _Path(block.lines, _written(method.members, result, reader, block.indent))
+        return _Path(block.text(), _written(method.members, result, reader, block.indent))
     condition, branches = reader.branches
     lines = [*folded("if (", condition, ") {", block.indent)]
     for n, (inner, after) in enumerate(branches):
@@ -312,11 +312,50 @@ def comment(text: str) -> list[str]:
 
 @dataclass(slots=True)
 class Block:
-    """Statements of a function in the order of their text; ``names`` are taken in it."""
+    """Statements of a function in the order of their text; ``names`` are taken in it, ``top`` are
+    variables that are declared before all; ``begun`` is it with the first loop, ``inside`` are
+    names of the blocks in it.
+    """
 
     indent: str
     names: set[str]
     lines: list[str] = field(default_factory=list)
+    top: list[str] = field(default_factory=list)
+    begun: bool = False
+    inside: set[str] = field(default_factory=set)
+
+    def inner(self) -> Block:
+        """A block in it."""
+        return Block(self.indent + "    ", set(self.names))
+
+    def hoist(self, kind: str, name: str, size: str = "", *, again: bool = False) -> None:
+        """A variable without a value yet; ``again`` where one of that name serves once more."""
+        line = f"{self.indent}{kind} {name}{size};"
+        if again and line in self.top:
+            return
+        self.taken(name)
+        self.top.append(line)
+
+    def taken(self, name: str) -> None:
+        """Take a name.
+
+        Raises:
+            ValueError: It is taken.
+        """
+        if name in self.names | self.inside:
+            raise ValueError(f"there is a {name} already")
+        self.names.add(name)
+
+    def run(self, lines: Sequence[str]) -> None:
+        """A statement that declares nothing, behind an empty line if it is the first."""
+        if not self.begun and (self.top or self.lines):
+            self.lines.append("")
+        self.begun = True
+        self.lines += lines
+
+    def text(self) -> list[str]:
+        """All lines."""
+        return [*self.top, *self.lines]
 
     def add(self, begin: str, text: str, meaning: str = "") -> None:
         """A statement, with a comment behind or above it."""
@@ -393,6 +432,22 @@ class StepReader(Arithmetic):
         text = " : ".join(part.operand(signed=True) for part in parts)
         return joined(f"({condition.text()}) ? {text}", *condition.terms, *parts)
 
+    def at(self, table: Sequence[Any], place: Any) -> Any:
+        """A number of an array."""
+        return item(table, place)
+
+    def each(self, name: str, count: int, of: Callable[[Any], Any]) -> tuple[Any, ...]:
+        """An array that a counted loop fills."""
+        return filled(self, name, count, of)
+
+    def summed(self, name: str, first: Any, count: int, of: Callable[[Any], Any]) -> Any:
+        """A variable to which a counted loop adds."""
+        return summed(self, name, first, count, of)
+
+    def reached(self, name: str, conditions: Sequence[Any], meaning: str = "") -> Any:
+        """A constant of the block, a whole number."""
+        return self._named(name, reached(conditions), meaning)
+
     def remark(self, text: str) -> None:
         """A comment on a line of its own."""
         self.block.lines.append(f"{self.block.indent}/* {comment_text(text)} */")
@@ -414,23 +469,42 @@ class StepReader(Arithmetic):
         if isinstance(value, tuple):
             parts = tuple(map(expression, value))
             if not hasattr(value, "_fields"):
-                self._declare("float *const", name, _handed_on(value), meaning, parts)
+                text = _whole(value)
+                if text:
+                    self._declare("float *const", name, text, meaning, parts)
+                else:
+                    self._list(name, parts, meaning)
                 return tuple(Expression(f"{name}[{n}]", whole=name) for n in range(len(value)))
             text = _whole(value) or f"{{ {', '.join(part.bare() for part in parts)} }}"
             self._declare(f"{self.prefix}_{c_name(type(value))}_t", name, text, meaning, parts)
             return vector(type(value), name)
         number = expression(value)
-        self._declare("float", name, number.bare(), meaning, (number,))
-        return Expression(name)
+        whole = isinstance(number, Index)
+        kind = "unsigned int" if whole else "float"
+        self._declare(kind, name, number.bare(), meaning, (number,))
+        return Index(name) if whole else Expression(name)
 
     def _declare(
         self, kind: str, name: str, text: str, meaning: str, parts: Sequence[Expression]
     ) -> None:
-        if name in self.block.names:
-            raise ValueError(f"there is a {name} already")
-        self.block.names.add(name)
+        self.block.taken(name)
         self.take(parts)
         self.block.add(f"const {kind} {name} = ", text, meaning)
+
+    def _list(self, name: str, parts: Sequence[Expression], meaning: str) -> None:
+        """An array, a line for each of its numbers."""
+        self.block.taken(name)
+        self.take(parts)
+        indent, last = self.block.indent, len(parts) - 1
+        said = f" /* {comment_text(meaning)} */" if meaning else ""
+        self.block.lines += [
+            f"{indent}const float {name}[{len(parts)}] = {{{said}",
+            *(
+                f"{indent}    {part.bare()}{'' if n == last else ','}"
+                for n, part in enumerate(parts)
+            ),
+            f"{indent}}};",
+        ]
 
     def take(self, parts: Sequence[Expression]) -> None:
         """Count the members of records in them as needed."""
@@ -481,7 +555,7 @@ class StepReader(Arithmetic):
         inner = StepReader(self.prefix, self.functions, Block("    ", set(names)))
         inside = [inner.parameter(n, item) for n, item in zip(names, arguments, strict=True)]
         result = function(inner, *(value for _, value in inside))
-        body, end = inner.block.lines, Block("    ", set())
+        body, end = inner.block.text(), Block("    ", set())
         if isinstance(result, tuple):
             own = c_name(type(result))
             kind, whole = f"{self.prefix}_{own}_t", _whole(result)
@@ -506,7 +580,7 @@ class StepReader(Arithmetic):
             *head,
             "{",
             *body,
-            *([""] if body else []),
+            *([""] if body and not inner.block.begun else []),
             *end.lines,
             "}",
         ]
@@ -523,6 +597,8 @@ class StepReader(Arithmetic):
         if is_dataclass(like):
             kind = f"{self.prefix}_{c_name(type(like))}_t"
             return f"const {kind} *{name}", self._record(like, name, f"{name}->", frozenset())
+        if isinstance(like, Index):
+            return f"unsigned int {name}", Index(name)
         if not isinstance(like, tuple):
             return f"float {name}", Expression(name)
         if hasattr(like, "_fields"):
