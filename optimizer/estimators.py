@@ -18,7 +18,7 @@ from dqforge.machines.names import TRACKER_NAMES, LoadedByName
 from dqforge.machines.plants.drive_motion import ComplexArray
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.observers.parts import ObserverState
+from dqforge.optimizer.observers.parts import ObserverState, StateMembers
 from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair
 
 # What a tracker may be told besides: the mean over the period that ends of v_a + v_b + v_c against
@@ -70,6 +70,8 @@ class Tracker:
         at_speed: Whether it must be started while the rotor turns, as it cannot follow from rest.
         loop: gains -> its phase-locked loop, with which a speed loop is judged; None where it has
             none.
+        members: What the firmware calls vectors and scalars of the state: the C of the tracker is
+            written from ``step``. None of one that has a template ``observers/<code>.j2``.
     """
 
     name: str
@@ -85,6 +87,7 @@ class Tracker:
     injects: bool = False
     at_speed: bool = False
     loop: Callable[[Any], TrackerLoop] | None = None
+    members: StateMembers | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

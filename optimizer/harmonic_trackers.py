@@ -35,7 +35,7 @@ References:
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
@@ -51,9 +51,9 @@ from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.estimators import Tracker, TrackerLoop
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT
 from dqforge.optimizer.observers.models.matsui_model import ObserverRun
-from dqforge.optimizer.observers.parts import ObserverState
+from dqforge.optimizer.observers.parts import ObserverState, StateMembers
 from dqforge.optimizer.observers.sampled_machine import wrapped
-from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair, limited
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Member, Pair, limited
 
 # Third harmonic over the fundamental, each as flux linkage, below which converters and unequal
 # phases hide it.
@@ -301,33 +301,31 @@ def third_error(theta: FloatArray, true: FloatArray) -> FloatArray:
     return np.asarray(wrapped(3.0 * (theta - true)) / 3.0)
 
 
-# The third-harmonic tracker as the firmware runs it: written once, in the order of operations of
-# the C, `observer_third_harmonic.j2`.
+# The third-harmonic tracker as the firmware runs it.
 
 
 @dataclass(frozen=True, slots=True)
 class ThirdHarmonicGains:
-    """`dqforge.optimizer.harmonic_trackers.ThirdHarmonic`; ``detector`` = -2/(3
-    amplitude) in rad/(V s).
-    """
+    """The integral of the sum voltage, what takes its drift away, and a loop on it."""
 
-    t_s: float
-    amplitude: float
-    phase: float
-    k: float
-    k_b: float
-    k_p: float
-    k_i: float
-    detector: float
-    omega_max: float
+    t_s: Annotated[float, Member("sampling period", "s")]
+    amplitude: Annotated[float, Member("of the integral of the sum voltage", "V s")]
+    phase: Annotated[float, Member("its phase", "rad")]
+    k: Annotated[float, Member("share of the flux error per period")]
+    k_b: Annotated[float, Member("offset per flux error and period", "1/s")]
+    k_p: Annotated[float, Member("share of the angle error per period")]
+    k_i: Annotated[float, Member("speed per angle error and period", "1/s")]
+    detector: Annotated[float, Member("angle error per flux error: -2/(3 amplitude)", "rad/(V s)")]
+    omega_max: Annotated[float, Member("limit of the speed", "rad/s")]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ThirdHarmonicState(ObserverState):
-    """Besides angle and speed: the integral of the sum voltage in V s and its offset in V."""
-
-    flux: Reals | None = None
-    offset: Reals | None = None
+MEMBERS = StateMembers(
+    (),
+    (
+        ("flux", Member("integral of the sum voltage", "V s")),
+        ("offset", Member("of the sum voltage", "V")),
+    ),
+)
 
 
 def third_harmonic_gains(tracker: ThirdHarmonic) -> ThirdHarmonicGains:
@@ -345,42 +343,47 @@ def third_harmonic_gains(tracker: ThirdHarmonic) -> ThirdHarmonicGains:
     )
 
 
-def third_harmonic_start(theta_e: Reals, omega_e: Reals) -> ThirdHarmonicState:
-    """State before the first step: angle in rad (wrapped), speed in rad/s."""
+def third_harmonic_start(
+    gains: ThirdHarmonicGains, theta_e: Reals, omega_e: Reals
+) -> ObserverState:
+    """Start from an angle in rad, good to 60 degrees, and a speed in rad/s (electrical), whose sign
+    decides.
+    """
+    del gains
     zero = np.zeros_like(theta_e)
-    return ThirdHarmonicState((), theta_e, omega_e, started=False, flux=zero, offset=zero)
+    return ObserverState((), theta_e, omega_e, started=False, scalars=(zero, zero))
 
 
 def third_harmonic_step(
     gains: ThirdHarmonicGains,
-    state: ThirdHarmonicState,
+    state: ObserverState,
     v: Pair,
     i: Pair,
+    heard: tuple[Reals, ...],
     maths: Arithmetic,
-    u: Reals,
-) -> ThirdHarmonicState:
-    """Next state; ``u`` in V is the mean sum voltage of the period that ends now,
-    ``v`` and ``i`` are not used.
+) -> ObserverState:
+    """One sample: u in V, mean of v_a + v_b + v_c against the star point over the period that ends
+    now; v and i are not needed.
     """
     del v, i
+    o, (flux, offset), (u,) = maths, state.scalars, heard
     if not state.started:
-        first = maths.rotation(maths.wrap(3.0 * state.theta_e - gains.phase))[0]
-        return replace(state, flux=gains.amplitude * first, started=True)
-    assert state.flux is not None
-    assert state.offset is not None
-    ahead = maths.wrap(state.theta_e + gains.t_s * state.omega_e)
-    cosine, sine = maths.rotation(maths.wrap(3.0 * ahead - gains.phase))
-    model = gains.amplitude * cosine
-    flux = state.flux + gains.t_s * (u - state.offset)
-    flux = np.where(np.abs(u) < 1e6, flux, model)  # no number: as foretold
-    rest = flux - model
-    error = (gains.detector * rest) * sine
-    return ThirdHarmonicState(
+        first = o.rotation(o.wrap(3.0 * state.theta_e - gains.phase))[0]
+        scalars = (gains.amplitude * first, offset)
+        return ObserverState((), state.theta_e, state.omega_e, scalars=scalars)
+    theta = o.let("theta", o.wrap(state.theta_e + gains.t_s * state.omega_e), "foretold angle, rad")
+    turn = o.let("turn", o.rotation(o.wrap(3.0 * theta - gains.phase)))
+    model = o.let("model", gains.amplitude * turn[0])
+    moved = o.choose(o.magnitude(u) < 1e6, flux + gains.t_s * (u - offset), model)
+    moved = o.let("flux", moved, "V s; as foretold where u is no number")
+    rest = o.let("rest", moved - model)
+    error = o.let("error", (gains.detector * rest) * turn[1], "rad")
+    omega = o.let("omega", state.omega_e + gains.k_i * error)
+    return ObserverState(
         (),
-        maths.wrap(ahead + gains.k_p * error),
-        limited(maths, state.omega_e + gains.k_i * error, gains.omega_max),
-        flux=flux - gains.k * rest,
-        offset=state.offset + gains.k_b * rest,
+        o.wrap(theta + gains.k_p * error),
+        limited(o, omega, gains.omega_max),
+        scalars=(moved - gains.k * rest, offset + gains.k_b * rest),
     )
 
 
@@ -502,22 +505,6 @@ def _speeds(design: Design, gains: ThirdHarmonicGains) -> tuple[float, float]:
     return _as_designed(gains).least_speed, gains.omega_max
 
 
-def _start(gains: ThirdHarmonicGains, theta_e: Reals, omega_e: Reals) -> ThirdHarmonicState:
-    del gains
-    return third_harmonic_start(theta_e, omega_e)
-
-
-def _step(
-    gains: ThirdHarmonicGains,
-    state: ThirdHarmonicState,
-    v: Pair,
-    i: Pair,
-    heard: tuple[Reals, ...],
-    maths: Arithmetic,
-) -> ThirdHarmonicState:
-    return third_harmonic_step(gains, state, v, i, maths, heard[0])
-
-
 def _in_words(gains: ThirdHarmonicGains) -> str:
     loop = math.sqrt(gains.k_i / gains.t_s)
     drift = math.sqrt(gains.k_b / gains.t_s)
@@ -539,12 +526,13 @@ TRACKER = Tracker(
     code="third_harmonic",
     title="third harmonic of the back-EMF with phase-locked loop",
     design=design_third_harmonic,
-    start=_start,
-    step=_step,
+    start=third_harmonic_start,
+    step=third_harmonic_step,
     gains=ThirdHarmonicGains,
     speeds=_speeds,
     in_words=_in_words,
     hears=("sum-voltage",),
     at_speed=True,
     loop=_tracking,
+    members=MEMBERS,
 )

@@ -17,6 +17,7 @@ from dqforge.machines.design.settings import FitSettings, ObserverSettings, Weak
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.observers.methods.registry import METHODS
+from dqforge.optimizer.observers.reduced_order_step import ReducedOrderGains
 from dqforge.optimizer.observers.solve import solve_observer
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.optimizer.solution import Solution, solve
@@ -24,7 +25,6 @@ from dqforge.reports.control.header import control_files
 from dqforge.reports.main_header import header_files
 from dqforge.reports.observers.float32_model import (
     observer_inputs,
-    speed_observer_gains,
     speed_observer_inputs,
 )
 from dqforge.reports.observers.position_header import observer_files
@@ -177,7 +177,7 @@ def observers() -> Iterator[Step]:
     design = design_of()
     found = solution().gains.observer
     assert found is not None
-    gains = speed_observer_gains(design.machine, found)
+    gains = ReducedOrderGains.of(design.machine, found)
     files = speed_observer_files(design, found)
     rows = speed_observer_inputs(gains, COUNT, 5)
     yield _observer("reduced-order", "reduced_order", "drive_speed_observer.h", files, rows)

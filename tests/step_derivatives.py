@@ -17,7 +17,6 @@ def derivative(method: ObserverMethod, gains: Any) -> casadi.Function:
     """(state (n,), turn, omega, drift, v (2,), i (2,)) -> state after a sample, and its derivatives
     by the state, by i and by v; states as those of `SteadyObserver`.
     """
-    assert method.members is not None
     count = len(method.members.vectors)
     n = 2 * count + len(method.members.scalars) + 2
     state, v, i = (casadi.SX.sym(name, size) for name, size in (("x", n), ("v", 2), ("i", 2)))

@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import Reals, park
+from dqforge.machines.transforms import Reals
 from dqforge.optimizer.learned_correction.correction_frame import (
     TOLD,
     Inputs,
@@ -28,11 +28,42 @@ from dqforge.optimizer.learned_correction.correction_frame import (
     speed_inputs,
 )
 from dqforge.optimizer.observers.methods import flux
-from dqforge.optimizer.observers.parts import ObserverState, ObserverTuning, flux_in_words
-from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair
+from dqforge.optimizer.observers.parts import (
+    ObserverState,
+    ObserverTuning,
+    StateMembers,
+    flux_in_words,
+)
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Member, Pair
 
-# (gains, inputs of -1 to 1, arithmetic) -> correction in rad, within the limit.
-Learned = Callable[[Any, Inputs, Arithmetic], Reals]
+
+class LearnedCorrection(NamedTuple):
+    """What a sample says of the correction."""
+
+    angle: Annotated[Reals, Member("correction that it asks for", "rad")]
+    outside: Annotated[Reals, Member("0: it acts; 1: current or speed beyond; 2: the residual is")]
+
+
+# (arithmetic, gains, flux linkage, current, angle, speed) -> what the sample says.
+Corrects = Callable[[Arithmetic, Any, Pair, Pair, Reals, Reals], LearnedCorrection]
+
+# (arithmetic, gains, inputs of -1 to 1) -> correction in rad.
+Learned = Callable[[Arithmetic, Any, Inputs], Reals]
+
+MEMBERS = StateMembers(
+    (
+        ("psi", Member("stator flux linkage", "Wb")),
+        ("i", Member("last current", "A")),
+    ),
+    (
+        ("correction", Member("added to the angle of the flux observer", "rad")),
+        ("hits", Member("share of the last samples at which the correction acted")),
+        (
+            "outside",
+            Member("0: it acts; 1: current or speed beyond what was trained; 2: the residual is"),
+        ),
+    ),
+)
 
 
 def start(theta_e: Reals, omega_e: Reals) -> ObserverState:
@@ -43,58 +74,73 @@ def start(theta_e: Reals, omega_e: Reals) -> ObserverState:
     )
 
 
-def seen(gains: Any, state: ObserverState, maths: Arithmetic) -> Inputs:
-    """The six inputs after a step of the flux observer, of -1 to 1 where they were trained."""
+def inputs(o: Arithmetic, gains: Any, psi: Pair, i: Pair, theta: Reals, omega: Reals) -> Inputs:
+    """What the correction is told after a step of the flux observer, -1 to 1 where it was trained.
+
+    Backwards everything is seen in a mirror.
+    """
     own, frame = gains.flux, gains.frame
-    turn = maths.rotation(state.theta_e)
-    psi, i = (park(maths, vector, turn) for vector in state.vectors)
-    back = state.omega_e < 0.0
-    residual_q, i_q = psi[1] - own.l_q * i[1], i[1]
-    u, v = speed_inputs(frame, np.where(back, -state.omega_e, state.omega_e), maths)
+    turn = o.let("turn", o.rotation(theta))
+    flux, current = o.let("flux", o.park(psi, turn)), o.let("current", o.park(i, turn))
+    along = o.let("along", flux.d - (own.l_d * current.d + own.psi_pm), "residual on d, Wb")
+    across = o.let("across", flux.q - own.l_q * current.q, "residual on q, Wb")
+    size = o.let("size", o.choose(omega < 0.0, -omega, omega), "of the speed, rad/s")
+    u, v = speed_inputs(frame, size, o)
     raw = (
-        psi[0] - (own.l_d * i[0] + own.psi_pm),
+        along,
         v,
-        i[0],
-        np.where(back, -i_q, i_q),
+        current.d,
+        o.choose(omega < 0.0, -current.q, current.q),
         u,
-        np.where(back, -residual_q, residual_q),
+        o.choose(omega < 0.0, -across, across),
     )
-    return brought(frame, raw)
+    return o.let("x", brought(frame, raw))
 
 
-def limited(y: Reals, limit: Any) -> Reals:
+def limited(o: Arithmetic, y: Reals, limit: Any) -> Reals:
     """A correction within -limit to limit."""
-    y = np.where(y < limit, y, limit)
-    return np.where(y > -limit, y, -limit)
+    below = o.let("below", o.choose(y < limit, y, limit))
+    return o.choose(below > -limit, below, -limit)
+
+
+def told(
+    o: Arithmetic,
+    learned: Learned,
+    gains: Any,
+    psi: Pair,
+    i: Pair,
+    theta: Reals,
+    omega: Reals,
+) -> LearnedCorrection:
+    """What was learned, within its limit, where every input lies in its range; else nought."""
+    x = inputs(o, gains, psi, i, theta, omega)
+    why = o.let("why", outside(x, o))
+    y = o.let("y", o.choose(why <= 0.0, o.call(learned, gains, x), o.full(0.0, theta)))
+    within = o.let("within", limited(o, y, gains.frame.limit))
+    return LearnedCorrection(o.choose(omega < 0.0, -within, within), why)
 
 
 def step(
-    learned: Learned, gains: Any, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic
+    corrects: Corrects, gains: Any, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic
 ) -> ObserverState:
     """One sample: ``v`` in V acted over the period that ends at the sampling instant of ``i`` in A,
     shapes (N,).
     """
-    kappa, hits, _ = state.scalars
-    core = ObserverState(
-        state.vectors, maths.wrap(state.theta_e - kappa), state.omega_e, state.started
-    )
-    after = flux.step(gains.flux, core, v, i, maths)
+    o, (kappa, hits, _) = maths, state.scalars
+    own = o.let("own", o.wrap(state.theta_e - kappa), "angle of the flux observer, rad")
+    core = ObserverState(state.vectors, own, state.omega_e, state.started)
+    after = flux.step(gains.flux, core, v, i, o)
     if not state.started:
         return ObserverState(after.vectors, state.theta_e, after.omega_e, scalars=state.scalars)
-    x = seen(gains, after, maths)
-    why = outside(x)
-    acts = why == maths.number(0.0)
-    y = limited(learned(gains, x, maths), gains.frame.limit)
-    y = np.where(after.omega_e < 0.0, -y, y)
-    y = np.where(acts, y, maths.number(0.0))
-    hit = np.where(acts, maths.number(1.0), maths.number(0.0))
-    kappa = kappa + gains.frame.share * (y - kappa)
-    hits = hits + gains.frame.share * (hit - hits)
+    angle, omega = o.let("angle", after.theta_e, "its angle, rad"), o.let("omega", after.omega_e)
+    psi, last = after.vectors
+    now = o.let("now", o.call(corrects, gains, psi, last, angle, omega))
+    share, one = gains.frame.share, o.full(1.0, omega)
+    kappa = o.let("correction", kappa + share * (now.angle - kappa), "rad")
+    hit = o.choose(now.outside <= 0.0, one, o.full(0.0, omega))
+    hits = hits + share * (hit - hits)
     return ObserverState(
-        after.vectors,
-        maths.wrap(after.theta_e + kappa),
-        after.omega_e,
-        scalars=(kappa, hits, why),
+        after.vectors, o.wrap(angle + kappa), omega, scalars=(kappa, hits, now.outside)
     )
 
 
@@ -144,7 +190,7 @@ _LOWER = (135135.0, 62370.0, 3150.0, 28.0)
 class Network:
     """Weights, row by row: as many rows as the layer has neurons."""
 
-    weights_1: tuple[float, ...]
+    weights_1: Annotated[tuple[float, ...], Member("neuron by neuron")]
     offsets_1: tuple[float, ...]
     weights_2: tuple[float, ...]
     offsets_2: tuple[float, ...]
@@ -172,50 +218,48 @@ class Network:
 NO_NETWORK = Network((0.0,) * TOLD, (0.0,), (0.0,), (0.0,), (0.0,), 0.0)
 
 
-def hyperbolic_tangent(x: Reals, maths: Arithmetic) -> Reals:
-    """Lambert's continued fraction to the seventh power, within -1 to 1 for every x.
+def hyperbolic_tangent(o: Arithmetic, argument: Reals) -> Reals:
+    """Hyperbolic tangent by Lambert's continued fraction to the seventh power, within -1 to 1 for
+    every argument; largest error 1e-4.
 
     Args:
-        x: Any shape.
-        maths: In whose numbers.
+        argument: Any shape.
     """
-    number = maths.number
-    end = number(END)
-    x = np.where(x < end, x, end)
-    x = np.where(x > -end, x, -end)
-    q = x * x
-    upper, lower = number(_UPPER[3]), number(_LOWER[3])
-    for power in (2, 1, 0):
-        upper = number(_UPPER[power]) + q * upper
-        lower = number(_LOWER[power]) + q * lower
-    t = (x * upper) / lower
-    t = np.where(t < number(1.0), t, number(1.0))
-    return np.where(t > number(-1.0), t, number(-1.0))
+    below = o.let("below", o.choose(argument < END, argument, o.full(END, argument)))
+    x = o.let("x", o.choose(below > -END, below, o.full(-END, argument)))
+    q = o.let("q", x * x)
+    upper = o.let("upper", _UPPER[0] + q * (_UPPER[1] + q * (_UPPER[2] + q)))
+    lower = o.let("lower", _LOWER[0] + q * (_LOWER[1] + q * (_LOWER[2] + q * _LOWER[3])))
+    t = o.let("t", (x * upper) / lower)
+    most = o.let("most", o.choose(t < 1.0, t, o.full(1.0, t)))
+    return o.choose(most > -1.0, most, o.full(-1.0, t))
 
 
-def _layer(weights: Any, offsets: Any, x: list[Reals], maths: Arithmetic) -> list[Reals]:
-    """Neurons of a layer, each shape (N,); products are added in the order of the inputs."""
-    rows, columns = len(offsets), len(x)
-    matrix = np.array(weights).reshape(rows, columns)
-    total = np.array(offsets)[:, None]
-    for k in range(columns):
-        total = total + matrix[:, k, None] * x[k]
-    return list(hyperbolic_tangent(total, maths))
+def _layer(o: Arithmetic, name: str, weights: Any, offsets: Any, x: Inputs) -> Inputs:
+    """Neurons of a layer; products are added in the order of the inputs."""
+    columns = len(x)
+
+    def neuron(n: Any) -> Reals:
+        def product(k: Any) -> Reals:
+            return o.at(weights, n * columns + k) * o.at(x, k)
+
+        return o.call(hyperbolic_tangent, o.summed("total", o.at(offsets, n), columns, product))
+
+    return o.each(name, len(offsets), neuron)
 
 
-def answered(network: Any, limit: Any, x: Inputs, maths: Arithmetic) -> Reals:
-    """What the network says to inputs of -1 to 1, in rad.
-
-    Args:
-        network: `Network` in the numbers of an arithmetic.
-        limit: Of the answer in rad.
-        x: The six inputs, shape (N,) each.
-        maths: The arithmetic.
-    """
-    first = _layer(network.weights_1, network.offsets_1, list(x[:TOLD]), maths)
-    second = _layer(network.weights_2, network.offsets_2, first, maths)
-    (last,) = _layer(network.weights_3, (network.offset_3,), second, maths)
-    return np.asarray(limit * last)
+def answered(o: Arithmetic, network: Network, limit: Any, x: Inputs) -> Reals:
+    """What the network answers to inputs of -1 to 1, rad."""
+    first = _layer(o, "first", network.weights_1, network.offsets_1, x[:TOLD])
+    second = _layer(o, "second", network.weights_2, network.offsets_2, first)
+    last = o.summed(
+        "last",
+        network.offset_3,
+        len(second),
+        lambda n: o.at(network.weights_3, n) * o.at(second, n),
+    )
+    found: Reals = limit * o.call(hyperbolic_tangent, last)
+    return found
 
 
 def _curve(x: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.methods.flux import flux_of_voltage
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.reduced_order import Limits, Training, TrainingBox
-from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic, at_least
+from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic, Member, at_least
 
 INPUTS = 6
 TOLD = 5  # Of which the first five are learned from.
@@ -41,16 +41,14 @@ Inputs = tuple[Reals, ...]  # The six inputs, each shape (N,).
 
 @dataclass(frozen=True, slots=True)
 class CorrectionFrame:
-    """``middle`` and ``low`` in rad/s; input k counts as (value - centre[k]) scale[k]; ``share`` of
-    a new value in the filter of the correction; ``limit`` in rad.
-    """
+    """What the correction is told: input k counts as (value - centre[k]) scale[k]."""
 
-    middle: float
-    low: float
-    centre: tuple[float, ...]
-    scale: tuple[float, ...]
-    share: float
-    limit: float
+    middle: Annotated[float, Member("geometric mean of the trained speeds", "rad/s")]
+    low: Annotated[float, Member("least trained speed", "rad/s")]
+    centre: Annotated[tuple[float, ...], Member("of each input")]
+    scale: Annotated[tuple[float, ...], Member("... which is multiplied by this")]
+    share: Annotated[float, Member("of a new value in the filter of the correction")]
+    limit: Annotated[float, Member("largest correction", "rad")]
 
     def __post_init__(self) -> None:
         """Refuse what has not six inputs."""
@@ -70,7 +68,7 @@ def _single(value: float) -> float:
 def speed_inputs(frame: Any, size: Reals, maths: Arithmetic) -> tuple[Reals, Reals]:
     """The two inputs of a size of the speed in rad/s."""
     u = (size - frame.middle) / (size + frame.middle)
-    return u, np.asarray(frame.low / at_least(maths, size, maths.number(frame.low)))
+    return u, frame.low / at_least(maths, size, frame.low)
 
 
 def brought(frame: Any, raw: Inputs) -> Inputs:
@@ -81,20 +79,14 @@ def brought(frame: Any, raw: Inputs) -> Inputs:
     )
 
 
-def outside(x: Inputs) -> Reals:
+def outside(x: Inputs, o: Arithmetic) -> Reals:
     """0 within the trained ranges, 1 where a current or the speed lies beyond, else 2 where the
-    residual does.
+    residual does. Not-a-number lies outside.
     """
-    one = x[0].dtype.type(1.0)
-
-    def within(values: Inputs) -> Any:
-        found = np.ones(np.shape(values[0]), dtype=bool)
-        for value in values:
-            found &= (value >= -one) & (value <= one)
-        return found
-
-    residual = within((x[0], x[5]))
-    return np.asarray(np.where(within(x[1:5]), np.where(residual, 0.0 * one, 2.0 * one), one))
+    within = [o.magnitude(value) <= 1.0 for value in x]
+    known = within[1] & within[2] & within[3] & within[4]
+    zero, one, two = (o.full(code, x[0]) for code in (0.0, 1.0, 2.0))
+    return o.choose(known, o.choose(within[0] & within[5], zero, two), one)
 
 
 def frame_of(seen: SteadyErrors, box: TrainingBox, share: float, limit: float) -> CorrectionFrame:
@@ -453,7 +445,7 @@ def _answer(
 ) -> tuple[FloatArray, Any]:
     """The correction in rad as it is emitted: silent outside its trained ranges; where it acts."""
     x = inputs_of(frame, seen)
-    acts = outside(tuple(x)) == 0.0
+    acts = outside(tuple(x), EXACT) == 0.0
     return np.where(acts, corrects(x), 0.0), acts
 
 
@@ -576,10 +568,12 @@ class FuzzyRules:
     """
 
     speed_knots: tuple[float, ...]
-    speed_slopes: tuple[float, ...]
+    speed_slopes: Annotated[tuple[float, ...], Member("inverse of their distances")]
     current_knots: tuple[float, ...]
     current_slopes: tuple[float, ...]
-    answers: tuple[float, ...]
+    answers: Annotated[
+        tuple[float, ...], Member("speed by speed, current by current, five factors each", "rad")
+    ]
 
     def __post_init__(self) -> None:
         """Refuse another number of rules."""
@@ -608,36 +602,36 @@ def _rules(answers: FloatArray) -> FuzzyRules:
 NO_RULES = _rules(np.zeros(KNOTS * KNOTS * TERMS))  # Rules that answer nought.
 
 
-def _cell(knots: Any, slopes: Any, x: Reals) -> tuple[Any, Reals]:
-    """Number of the knot below and share of the way to the next one."""
-    low = (x >= knots[1]).astype(np.intp) + (x >= knots[2]).astype(np.intp)
-    return low, (x - np.array(knots)[low]) * np.array(slopes)[low]
+def rule(o: Arithmetic, answers: Any, x: Inputs, number: Any) -> Reals:
+    """Answer of one rule in rad."""
+    begin = o.let("begin", number * TERMS)
+    return o.summed(
+        "total",
+        o.at(answers, begin),
+        TERMS - 1,
+        lambda term: o.at(answers, begin + (term + 1)) * o.at(x, term),
+    )
 
 
-def answered(rules: Any, x: Inputs, _: Arithmetic) -> Reals:
-    """The mean of the four rules around the inputs (-1 to 1), in rad.
+def answered(o: Arithmetic, rules: FuzzyRules, x: Inputs) -> Reals:
+    """Mean of the four rules around inputs of -1 to 1, rad: no larger than the largest of them."""
+    speed, current = x[_SPEED], x[_CURRENT]
+    slow, small = rules.speed_knots, rules.current_knots
+    k = o.reached("k", [speed >= knot for knot in slow[1:-1]], "speeds below")
+    n = o.reached("n", [current >= knot for knot in small[1:-1]], "currents below")
+    f = o.let("f", (speed - o.at(slow, k)) * o.at(rules.speed_slopes, k))
+    g = o.let("g", (current - o.at(small, n)) * o.at(rules.current_slopes, n))
+    number = o.let("number", k * KNOTS + n)
 
-    Args:
-        rules: `FuzzyRules` in the numbers of an arithmetic.
-        x: The six inputs, shape (N,) each.
-    """
-    k, f = _cell(rules.speed_knots, rules.speed_slopes, x[_SPEED])
-    n, g = _cell(rules.current_knots, rules.current_slopes, x[_CURRENT])
-    answers = np.array(rules.answers)
+    def along(name: str, at: Any) -> Reals:
+        first = o.let(name, o.call(rule, rules.answers, x, at))
+        mean: Reals = first + g * (o.call(rule, rules.answers, x, at + 1) - first)
+        return mean
 
-    def rule(number: Any) -> Reals:
-        at = number * TERMS
-        total = answers[at]
-        for term in range(TERMS - 1):
-            total = total + answers[at + (term + 1)] * x[term]
-        return np.asarray(total)
-
-    def along(number: Any) -> Reals:
-        first, second = rule(number), rule(number + 1)
-        return np.asarray(first + g * (second - first))
-
-    low, high = along(k * KNOTS + n), along((k + 1) * KNOTS + n)
-    return np.asarray(low + f * (high - low))
+    low = o.let("low", along("first", number))
+    high = o.let("high", along("second", o.let("faster", number + KNOTS)))
+    found: Reals = low + f * (high - low)
+    return found
 
 
 def _hats(knots: tuple[float, ...], x: FloatArray) -> FloatArray:

@@ -15,7 +15,13 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.learned_correction import corrected_flux
 from dqforge.optimizer.learned_correction import corrected_flux as network
-from dqforge.optimizer.learned_correction.corrected_flux import NO_NETWORK, Network, in_words
+from dqforge.optimizer.learned_correction.corrected_flux import (
+    NO_NETWORK,
+    LearnedCorrection,
+    Network,
+    in_words,
+    told,
+)
 from dqforge.optimizer.learned_correction.correction_frame import (
     POINTS,
     SILENT,
@@ -52,20 +58,23 @@ def design(
     return NeuralGains(flux.design(machine, tuning, t_s, omega_max), SILENT, NO_NETWORK)
 
 
-def learned(gains: NeuralGains, x: Inputs, maths: Arithmetic) -> Reals:
-    """What the network answers in rad.
+def learned(o: Arithmetic, gains: NeuralGains, x: Inputs) -> Reals:
+    """What the network answers to inputs of -1 to 1, rad."""
+    return network.answered(o, gains.network, gains.frame.limit, x)
 
-    Args:
-        x: The six inputs of -1 to 1.
-    """
-    return network.answered(gains.network, gains.frame.limit, x, maths)
+
+def correction(
+    o: Arithmetic, gains: NeuralGains, psi: Pair, i: Pair, theta: Reals, omega: Reals
+) -> LearnedCorrection:
+    """What was learned, within its limit, where every input lies in its range; else nought."""
+    return told(o, learned, gains, psi, i, theta, omega)
 
 
 def step(
     gains: NeuralGains, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic = EXACT
 ) -> ObserverState:
     """One sample, see `corrected_flux.step`."""
-    return corrected_flux.step(learned, gains, state, v, i, maths)
+    return corrected_flux.step(correction, gains, state, v, i, maths)
 
 
 @lru_cache(maxsize=8)
@@ -100,7 +109,7 @@ def train(
     found = _trained(gains, machine, frame, box, hidden)
 
     def corrects(x: FloatArray) -> FloatArray:
-        return np.asarray(learned(found, tuple(x), EXACT), dtype=np.float64)
+        return np.asarray(learned(EXACT, found, tuple(x)), dtype=np.float64)
 
     trained, size = training_drives(gains.flux, machine, box, _DRIVES), found.network.size
     told = assessed(gains.flux, machine, box, trained, frame, omega_max, corrects, None, size)
@@ -126,4 +135,5 @@ METHOD = ObserverMethod(
     in_words=_in_words,
     sizes=corrected_flux.sizes,
     train=train,
+    members=corrected_flux.MEMBERS,
 )

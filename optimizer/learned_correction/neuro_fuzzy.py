@@ -15,7 +15,7 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.learned_correction import corrected_flux
 from dqforge.optimizer.learned_correction import correction_frame as fuzzy_rules
-from dqforge.optimizer.learned_correction.corrected_flux import in_words
+from dqforge.optimizer.learned_correction.corrected_flux import LearnedCorrection, in_words, told
 from dqforge.optimizer.learned_correction.correction_frame import (
     NO_RULES,
     SILENT,
@@ -50,20 +50,23 @@ def design(
     return NeuroFuzzyGains(flux.design(machine, tuning, t_s, omega_max), SILENT, NO_RULES)
 
 
-def learned(gains: NeuroFuzzyGains, x: Inputs, maths: Arithmetic) -> Reals:
-    """The mean of the rules in rad.
+def learned(o: Arithmetic, gains: NeuroFuzzyGains, x: Inputs) -> Reals:
+    """Mean of the four rules around inputs of -1 to 1, rad: no larger than the largest of them."""
+    return fuzzy_rules.answered(o, gains.rules, x)
 
-    Args:
-        x: The six inputs of -1 to 1.
-    """
-    return fuzzy_rules.answered(gains.rules, x, maths)
+
+def correction(
+    o: Arithmetic, gains: NeuroFuzzyGains, psi: Pair, i: Pair, theta: Reals, omega: Reals
+) -> LearnedCorrection:
+    """What was learned, within its limit, where every input lies in its range; else nought."""
+    return told(o, learned, gains, psi, i, theta, omega)
 
 
 def step(
     gains: NeuroFuzzyGains, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic = EXACT
 ) -> ObserverState:
     """One sample, see `corrected_flux.step`."""
-    return corrected_flux.step(learned, gains, state, v, i, maths)
+    return corrected_flux.step(correction, gains, state, v, i, maths)
 
 
 @lru_cache(maxsize=8)
@@ -92,7 +95,7 @@ def train(
     found = _trained(gains, machine, frame, box)
 
     def corrects(x: FloatArray) -> FloatArray:
-        answer = corrected_flux.limited(learned(found, tuple(x), EXACT), frame.limit)
+        answer = corrected_flux.limited(EXACT, learned(EXACT, found, tuple(x)), frame.limit)
         return np.asarray(answer, dtype=np.float64)
 
     bound = fuzzy_rules.largest_rule(found.rules, frame)
@@ -120,4 +123,5 @@ METHOD = ObserverMethod(
     in_words=_in_words,
     sizes=corrected_flux.sizes,
     train=train,
+    members=corrected_flux.MEMBERS,
 )

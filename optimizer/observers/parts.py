@@ -28,10 +28,13 @@ from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic, Member, P
 
 @dataclass(frozen=True, slots=True)
 class StateMembers:
-    """Vectors and scalars of an `ObserverState` by their names in the firmware, in their order."""
+    """Vectors and scalars of an `ObserverState` by their names in the firmware, in their order,
+    and what its angle is.
+    """
 
     vectors: tuple[tuple[str, Member], ...]
     scalars: tuple[tuple[str, Member], ...] = ()
+    angle: Member = Member("estimated electrical angle", "rad, -pi to pi")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -396,8 +399,8 @@ class ObserverMethod:
         train: (gains of ``design``, machine, settings, box, largest electrical speed in rad/s) ->
             gains with what was learned in them, and what that gains. None for a method that learns
             nothing.
-        members: What the firmware calls vectors and scalars of the state: the C of the method is
-            written from ``step``. None of a method that has a template ``observers/<code>.j2``.
+        members: What the firmware calls vectors and scalars of the state; its C is written from
+            ``step``.
     """
 
     name: str
@@ -410,6 +413,7 @@ class ObserverMethod:
     searched: tuple[str, ...]
     gains: type[Any]
     scale: Callable[[Any], tuple[float, float]]
+    members: StateMembers
     in_words: Callable[[ObserverTuning, Any, float], str] = loop_in_words
     settle: int = 0
     rest: Callable[[Any, FloatArray, ComplexArray, ComplexArray], FloatArray] | None = None
@@ -419,7 +423,35 @@ class ObserverMethod:
         Callable[[Any, LinearMachine, ObserverSettings, TrainingBox, float], tuple[Any, Training]]
         | None
     ) = None
-    members: StateMembers | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FirmwareStep:
+    """An observer of any kind as far as the firmware runs it.
+
+    Args:
+        code: Part of the names in C.
+        gains: Type of the gains.
+        start: (angle in rad, speed in rad/s) -> first state, shapes (N,).
+        step: (gains, state, voltage, current, arithmetic, further numbers) -> next state.
+        members: Vectors and scalars of the state.
+        started, stepped: What is said of both functions.
+        further: Names of the numbers that the step is told besides.
+    """
+
+    code: str
+    gains: type[Any]
+    start: Callable[[Reals, Reals], ObserverState]
+    step: Callable[..., ObserverState]
+    members: StateMembers
+    started: str = (
+        "Start from an angle in rad and a speed in rad/s (electrical) at the instant of the first "
+        "step."
+    )
+    stepped: str = (
+        "One sample: v in V acted over the period that ends at the sampling instant of i in A."
+    )
+    further: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

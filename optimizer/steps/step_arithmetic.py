@@ -7,7 +7,7 @@ from it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
@@ -121,6 +121,53 @@ class Arithmetic(Floats):
         Its arguments are numbers, vectors, arrays and records; it returns a number or a vector.
         """
         return function(self, *args, **kwargs)
+
+    def at(self, table: Sequence[Any], place: Any) -> Reals:
+        """The number of an array at a place, which counts from 0, or is one place per drive."""
+        if isinstance(place, int):
+            found: Reals = table[place]
+            return found
+        values = np.asarray(table)
+        if values.ndim == 1:
+            return np.asarray(values[place])
+        at = np.broadcast_to(place, np.broadcast_shapes(np.shape(place), values.shape[1:]))
+        rows = np.take_along_axis(values, at.reshape(-1, values.shape[1]), axis=0)
+        return rows.reshape(at.shape)
+
+    def each(
+        self,
+        name: str,  # noqa: ARG002
+        count: int,
+        of: Callable[[Any], Reals],
+    ) -> tuple[Reals, ...]:
+        """The array of ``of(0)``, ``of(1)``, ...: in the firmware a loop that fills it.
+
+        Args:
+            name: Of the array.
+            count: Of its numbers.
+            of: Place -> number; its argument has the name of what counts. Places of arrays are
+                products and sums of it and of whole numbers.
+        """
+        return tuple(of(np.arange(count)[:, None]))
+
+    def summed(
+        self,
+        name: str,  # noqa: ARG002
+        first: Reals | float,
+        count: int,
+        of: Callable[[Any], Reals],
+    ) -> Reals:
+        """``first`` and to it ``of(0)``, ``of(1)``, ..., one after the other: a loop as that of
+        `each`.
+        """
+        found: Any = first
+        for place in range(count):
+            found = found + of(place)
+        return np.asarray(found)
+
+    def reached(self, name: str, conditions: Sequence[Any], meaning: str = "") -> Any:  # noqa: ARG002
+        """How many conditions hold, of which each one implies those before it: a place."""
+        return sum(np.asarray(condition).astype(np.intp) for condition in conditions)
 
     def either(self, condition: Any, then: Callable[[], _T], otherwise: Callable[[], _T]) -> _T:
         """What ``then`` returns where the condition holds, else what ``otherwise`` returns: states

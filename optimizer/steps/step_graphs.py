@@ -4,7 +4,7 @@ many samples at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
@@ -106,6 +106,23 @@ class Graphs(Arithmetic):
         for term in rest:
             first = first + term
         return first
+
+    def at(self, table: Sequence[Any], place: Any) -> Any:
+        """The number at a place."""
+        if isinstance(place, int):
+            return table[place]
+        found = graph(table[-1])
+        for number in reversed(range(len(table) - 1)):
+            found = casadi.if_else(place.graph <= number, graph(table[number]), found)
+        return Number(found)
+
+    def each(self, name: str, count: int, of: Callable[[Any], Any]) -> tuple[Any, ...]:  # noqa: ARG002
+        """One number after the other."""
+        return tuple(map(of, range(count)))
+
+    def reached(self, name: str, conditions: Sequence[Any], meaning: str = "") -> Any:  # noqa: ARG002
+        """How many conditions hold."""
+        return Number(sum(condition.graph for condition in conditions))
 
     def choose(self, condition: Any, a: Any, b: Any) -> Any:
         """``a`` where the condition holds, else ``b``."""

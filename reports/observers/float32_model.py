@@ -12,11 +12,15 @@ import numpy as np
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import park
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.observers.parts import ObserverMethod
+from dqforge.optimizer.observers.reduced_order_step import (
+    ReducedOrderGains,
+    start,
+    step,
+)
 from dqforge.optimizer.steps.step_arithmetic import cast
-from dqforge.reports.c_code.harness import SINGLE, rotation, wrap
+from dqforge.reports.c_code.harness import SINGLE, wrap
 from dqforge.reports.plain_data import shortest
 
 if TYPE_CHECKING:
@@ -138,30 +142,6 @@ def _finite(value: Any) -> float:
 # The emitted speed observer: its gains as plain data, its model, and sequences to try it.
 
 
-@dataclass(frozen=True, slots=True)
-class ReducedOrderGains:
-    """Numbers of the C structure: ``a``, ``b_u``, ``b_i``, ``c`` as in `ReducedOrderObserver`,
-    L_d in H, t_s/2 in s.
-    """
-
-    a: float
-    b_u: float
-    b_i: float
-    c: float
-    l_d: float
-    pole_pairs: float
-    half_t_s: float
-
-
-def speed_observer_gains(machine: Machine, observer: ReducedOrderObserver) -> ReducedOrderGains:
-    """Gains for the firmware.
-
-    Of the machine it takes L_d for the coupling and the number of pole pairs.
-    """
-    numbers = (observer.a, observer.b_u, observer.b_i, observer.c, machine.l_d)
-    return ReducedOrderGains(*numbers, float(machine.pole_pairs), 0.5 * observer.t_s)
-
-
 def plain_speed_observer(
     machine: Machine, observer: ReducedOrderObserver | None
 ) -> PlainData | None:
@@ -169,7 +149,7 @@ def plain_speed_observer(
     return (
         None
         if observer is None
-        else {"gains": plain_gains_of(speed_observer_gains(machine, observer))}
+        else {"gains": plain_gains_of(ReducedOrderGains.of(machine, observer))}
     )
 
 
@@ -195,7 +175,7 @@ def observed_speeds(
     v: tuple[SingleArray, SingleArray], i: tuple[SingleArray, SingleArray],
     theta_e: SingleArray, first: tuple[SingleArray, SingleArray],
 ) -> SingleArray:  # fmt: skip
-    """What the C functions find over N sequences, operation by operation.
+    """What the C functions find over N sequences.
 
     Args:
         gains: Those of the header.
@@ -209,24 +189,11 @@ def observed_speeds(
     """
     own = cast(gains, SINGLE)
     found = np.empty((*theta_e.shape, 2), dtype=np.float32)
-    last, omega_e = wrap(first[0]), first[1]
-    zeta: SingleArray = np.zeros_like(omega_e)
-    i_d: SingleArray = zeta
-    i_q: SingleArray = zeta
+    state = start(wrap(first[0]), first[1])
     for k in range(theta_e.shape[1]):
-        theta = wrap(theta_e[:, k].copy())
-        now_d, now_q = park(SINGLE, (i[0][:, k], i[1][:, k]), rotation(theta))
-        if k == 0:
-            zeta = np.asarray(omega_e / own.pole_pairs + own.c * now_q, dtype=np.float32)
-        else:
-            middle = wrap(last + own.half_t_s * omega_e)
-            v_q = park(SINGLE, (v[0][:, k], v[1][:, k]), rotation(middle)).y
-            u_q = v_q - omega_e * (own.l_d * i_d)
-            zeta = np.asarray((own.a * zeta + own.b_u * u_q) + own.b_i * i_q, dtype=np.float32)
-        i_d, i_q, last = now_d, now_q, theta
-        omega_m = np.asarray(zeta - own.c * now_q, dtype=np.float32)
-        omega_e = np.asarray(own.pole_pairs * omega_m, dtype=np.float32)
-        found[:, k, 0], found[:, k, 1] = omega_m, omega_e
+        v_k, i_k = ((pair[0][:, k].copy(), pair[1][:, k].copy()) for pair in (v, i))
+        state = step(own, state, v_k, i_k, SINGLE, theta_e[:, k].copy())
+        found[:, k, 0], found[:, k, 1] = state.scalars[1], state.omega_e
     return found
 
 

@@ -166,25 +166,6 @@ def _preamble(design: Design, observer: PositionObserver) -> list[str]:
     ]
 
 
-def observer_body(method: ObserverMethod, gains: Any, prefix: str) -> str:
-    """Types, functions and gains of a method; a learned correction is written around the flux
-    observer.
-    """
-    from dqforge.optimizer.observers.methods.registry import METHODS
-
-    macro = prefix.upper()
-    if method.members is not None:
-        return observer_text(method, gains, prefix, macro)
-    context = {
-        "prefix": prefix,
-        "macro": macro,
-        "code": method.code,
-        "gains": asdict(gains),
-        "flux": observer_text(METHODS["flux"], gains.flux, prefix, macro),
-    }
-    return render(f"observers/{method.code}.j2", context)
-
-
 def observer_files(design: Design, observer: PositionObserver) -> dict[str, bytes]:
     """Name and bytes of the header of a position observer."""
     prefix = design.export.prefix
@@ -194,7 +175,7 @@ def observer_files(design: Design, observer: PositionObserver) -> dict[str, byte
         "file": "observer",
         "kind": "position",
         "code": observer.method.code,
-        "body": observer_body(observer.method, observer.gains, prefix),
+        "body": observer_text(observer.method, observer.gains, prefix, prefix.upper()),
     }
     return {f"{prefix}_observer.h": render("observers/observer.h.j2", context).encode("ascii")}
 

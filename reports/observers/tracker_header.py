@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.estimators import TRACKERS, TunedTracker
+from dqforge.optimizer.observers.reduced_order_step import SPEED_STEP, ReducedOrderGains
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
@@ -23,12 +24,10 @@ from dqforge.reports.c_code.harness import (
 from dqforge.reports.capability import Capability, Outcome, ReportPart
 from dqforge.reports.observers.float32_model import (
     EmittedTracker,
-    ReducedOrderGains,
     gains_from,
     plain_gains_of,
     plain_speed_observer,
     speed_observer_from,
-    speed_observer_gains,
     speed_observer_inputs,
     speed_observer_outputs,
     tracker_inputs,
@@ -62,6 +61,8 @@ from dqforge.reports.pages.html_text import (
 )
 from dqforge.reports.pages.labels import NEGLIGIBLE
 from dqforge.reports.pages.templating import LOOPS, render
+from dqforge.reports.steps.observer_text import step_text
+from dqforge.reports.steps.tracker_text import tracker_text
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -114,15 +115,17 @@ def _preamble(design: Design, found: TunedTracker) -> list[str]:
 
 def tracker_files(design: Design, found: TunedTracker, file: str = "observer") -> dict[str, bytes]:
     """Name and bytes of the header ``<prefix>_<file>.h`` of a tracker."""
-    prefix = design.export.prefix
+    prefix, tracker = design.export.prefix, found.tracker
     context: PlainData = {
         **title(design),
         "preamble": _preamble(design, found),
         "file": file,
         "kind": "position",
-        "code": found.tracker.code,
+        "code": tracker.code,
         "gains": asdict(found.gains),
     }
+    if tracker.members is not None:
+        context["body"] = tracker_text(tracker, found.gains, prefix, prefix.upper())
     return {f"{prefix}_{file}.h": render("observers/observer.h.j2", context).encode("ascii")}
 
 
@@ -214,12 +217,12 @@ def _speed_error_text(error: ObserverError) -> str:
 
 # The C header of the reduced-order speed observer (docs/methods/speed-observer.md).
 
-REDUCED_ORDER = "reduced_order"  # Part of the names of its C functions.
+REDUCED_ORDER = SPEED_STEP.code  # Part of the names of its C functions.
 
 
 def speed_observer_files(design: Design, observer: ReducedOrderObserver) -> dict[str, bytes]:
     """Name and bytes of the header."""
-    prefix = design.export.prefix
+    prefix, gains = design.export.prefix, ReducedOrderGains.of(design.machine, observer)
     context: PlainData = {
         **title(design),
         "file": "speed_observer",
@@ -242,7 +245,7 @@ def speed_observer_files(design: Design, observer: ReducedOrderObserver) -> dict
             "Compile with -ffp-contract=off to equal the model bit for bit.",
         ],
         "code": REDUCED_ORDER,
-        "gains": asdict(speed_observer_gains(design.machine, observer)),
+        "body": step_text(SPEED_STEP, gains, prefix, prefix.upper()),
     }
     return {
         f"{prefix}_speed_observer.h": render("observers/observer.h.j2", context).encode("ascii")

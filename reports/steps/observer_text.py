@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dqforge.optimizer.observers.parts import ObserverState
+from dqforge.optimizer.observers.parts import FirmwareStep, ObserverState
 from dqforge.optimizer.steps.step_arithmetic import AlphaBeta
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.steps.record_text import (
@@ -38,21 +38,26 @@ if TYPE_CHECKING:
     from dqforge.optimizer.observers.parts import ObserverMethod, StateMembers
 
 
-_ANGLE = ("float theta_e", "estimated electrical angle, rad, -pi to pi")
-
-
 _SPEED = ("float omega_e", "estimated electrical speed, rad/s")
+
+
+def _emitted(method: ObserverMethod) -> FirmwareStep:
+    return FirmwareStep(method.code, method.gains, method.start, method.step, method.members)
 
 
 def observer_text(method: ObserverMethod, gains: Any, prefix: str, macro: str) -> str:
     """What stands in a header behind the types that control and observers share.
 
     Args:
-        method: With ``members``.
+        method: The observer.
         gains: Its gains.
         prefix, macro: Before the names of functions and types, and before that of the gains.
     """
-    assert method.members is not None
+    return step_text(_emitted(method), gains, prefix, macro)
+
+
+def step_text(method: FirmwareStep, gains: Any, prefix: str, macro: str) -> str:
+    """As `observer_text`, of an observer of any kind."""
     code, functions = method.code, Functions()
     if c_name(method.gains) != f"{code}_gains":
         raise ValueError(f"{method.gains.__name__} is not named like {code}")
@@ -61,10 +66,10 @@ def observer_text(method: ObserverMethod, gains: Any, prefix: str, macro: str) -
     parts = [
         *(vector_struct(kind, prefix) for kind in functions.vectors.values()),
         *record_structs(gains, prefix, functions.members),
-        struct(state, _state_members(method.members, prefix)),
+        struct(state, _state_members(method, prefix)),
         _start(method, prefix, state),
         *([text] for text in functions.texts.values()),
-        _step(f"{prefix}_{code}_step(", own, state, prefix, first, then),
+        _step(method, prefix, first, then),
         [
             f"static const {own} {macro}_{code.upper()}_GAINS = {{",
             *record_values(gains, functions.members),
@@ -78,34 +83,43 @@ def gains_bytes(method: ObserverMethod, gains: Any) -> bytes:
     """Bytes of ``<prefix>_<code>_gains_t``, for runs that are given their own."""
     functions = Functions()
     for started in (False, True):
-        _path(method, gains, "", functions, started)
+        _path(_emitted(method), gains, "", functions, started)
     numbers = list(record_numbers(gains, functions.members))
     return pack(f"={len(numbers)}f", *numbers)
 
 
-def _state_members(members: StateMembers, prefix: str) -> list[tuple[str, str]]:
+def _first(method: FirmwareStep) -> ObserverState:
+    return method.start(np.ones(1), np.ones(1))
+
+
+def _kinds(method: FirmwareStep) -> list[type[Any]]:
+    """Types of the vectors of the state."""
     return [
-        *((f"{prefix}_alphabeta_t {n}", own.text) for n, own in members.vectors),
+        type(pair) if hasattr(pair, "_fields") else AlphaBeta for pair in _first(method).vectors
+    ]
+
+
+def _state_members(method: FirmwareStep, prefix: str) -> list[tuple[str, str]]:
+    members = method.members
+    vectors = zip(members.vectors, _kinds(method), strict=True)
+    return [
+        *((f"{prefix}_{c_name(kind)}_t {n}", own.text) for (n, own), kind in vectors),
         *((f"float {n}", own.text) for n, own in members.scalars),
         ("int started", "0 before the first step"),
-        _ANGLE,
+        ("float theta_e", members.angle.text),
         _SPEED,
     ]
 
 
-def _start(method: ObserverMethod, prefix: str, state: str) -> list[str]:
+def _start(method: FirmwareStep, prefix: str, state: str) -> list[str]:
     """The first state, whose vectors and scalars depend on nothing."""
-    assert method.members is not None
-    first = method.start(np.ones(1), np.ones(1))
-    targets = [f"{n}.{axis}" for n, _ in method.members.vectors for axis in AlphaBeta._fields]
+    first, vectors = _first(method), zip(method.members.vectors, _kinds(method), strict=True)
+    targets = [f"{n}.{axis}" for (n, _), kind in vectors for axis in kind._fields]
     targets += [n for n, _ in method.members.scalars]
     values = [part for pair in first.vectors for part in pair] + list(first.scalars)
     head = f"static inline void {prefix}_{method.code}_start("
     return [
-        *comment(
-            "Start from an angle in rad and a speed in rad/s (electrical) at the instant of the "
-            "first step."
-        ),
+        *comment(method.started),
         *folded(head, f"{state} *observer, float theta_e, float omega_e", ")", ""),
         "{",
         *(
@@ -128,20 +142,22 @@ class _Path:
 
 
 def _path(
-    method: ObserverMethod, gains: Any, prefix: str, functions: Functions, started: bool
+    method: FirmwareStep, gains: Any, prefix: str, functions: Functions, started: bool
 ) -> _Path:
-    assert method.members is not None
-    block = Block("        ", {"gains", "observer", "v", "i"})
+    block = Block("        ", {"gains", "observer", "v", "i", *method.further})
     reader = StepReader(prefix, functions, block)
     _, own = reader.parameter("gains", gains)
+    vectors = zip(method.members.vectors, _kinds(method), strict=True)
     state = ObserverState(
-        tuple(vector(AlphaBeta, f"observer->{n}", state=True) for n, _ in method.members.vectors),
+        tuple(vector(kind, f"observer->{n}", state=True) for (n, _), kind in vectors),
         _member("theta_e"),
         _member("omega_e"),
         started,
         tuple(_member(n) for n, _ in method.members.scalars),
     )
-    result = method.step(own, state, vector(AlphaBeta, "v"), vector(AlphaBeta, "i"), reader)
+    further = map(Expression, method.further)
+    seen = vector(AlphaBeta, "v"), vector(AlphaBeta, "i")
+    result = method.step(own, state, *seen, reader, *further)
     if reader.branches is None:
         return _Path(block.lines, _written(method.members, result, reader, block.indent))
     condition, branches = reader.branches
@@ -166,8 +182,9 @@ def _written(
     for (n, _), pair in zip(members.vectors, after.vectors, strict=True):
         place, parts = f"observer->{n}", list(map(expression, pair))
         reader.take(parts)
-        before = vector(AlphaBeta, place, state=True)
-        open_ += assignments(place, vector_of(AlphaBeta, parts), parts, before)
+        kind = type(pair) if hasattr(pair, "_fields") else AlphaBeta
+        before = vector(kind, place, state=True)
+        open_ += assignments(place, vector_of(kind, parts), parts, before)
     for n, value in zip(names, (*after.scalars, after.theta_e, after.omega_e), strict=True):
         part = expression(value)
         reader.take([part])
@@ -177,7 +194,7 @@ def _written(
     return block.lines
 
 
-def _step(head: str, gains: str, state: str, prefix: str, first: _Path, then: _Path) -> list[str]:
+def _step(method: FirmwareStep, prefix: str, first: _Path, then: _Path) -> list[str]:
     """The step of both paths: what they share stands before and behind the branch."""
     before = _shared(first.declared, then.declared)
     inside = _declared([*first.declared[before:], *then.declared[before:]])
@@ -192,16 +209,14 @@ def _step(head: str, gains: str, state: str, prefix: str, first: _Path, then: _P
         written = [part for part in _statements(path.written) if part not in after]
         branches.append([*own, *_gap(own), *(line for part in written for line in part)])
     both = [line[4:] for line in first.declared[:before]]
-    vector_kind = f"{prefix}_alphabeta_t"
-    arguments = f"const {gains} *gains, {state} *observer, {vector_kind} v, {vector_kind} i"
-    return [
-        *comment(
-            "One sample: v in V acted over the period that ends at the sampling instant of i in A."
-        ),
-        *folded(f"static inline void {head}", arguments, ")", ""),
-        "{",
-        *both,
-        *_gap(both),
+    name = f"{prefix}_{method.code}"
+    arguments = [
+        f"const {name}_gains_t *gains",
+        f"{name}_t *observer",
+        *(f"{prefix}_alphabeta_t {n}" for n in ("v", "i")),
+        *(f"float {n}" for n in method.further),
+    ]
+    body = [
         "    if (observer->started == 0) {",
         *branches[0],
         "        observer->started = 1;",
@@ -209,6 +224,16 @@ def _step(head: str, gains: str, state: str, prefix: str, first: _Path, then: _P
         *branches[1],
         "    }",
         *(line[4:] for statement in after for line in statement),
+    ]
+    names = set(re.findall(r"\w+", " ".join([*both, *body])))
+    return [
+        *comment(method.stepped),
+        *folded(f"static inline void {name}_step(", ", ".join(arguments), ")", ""),
+        "{",
+        *both,
+        *_gap(both),
+        *(f"    (void){n};" for n in ("v", "i", *method.further) if n not in names),
+        *body,
         "}",
     ]
 
@@ -223,9 +248,14 @@ def _statements(lines: Sequence[str]) -> list[list[str]]:
     return [part for part in found if part]
 
 
+_DECLARED = re.compile(
+    r"\s*(?:const [^=]*?(\w+)(?:\[\d+\])? =|(?:float|unsigned int|\w+_t) (\w+)[;\[])"
+)
+
+
 def _declared(lines: Sequence[str]) -> set[str]:
-    """Names of the constants that lines declare."""
-    return {found[1] for line in lines if (found := re.match(r"\s*const [^=]*?(\w+) =", line))}
+    """Names of the constants and variables that lines declare."""
+    return {found[1] or found[2] for line in lines if (found := _DECLARED.match(line))}
 
 
 def _stands_alone(statement: Sequence[str], inside: set[str]) -> bool:

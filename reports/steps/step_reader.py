@@ -25,6 +25,7 @@ from dqforge.optimizer.steps.step_arithmetic import (
     Rotation,
 )
 from dqforge.reports.c_code.numbers import comment_text
+from dqforge.reports.steps.counted_loops import Index, filled, item, reached, summed
 from dqforge.reports.steps.record_text import (
     LINE,
     SHARED,
@@ -52,14 +53,30 @@ _P = ParamSpec("_P")
 
 @dataclass(slots=True)
 class Block:
-    """Statements of a function in the order of their text; ``names`` are taken in it, and
-    ``declared`` lines stand before the first statement that is no declaration, None without one.
+    """Statements of a function in the order of their text; ``names`` are taken in it, ``inside``
+    in the blocks of its loops, and ``declared`` lines stand before the first statement that is no
+    declaration, None without one.
     """
 
     indent: str
     names: set[str]
     lines: list[str] = field(default_factory=list)
     declared: int | None = None
+    inside: set[str] = field(default_factory=set)
+
+    def inner(self) -> Block:
+        """A block in it."""
+        return Block(self.indent + "    ", set(self.names))
+
+    def take(self, name: str) -> None:
+        """Take a name.
+
+        Raises:
+            ValueError: It is taken.
+        """
+        if name in self.names | self.inside:
+            raise ValueError(f"there is a {name} already")
+        self.names.add(name)
 
     def add(self, begin: str, text: str, meaning: str = "") -> None:
         """A statement, with a comment behind or above it."""
@@ -250,7 +267,7 @@ class StepReader(Arithmetic):
         """A call of a function whose text stands elsewhere."""
         if not filled:
             return cast("_V", self._called(name, args, kind))
-        self._new(filled)
+        self.block.take(filled)
         parts = [expression(part) for part in args]
         self.take(parts)
         into = [f"&{filled}.{axis}" for axis in cast("Any", kind)._fields]
@@ -282,6 +299,22 @@ class StepReader(Arithmetic):
         text = " : ".join(part.operand(signed=True) for part in parts)
         return joined(f"({condition.text()}) ? {text}", *condition.terms, *parts, kind=kind)
 
+    def at(self, table: Sequence[Any], place: Any) -> Any:
+        """A number of an array."""
+        return item(table, place)
+
+    def each(self, name: str, count: int, of: Callable[[Any], Any]) -> tuple[Any, ...]:
+        """An array that a counted loop fills."""
+        return filled(self, name, count, of)
+
+    def summed(self, name: str, first: Any, count: int, of: Callable[[Any], Any]) -> Any:
+        """A variable to which a counted loop adds."""
+        return summed(self, name, first, count, of)
+
+    def reached(self, name: str, conditions: Sequence[Any], meaning: str = "") -> Any:
+        """A constant of the block, a whole number."""
+        return self._named(name, reached(conditions), meaning)
+
     def remark(self, text: str) -> None:
         """A comment on a line of its own."""
         self.block.lines.append(f"{self.block.indent}/* {comment_text(text)} */")
@@ -303,7 +336,10 @@ class StepReader(Arithmetic):
         if isinstance(value, tuple):
             parts = tuple(map(expression, value))
             if not hasattr(value, "_fields"):
-                self._declare("float *const", name, _handed_on(value), meaning, parts)
+                if text := _whole(value):
+                    self._declare("float *const", name, text, meaning, parts)
+                else:
+                    self._array(name, parts, meaning)
                 return tuple(Expression(f"{name}[{n}]", whole=name) for n in range(len(value)))
             text = _whole(value)
             kind = f"{self.prefix}_{c_name(type(value))}_t"
@@ -313,7 +349,7 @@ class StepReader(Arithmetic):
             return vector(type(value), name)
         number = expression(value)
         self._declare(number.kind, name, number.bare(), meaning, (number,))
-        return Expression(name, kind=number.kind)
+        return type(number)(name, kind=number.kind)
 
     def cases(
         self,
@@ -352,7 +388,7 @@ class StepReader(Arithmetic):
             self._dead, begin = set(dead), "} else if ("
         self.block = outer
         for own, part in zip(names, given, strict=False):
-            self._new(own)
+            self.block.take(own)
             outer.variable(self._kind(part), own)
         outer.work([*lines, f"{outer.indent}}}"])
         told = {id(record) for owner in changing for record, _ in leaves(owner)}
@@ -398,7 +434,15 @@ class StepReader(Arithmetic):
         texts = [part.text for part in parts]
         if len(f"{self.block.indent}{begin} {', '.join(texts)} }};") <= WIDTH:
             return False
-        self._new(name)
+        self._lines(begin, name, parts, meaning)
+        return True
+
+    def _array(self, name: str, parts: Sequence[Expression], meaning: str) -> None:
+        """An array with a line for each of its numbers."""
+        self._lines(f"const float {name}[{len(parts)}] = {{", name, parts, meaning)
+
+    def _lines(self, begin: str, name: str, parts: Sequence[Expression], meaning: str) -> None:
+        self.block.take(name)
         self.take(parts)
         ends = [","] * (len(parts) - 1) + [""]
         self.block.lines.append(f"{self.block.indent}{begin}")
@@ -407,7 +451,6 @@ class StepReader(Arithmetic):
         for part, end in zip(parts, ends, strict=True):
             self.block.lines += folded("", part.bare(), end, self.block.indent + "    ")
         self.block.lines.append(f"{self.block.indent}}};")
-        return True
 
     def _kind(self, value: Any) -> str:
         if isinstance(value, tuple):
@@ -427,15 +470,10 @@ class StepReader(Arithmetic):
             for axis, part in zip(kind_fields(value), parts, strict=True):
                 self.block.add(f"{name}.{axis} = ", part.bare())
 
-    def _new(self, name: str) -> None:
-        if name in self.block.names:
-            raise ValueError(f"there is a {name} already")
-        self.block.names.add(name)
-
     def _declare(
         self, kind: str, name: str, text: str, meaning: str, parts: Sequence[Expression]
     ) -> None:
-        self._new(name)
+        self.block.take(name)
         self.take(parts)
         self.block.add(f"const {kind} {name} = ", text, meaning)
 
@@ -590,6 +628,8 @@ class StepReader(Arithmetic):
         if is_dataclass(like):
             kind = f"{self.prefix}_{c_name(type(like))}_t"
             return f"const {kind} *{name}", self._record(like, name, f"{name}->", frozenset())
+        if isinstance(like, Index):
+            return f"{like.kind} {name}", Index(name, kind=like.kind)
         if not isinstance(like, tuple):
             return f"float {name}", Expression(name)
         if hasattr(like, "_fields"):
@@ -631,7 +671,7 @@ class StepReader(Arithmetic):
         outer, found = self.block, []
         text = condition.text()
         for branch in (then, otherwise):
-            self.block = Block(outer.indent + "    ", set(outer.names))
+            self.block = outer.inner()
             found.append((self.block, branch()))
         self.block, self.branches = outer, (text, found)
         return found[0][1]

@@ -95,13 +95,13 @@ def test_nothing_is_corrected_outside_of_what_was_trained(method: ObserverMethod
 
 def test_the_first_input_that_lies_outside_says_why() -> None:
     inside = [np.zeros(1)] * 6
-    assert outside(tuple(inside))[0] == 0.0
+    assert outside(tuple(inside), EXACT)[0] == 0.0
     for k, why in ((0, 2.0), (1, 1.0), (2, 1.0), (3, 1.0), (4, 1.0), (5, 2.0)):
         for bad in (1.001, -1.001, np.nan, np.inf):
             x = [*inside]
             x[k] = np.array([bad])
-            assert outside(tuple(x))[0] == why
-    assert outside(tuple([np.full(1, np.nan)] * 6))[0] == 1.0
+            assert outside(tuple(x), EXACT)[0] == why
+    assert outside(tuple([np.full(1, np.nan)] * 6), EXACT)[0] == 1.0
 
 
 @pytest.mark.slow

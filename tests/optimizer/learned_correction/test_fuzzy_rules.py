@@ -38,7 +38,7 @@ def test_rules_that_made_the_data_are_found_again() -> None:
     generator = np.random.default_rng(4)
     x = generator.uniform(-1.0, 1.0, (6, 20_000))
     made = trained_rules(x, generator.standard_normal(20_000))
-    wanted = answered(made, tuple(x), EXACT)
+    wanted = answered(EXACT, made, tuple(x))
     assert np.std(wanted) > 0.01
     again = trained_rules(x, wanted)
     np.testing.assert_allclose(again.answers, made.answers, atol=1e-4)
@@ -53,7 +53,7 @@ def test_at_a_knot_one_rule_speaks_and_between_them_the_mean_is_convex() -> None
             x = [np.array([value]) for value in rest]
             x[3], x[4] = np.array([i_q]), np.array([u])
             expected = answers[k, n] @ np.array([1.0, *(float(part[0]) for part in x[:4])])
-            assert answered(rules, tuple(x), EXACT)[0] == pytest.approx(expected, abs=1e-6)
+            assert answered(EXACT, rules, tuple(x))[0] == pytest.approx(expected, abs=1e-6)
 
 
 def test_no_answer_within_the_trained_ranges_is_larger_than_the_largest_rule() -> None:
@@ -71,7 +71,7 @@ def test_no_answer_within_the_trained_ranges_is_larger_than_the_largest_rule() -
     u = x[4].astype(np.float64) / gains.frame.scale[4] + gains.frame.centre[4]
     inverse = np.minimum(gains.frame.low * (1.0 - u) / (gains.frame.middle * (1.0 + u)), 1.0)
     x[1] = (inverse - gains.frame.centre[1]) * gains.frame.scale[1]  # the same speed
-    found = np.abs(answered(cast(gains, SINGLE).rules, tuple(x), SINGLE))
+    found = np.abs(answered(SINGLE, cast(gains, SINGLE).rules, tuple(x)))
     assert float(np.max(found)) <= bound * (1.0 + 1e-6)
     assert float(np.max(found)) > 0.5 * bound
 

@@ -25,11 +25,11 @@ from dqforge.reports.c_code.harness import SINGLE
 
 def test_the_tangent_is_bounded_and_as_near_as_stated() -> None:
     x = np.concatenate([np.linspace(-12.0, 12.0, 400_001), [-3e38, 3e38]]).astype(np.float32)
-    found = hyperbolic_tangent(x, SINGLE)
+    found = hyperbolic_tangent(SINGLE, x)
     assert found.dtype == np.float32
     assert np.max(np.abs(found)) <= 1.0
     assert np.max(np.abs(found - np.tanh(x.astype(np.float64)))) < TANH_ERROR
-    assert np.all(np.diff(hyperbolic_tangent(x[:-2].astype(np.float64), EXACT)) >= 0.0)
+    assert np.all(np.diff(hyperbolic_tangent(EXACT, x[:-2].astype(np.float64))) >= 0.0)
 
 
 @pytest.mark.parametrize("hidden", [(1, 1), (4, 3), (16, 16)])
@@ -64,7 +64,7 @@ def test_training_repeats_to_the_bit_and_learns() -> None:
     assert first == trained_network(x, wanted, (5, 4), 1.0)
     assert first.size == 5 * 5 + 5 + 5 * 4 + 4 + 4 + 1
     assert all(np.float32(value) == value for value in first.weights_1)
-    left = answered(first, 1.0, tuple(x), EXACT) - wanted
+    left = answered(EXACT, first, 1.0, tuple(x)) - wanted
     assert np.std(left) < 0.1 * np.std(wanted)
 
 
@@ -75,7 +75,7 @@ def test_the_limit_bounds_whatever_the_weights(trained: str) -> None:
     for factor in (1.0, 1e3):
         weights = tuple(factor * value for value in network.weights_3)
         loud = cast(replace(network, weights_3=weights), SINGLE)
-        found = np.abs(answered(loud, np.float32(0.35), tuple(x), SINGLE))
+        found = np.abs(answered(SINGLE, loud, np.float32(0.35), tuple(x)))
         assert np.max(found) <= np.float32(0.35)
     assert np.max(found) > 0.99999 * 0.35
 

@@ -59,7 +59,7 @@ int main(void)
     long wrong = 0L;
     long n;
 
-    gains.share = 1.0F; /* no filter: the correction is what was learned */
+    gains.frame.share = 1.0F; /* no filter: the correction is what was learned */
     for (n = 0L; n < 1000000L; n++) {
         const float wild = ((n % 10L) == 0L) ? 1.0e4F : 1.0F;
         const float volts = 100.0F * wild;
@@ -70,32 +70,32 @@ int main(void)
         const motor1_rotation_t near = motor1_rotation(angle + between(-0.05F, 0.05F));
 
         motor1_@_start(&observer, angle, wild * between(-2000.0F, 2000.0F));
-        observer.flux.started = 1;
-        observer.flux.i = i;
-        observer.flux.psi = motor1_flux_of_current(
-            gains.flux->l_d, gains.flux->l_q, gains.flux->psi_pm, i, near);
-        observer.flux.psi.alpha += wild * between(-0.02F, 0.02F);
-        observer.flux.psi.beta += wild * between(-0.02F, 0.02F);
+        observer.started = 1;
+        observer.i = i;
+        observer.psi = motor1_flux_of_current(
+            gains.flux.l_d, gains.flux.l_q, gains.flux.psi_pm, i, near);
+        observer.psi.alpha += wild * between(-0.02F, 0.02F);
+        observer.psi.beta += wild * between(-0.02F, 0.02F);
         if ((n % 1000L) == 7L) {
-            observer.flux.psi.alpha = (n % 2000L == 7L) ? (0.0F / (angle - angle)) : 3.0e38F;
+            observer.psi.alpha = (n % 2000L == 7L) ? (0.0F / (angle - angle)) : 3.0e38F;
         }
         motor1_@_step(&gains, &observer, v, i);
-        if (observer.outside == 0) {
+        if (observer.outside == 0.0F) {
             acted++;
         } else if (observer.correction != 0.0F) {
             wrong++;
         }
-        if (!((observer.correction <= gains.limit) && (observer.correction >= -gains.limit))) {
+        if (!(fabsf(observer.correction) <= gains.frame.limit)) {
             wrong++;
         }
-        if ((observer.hits != 0.0F) != (observer.outside == 0)) {
+        if ((observer.hits != 0.0F) != (observer.outside == 0.0F)) {
             wrong++;
         }
         if (observer.correction > largest) {
             largest = observer.correction;
         }
     }
-    printf("%ld %ld %.9g %.9g\n", wrong, acted, (double)largest, (double)gains.limit);
+    printf("%ld %ld %.9g %.9g\n", wrong, acted, (double)largest, (double)gains.frame.limit);
     return 0;
 }
 """

@@ -9,6 +9,7 @@ from __future__ import annotations
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer import harmonic_trackers as third
 from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.harmonic_trackers import (
-    third_harmonic_gains,
-    third_harmonic_start,
-    third_harmonic_step,
-)
+from dqforge.optimizer.harmonic_trackers import third_harmonic_gains
 from dqforge.optimizer.observers.methods.ekf import ekf, ekf_gains, ekf_start, ekf_step
 from dqforge.optimizer.observers.methods.matsui_current import (
     current_gains,
@@ -43,9 +40,9 @@ from dqforge.optimizer.observers.sampled_machine import CurrentSensor, Trial, si
 from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic, cast
 from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.operating_system.host_compiler import find_compiler
-from dqforge.reports.pages.templating import render
 from dqforge.reports.steps.control_types import control_types
 from dqforge.reports.steps.observer_text import observer_text
+from dqforge.reports.steps.tracker_text import tracker_text
 from dqforge.reports.verification.host import COMPILERS, WARNINGS, Compiler
 
 T_S = 1e-4
@@ -118,8 +115,8 @@ def emitted(code: str) -> Emitted:
     return Emitted(
         code,
         gains,
-        third_harmonic_start,
-        third_harmonic_step,
+        partial(third.TRACKER.start, gains),
+        lambda own, state, v, i, maths, *u: third.TRACKER.step(own, state, v, i, u, maths),
         ", row[7]",
         "out[2] = observer.flux;",
     )
@@ -170,16 +167,15 @@ def modelled(item: Emitted, sequences: FloatArray, maths: Arithmetic) -> Any:
         if item.code == "ekf":
             found[:, k, 2], found[:, k, 3] = state.scalars[2 + 8], state.scalars[1]
         elif item.code == "third_harmonic":
-            found[:, k, 2] = state.flux
+            found[:, k, 2] = state.scalars[0]
     return found
 
 
 def compiled(item: Emitted, sequences: FloatArray, compiler: Compiler, folder: Path) -> SingleArray:
     """Results of the emitted C, shape (drives, LENGTH, 4)."""
-    names = {"prefix": "drive", "macro": "DRIVE"}
     method = next((own for own in METHODS.values() if own.code == item.code), None)
     observer = (
-        render(f"observers/{item.code}.j2", names | {"gains": item.gains})
+        tracker_text(third.TRACKER, item.gains, "drive", "DRIVE")
         if method is None
         else observer_text(method, item.gains, "drive", "DRIVE")
     )

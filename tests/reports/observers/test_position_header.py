@@ -90,8 +90,9 @@ def test_run_emits_a_verified_header_that_verify_takes_and_that_fails_when_chang
     header = tmp_path / "drive_observer.h"
     text = header.read_text()
     assert f"drive_{METHODS[name].code}_step" in text
-    assert "_wrap(observer->theta_e + " in text
-    header.write_text(text.replace("_wrap(observer->theta_e + ", "_wrap(observer->theta_e - "))
+    foretold = "_wrap(own + " if name in LEARNED_OBSERVERS else "_wrap(observer->theta_e + "
+    assert foretold in text
+    header.write_text(text.replace(foretold, foretold.replace("+", "-")))
     with pytest.raises(VerificationError, match="results of the position observer differ"):
         verify_folder(tmp_path)
     loaded = json.loads((tmp_path / "result.json").read_text())

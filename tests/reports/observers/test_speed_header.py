@@ -14,11 +14,11 @@ from drives import IPM, SURFACE, make_design
 
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.observers.reduced_order import estimate_speed, reduced_order_observer
+from dqforge.optimizer.observers.reduced_order_step import ReducedOrderGains
 from dqforge.reports.observers.float32_model import (
     observed_speeds,
     plain_speed_observer,
     speed_observer_from,
-    speed_observer_gains,
     speed_observer_inputs,
     speed_observer_outputs,
 )
@@ -66,7 +66,7 @@ def test_the_sampled_observer_of_the_theory_in_single_precision() -> None:
 
     first = (single(theta[0])[0:1].reshape(1), np.array([300.0], dtype=np.float32))
     found = observed_speeds(
-        speed_observer_gains(SURFACE, observer),
+        ReducedOrderGains.of(SURFACE, observer),
         (single(ended.real), single(ended.imag)),
         (single(i.real), single(i.imag)),
         single(np.angle(np.exp(1j * theta))),

@@ -37,10 +37,11 @@ from dqforge.machines.plants.scenario import (
 from dqforge.machines.transforms import Triple, clarke
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import steady_observer
+from dqforge.optimizer.observers.reduced_order_step import ReducedOrderGains
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.optimizer.steps.step_arithmetic import cast
 from dqforge.reports.c_code.harness import SINGLE, wrap
-from dqforge.reports.observers.float32_model import observed_speeds, speed_observer_gains
+from dqforge.reports.observers.float32_model import observed_speeds
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.simulation.design_run import controller_files, drive_of, evaluate, observers_of
 from dqforge.reports.simulation.figures import plot_simulation
@@ -269,7 +270,7 @@ def test_the_speed_observer_in_the_loop_equals_its_model() -> None:
         with pytest.raises(InputError, match="one of the position"):
             simulate(program, drive_of(solved.design), replace(scenario, sensorless=SENSORLESS))
     assert solved.gains.observer is not None
-    gains = speed_observer_gains(MACHINE, solved.gains.observer)
+    gains = ReducedOrderGains.of(MACHINE, solved.gains.observer)
     phases = found.i_measured.astype(np.float32)
     i = clarke(SINGLE, Triple(*phases.T))
     theta = found.theta_e_measured.astype(np.float32)

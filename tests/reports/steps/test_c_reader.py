@@ -97,7 +97,29 @@ def both(gains: Any, state: ObserverState, v: Any, i: Any, o: Arithmetic) -> Obs
     return ObserverState((seen,), o.wrap(i[0]), i[1], True, state.scalars)
 
 
-@pytest.mark.parametrize("step", [tried, both])
+def weighed(o: Arithmetic, k: tuple[float, ...], x: tuple[Any, ...], number: Any) -> Any:
+    """Loops in loops."""
+
+    def of(n: Any) -> Any:
+        return o.summed("total", o.at(k, n), 2, lambda m: o.at(k, n + m) * o.at(x, m))
+
+    y = o.each("y", 2, of)
+    following = o.let("following", number * 2 - number + 1)
+    part = o.let("part", o.at(x, following))
+    return o.summed("last", part - y[0], 2, lambda n: o.at(y, n) * o.at(k, number))
+
+
+def counted(gains: Any, state: ObserverState, v: Any, i: Any, o: Arithmetic) -> ObserverState:
+    """An array, a place of it that is found, and loops."""
+    x = o.let("x", (v[0], v[1] - gains.limit * i[0], i[0]), "an array")
+    n = o.reached("n", [i[1] >= -1.0, i[1] >= 3.0])
+    if not state.started:
+        return replace(state, omega_e=o.at(gains.k, n), started=True)
+    small = o.let("small", o.reached("m", [v[1] > 0.0]))
+    return replace(state, omega_e=o.call(weighed, gains.k, x, small))
+
+
+@pytest.mark.parametrize("step", [tried, both, counted])
 def test_the_c_of_a_step_is_the_step(step: Step, tmp_path: Path) -> None:
     gains = TriedGains((0.25, -1.5, 0.1), 300.0, 7.0)
     text = observer_text(method_of(step), gains, "t", "T")
@@ -164,6 +186,14 @@ def _same(gains: Any, state: ObserverState, v: Any, i: Any, o: Arithmetic) -> Ob
     return replace(state, omega_e=o.let("x", -v[0]) + o.let("x", -v[1]), started=True)
 
 
+def _shadowed(gains: Any, state: ObserverState, v: Any, i: Any, o: Arithmetic) -> ObserverState:
+    def of(n: Any) -> Any:
+        return o.summed("total", v[0], 2, lambda k: o.at(gains.k, k) * o.at(gains.k, n))
+
+    o.each("y", 2, of)
+    return replace(state, omega_e=o.summed("last", i[0], 2, lambda k: o.at(gains.k, k)))
+
+
 def _branching(gains: Any, state: ObserverState, v: Any, i: Any, o: Arithmetic) -> ObserverState:
     return replace(state, omega_e=v[0] if v[0] > 0.0 else v[1], started=True)
 
@@ -176,6 +206,7 @@ def _branching(gains: Any, state: ObserverState, v: Any, i: Any, o: Arithmetic) 
         (_unnamed, ValueError, "a vector is handed on by its name"),
         (_exchanged, ValueError, "is needed after it changed"),
         (_same, ValueError, "there is a x already"),
+        (_shadowed, ValueError, "there is a k already"),
         (_branching, TypeError, "cannot branch on a number"),
     ],
 )

@@ -1,0 +1,89 @@
+"""Arrays and counted loops in the C of a step, and whole numbers that count places of arrays."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from dqforge.reports.steps.symbols import Condition, Expression, expression, folded, joined
+
+if TYPE_CHECKING:
+    from dqforge.reports.steps.step_reader import StepReader
+
+
+class Index(Expression):
+    """A place of an array: a whole number that is not negative, as text."""
+
+    __slots__ = ()
+
+    def _with(self, sign: str, other: Any, *, swapped: bool = False) -> Expression:
+        own = other if isinstance(other, Index) else place(f"{int(other)}U")
+        parts = (own, self) if swapped else (self, own)
+        return place(f" {sign} ".join(part.operand() for part in parts), atom=False)
+
+
+def place(text: str, **more: Any) -> Index:
+    """A place by its text."""
+    return Index(text, kind="unsigned int", **more)
+
+
+def item(table: Sequence[Any], place: Any) -> Any:
+    """The number of an array at a place."""
+    if not isinstance(place, Index):
+        return table[place]
+    parts = expression(table[0]), place
+    return joined(f"{parts[0].whole}[{place.bare()}]", *parts, atom=True, kind="float")
+
+
+def filled(
+    reader: StepReader, name: str, count: int, of: Callable[[Any], Any]
+) -> tuple[Expression, ...]:
+    """An array that a loop fills; ``of`` has the number of a place for its argument."""
+    reader.block.take(name)
+    reader.block.variable("float", f"{name}[{count}]")
+    _loop(reader, count, of, lambda place, value: (f"{name}[{place}] = ", value.bare()))
+    return tuple(Expression(f"{name}[{n}]", whole=name) for n in range(count))
+
+
+def summed(
+    reader: StepReader, name: str, first: Any, count: int, of: Callable[[Any], Any]
+) -> Expression:
+    """A variable to which a loop adds, one number after the other."""
+    begin = expression(first)
+    reader.take([begin])
+    reader.block.take(name)
+    reader.block.variable("float", name)
+    reader.block.work(folded(f"{name} = ", begin.bare(), ";", reader.block.indent))
+    _loop(reader, count, of, lambda _, value: (f"{name} = ", f"{name} + {value.operand()}"))
+    return Expression(name)
+
+
+def _loop(
+    reader: StepReader,
+    count: int,
+    of: Callable[[Any], Any],
+    assigned: Callable[[str, Expression], tuple[str, str]],
+) -> None:
+    outer, (name,) = reader.block, inspect.signature(of).parameters
+    if f"{outer.indent}unsigned int {name};" not in outer.lines:
+        outer.take(name)
+        outer.variable("unsigned int", name)
+    reader.block = inner = outer.inner()
+    value = expression(of(place(name)))
+    reader.take([value])
+    inner.work(folded(*assigned(name, value), ";", inner.indent))
+    reader.block = outer
+    outer.inside |= inner.names - outer.names
+    head = f"{outer.indent}for ({name} = 0U; {name} < {count}U; {name}++) {{"
+    outer.work([head, *inner.lines, f"{outer.indent}}}"])
+
+
+def reached(conditions: Sequence[Condition]) -> Index:
+    """How many conditions hold, of which each one implies those before it."""
+    text, terms = "0U", list[Expression]()
+    for number, condition in enumerate(conditions, 1):
+        text = f"({condition.text()}) ? {number}U : {text if number == 1 else f'({text})'}"
+        terms += condition.terms
+    found = joined(text, *terms)
+    return place(text, atom=False, reads=found.reads, members=found.members)
