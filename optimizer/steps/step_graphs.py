@@ -120,7 +120,7 @@ class Graphs(Arithmetic):
         """One number after the other."""
         return tuple(map(of, range(count)))
 
-    def reached(self, name: str, conditions: Sequence[Any], meaning: str = "") -> Any:  # noqa: ARG002
+    def reached(self, name: str, conditions: Sequence[Any]) -> Any:  # noqa: ARG002
         """How many conditions hold."""
         return Number(sum(condition.graph for condition in conditions))
 
