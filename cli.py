@@ -27,11 +27,16 @@ app = application()
 
 @app.command()
 @with_sheet
-def new(
+def new(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
     folder: given.Folder,
     sheet: Sheet,
     machine: given.Template = None,
     source: given.Source = None,
+    capture: given.CaptureOfNew = None,
+    line_to_line: given.LineToLine = False,
+    scale: given.Scale = None,
+    flux_map: given.MapOfNew = None,
+    axes: given.AxesOfNew = None,
     template: given.Blank = False,
     study: given.StudyOfNew = None,
     yes: given.Yes = False,
@@ -42,9 +47,10 @@ def new(
 
     Without options it asks on a terminal; --template writes every key to fill in.
     """
-    asking = not (machine or source or template or study or yes or json)
+    asking = not (machine or source or template or study or yes or json or capture or flux_map)
     texts = asked_sheet(folder, sheet, asking=asking)
-    asked = answers.library.NewRequest(machine, source, sets, texts, template, study)
+    recorded = answers.library.recorded(capture, flux_map, axes, scale, line_to_line=line_to_line)
+    asked = answers.library.NewRequest(machine, source, sets, texts, template, study, *recorded)
     respond("new", partial(answers.library.answer_new, folder, asked), json, out=folder)
 
 

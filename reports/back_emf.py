@@ -220,11 +220,21 @@ def _summary_rows(reading: CaptureReading) -> list[tuple[str, str]]:
         ("sequence", result.sequence),
         ("offset of a, b, c", f"{offsets} {unit}"),
         ("noise of a, b, c", f"{noise} {unit} r.m.s."),
-        ("amplitudes differ from their mean by", f"{100.0 * symmetry.amplitude:.2f} %"),
-        ("displacements differ from 120 deg by", f"{math.degrees(symmetry.displacement):.2f} deg"),
+        *_difference_rows(reading),
         ("even harmonics", f"{100.0 * symmetry.even:.2f} % of the fundamental"),
         *_pole_pair_rows(result.pole_pairs),
         *_constant_rows(reading),
+    ]
+
+
+def _difference_rows(reading: CaptureReading) -> list[tuple[str, str]]:
+    """How far the phases are from three equal ones, where more than one voltage was recorded."""
+    symmetry = reading.result.symmetry
+    if len(reading.capture.voltages) == 1:
+        return [("phases", "taken for equal and 120 deg apart: one voltage was recorded")]
+    return [
+        ("amplitudes differ from their mean by", f"{100.0 * symmetry.amplitude:.2f} %"),
+        ("displacements differ from 120 deg by", f"{math.degrees(symmetry.displacement):.2f} deg"),
     ]
 
 
@@ -374,7 +384,7 @@ def _draw_record(axes: Axes, reading: CaptureReading) -> None:
     factor, unit = prefixed(float(np.max(argument[shown])), unit) if unit == "s" else (1.0, unit)
     volts = "Wb" if capture.quantity == "flux" else "V"
     names = ("ab", "bc", "ca") if capture.connection == "line-to-line" else ("a", "b", "c")
-    for colour, name, values in zip(PHASE_COLOURS.values(), names, capture.voltages, strict=True):
+    for colour, name, values in zip(PHASE_COLOURS.values(), names, capture.voltages, strict=False):
         axes.plot(argument[shown] * factor, values[shown], color=colour, linewidth=0.7, label=name)
     quantity = "Flux linkage" if volts == "Wb" else "Voltage"
     axes.set(xlabel=f"{label} in {unit}", ylabel=f"{quantity} in {volts}", title="As recorded")

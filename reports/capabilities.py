@@ -4,30 +4,30 @@ from __future__ import annotations
 
 from typing import Any
 
-from dqforge.reports.application.header import APPLICATION
 from dqforge.reports.capability import Capability
-from dqforge.reports.current_feedback.tables import CURRENT_FEEDBACK
 from dqforge.reports.current_reference.capability import (
     CURRENT_REFERENCE,
     NEGATIVE_POINTS,
     NEGATIVE_REFERENCE,
 )
 from dqforge.reports.dynamic_references import DYNAMIC_REFERENCES
-from dqforge.reports.field_weakening.header import WEAKENING
 from dqforge.reports.firmware_files.plain import FIRMWARE
 from dqforge.reports.fixed_observers.fixed_observer_header import FIXED_OBSERVER
-from dqforge.reports.fixed_reference.header import FIXED_REFERENCE
-from dqforge.reports.frame_tables.capability import FRAME_TABLES
 from dqforge.reports.loops.capability import GAIN_SCHEDULE, LOOPS, NO_LOOPS, STABILITY
 from dqforge.reports.losses.map_figures import LOSSES, MISSION
 from dqforge.reports.modulation_choice.figures import MODULATION_CHOICE
 from dqforge.reports.observers.tracker_header import POSITION_OBSERVER, SPEED_OBSERVER
 from dqforge.reports.operating_points.html import OPERATING_POINTS
-from dqforge.reports.overmodulation.capability import OVERMODULATION
 from dqforge.reports.phase_control.emitted_integers import FIXED_CONTROL, FLOAT32_CONTROL
 from dqforge.reports.simulation.tables import FORMATS_NOT_SIMULATED, SIMULATION
+from dqforge.reports.single_headers.application import APPLICATION
+from dqforge.reports.single_headers.current_feedback import CURRENT_FEEDBACK
+from dqforge.reports.single_headers.field_weakening import WEAKENING
+from dqforge.reports.single_headers.fixed_reference import FIXED_REFERENCE
+from dqforge.reports.single_headers.frame_tables import FRAME_TABLES
+from dqforge.reports.single_headers.overmodulation import OVERMODULATION
+from dqforge.reports.single_headers.speed_measurement import SPEED_MEASUREMENT
 from dqforge.reports.six_step.header import SIX_STEP
-from dqforge.reports.speed_measurement.tables import SPEED_MEASUREMENT
 from dqforge.reports.start_up.tables import START_UP
 from dqforge.reports.waveforms.tables import PHASE_REFERENCE, WAVEFORMS
 

@@ -15,9 +15,7 @@ from dqforge.optimizer.current_reference.forms import SignedReference
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Capability, Outcome, Tile, asked_for
 from dqforge.reports.convention_text import convention_lines
-from dqforge.reports.main_header.dialect import Dialect
-from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
-from dqforge.reports.main_header.header import header_context
+from dqforge.reports.main_header import NEUTRAL, Dialect, header_context
 from dqforge.reports.pages.answer import NUMBER_AND_UNIT
 from dqforge.reports.pages.html_text import (
     NARROW,

@@ -21,9 +21,7 @@ from dqforge.reports.firmware.design_simulation import simulate_with_firmware
 from dqforge.reports.firmware.target import TextFile
 from dqforge.reports.firmware_files.plain import firmware_files
 from dqforge.reports.firmware_files.settled import settling_verdicts
-from dqforge.reports.main_header.dialect import Dialect
-from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import NEUTRAL, Dialect, header_files
 from dqforge.reports.observers.speed_loop_text import promise_lines, with_promise
 from dqforge.reports.pages.answer import shares, stage
 from dqforge.reports.pages.templating import to_text

@@ -22,14 +22,14 @@ from dqforge.optimizer.observers.solve import solve_observer
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control.header import control_files
-from dqforge.reports.field_weakening.header import weakening_files
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.observers.float32_model import (
     observer_inputs,
     speed_observer_inputs,
 )
 from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.tracker_header import speed_observer_files
+from dqforge.reports.single_headers.field_weakening import weakening_files
 
 COUNT = 300
 

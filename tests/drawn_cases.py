@@ -53,7 +53,8 @@ def seed() -> str:
 
 @cache
 def changed_rooms() -> frozenset[str]:
-    """Folders of the product and its tests that the working tree or the last day's commits change.
+    """Folders and modules of the product that the working tree or the last day's commits change, or
+    tests of them.
 
     The day ends with the last commit, so that the same commit draws the same.
     """
@@ -61,8 +62,9 @@ def changed_rooms() -> frozenset[str]:
     names = _git("log", f"--since=@{day_before}", "--format=", "--name-only").split()
     names += _git("diff", "--name-only", "HEAD").split()
     names += _git("ls-files", "--others", "--exclude-standard").split()
-    folders = (Path(name).parent.as_posix().removesuffix("/templates") for name in names)
-    return frozenset(folder.removeprefix("tests/") for folder in folders)
+    paths = [Path(name.replace("/templates", "").removeprefix("tests/")) for name in names]
+    modules = {path.with_suffix("") for path in paths if path.suffix == ".py"}
+    return frozenset(path.as_posix() for path in {path.parent for path in paths} | modules)
 
 
 def near(name: str) -> bool:

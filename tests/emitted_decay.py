@@ -19,7 +19,7 @@ from dqforge.machines.names import Topology
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.phase_control.header import phase_control_files
 
 # Phase voltages over the link voltage, against half the link on the split one.

@@ -25,8 +25,8 @@ from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.solution import solve
 from dqforge.reports.control.fixed_header import control_fixed_files
 from dqforge.reports.fixed_observers.fixed_observer_header import fixed_observer_files
-from dqforge.reports.fixed_reference.header import reference_files
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
+from dqforge.reports.single_headers.fixed_reference import reference_files
 
 
 def _width(number_format: str) -> int:

@@ -38,7 +38,7 @@ KINDS = {
     "proofs": r"optimizer/(certificates|box_proofs|axis_margins|speed_box|changing_loops)/",
     "number formats": r"optimizer/fixed_\w+/|optimizer/curves/",
     "formulas": r"optimizer/|machines/(\w+_machines|losses|modulation|plants|transforms|back_emf)",
-    "emitted code": r"reports/(?!pages/)\w+/templates/(?!.*(html|harness|vectors|main)).*\.j2$",
+    "emitted code": r"reports/(?!pages/)\w+/templates/(?!.*(html|harness|vectors|main\.)).*\.j2$",
 }
 BINARY = {"+": "-", "-": "+", "*": "/", "/": "*", "**": "*", "//": "*", "%": "*"}
 COMPARISONS = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}

@@ -38,7 +38,7 @@ from dqforge.optimizer.phase_control.phase_controller import (
     torque_of,
 )
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.phase_control.header import (
     HARMONIC_NUMBERS,
     MIDPOINT_NUMBERS,

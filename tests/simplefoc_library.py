@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from dqforge.reports.firmware.simplefoc.reader import ENUMERATORS
+from dqforge.reports.firmware.simplefoc import ENUMERATORS
 
 STUB = """// Only what a configuration touches.
 #include <stdint.h>

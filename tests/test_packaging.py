@@ -47,7 +47,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
 def expected_files() -> set[str]:
     paths = [ROOT / name for name in ("__init__.py", "cli.py", "py.typed")]
     for floor in FLOORS:
-        paths += [*(ROOT / floor).rglob("*.py"), *(ROOT / floor).rglob("templates/*.j2")]
+        paths += [*(ROOT / floor).rglob("*.py"), *(ROOT / floor).rglob("*.j2")]
     paths += (ROOT / "machines" / "library").rglob("*.yaml")
     paths += (ROOT / "machines" / "library" / "schemas").glob("*.json")
     return {f"dqforge/{path.relative_to(ROOT).as_posix()}" for path in paths}

@@ -30,7 +30,6 @@ from dqforge.optimizer.current_feedback import (
     run_regulator,
     speed_points,
 )
-from dqforge.reports.current_feedback.tables import plot_regulators
 from dqforge.reports.pages.figures_style import (
     BLUE,
     INK,
@@ -41,6 +40,7 @@ from dqforge.reports.pages.figures_style import (
     save,
     style,
 )
+from dqforge.reports.single_headers.current_feedback import plot_regulators
 
 BAND = 0.4
 SCHEMES: dict[str, tuple[Scheme, str]] = {

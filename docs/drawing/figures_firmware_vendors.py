@@ -27,7 +27,7 @@ from dqforge.optimizer.firmware.firmware_method import mechanics_of
 from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import gain_i, gain_p
 from dqforge.optimizer.firmware.solve import FirmwareFit
 from dqforge.optimizer.firmware.st_keys import fitted_table, table_currents
-from dqforge.optimizer.firmware.ti_format import BANDWIDTHS, VERSION, current_rule, speed_rule
+from dqforge.optimizer.firmware.targets.ti import BANDWIDTHS, VERSION, current_rule, speed_rule
 from dqforge.optimizer.loops.plants import PiLoop
 from dqforge.optimizer.sampled_systems import constant_input_states
 from dqforge.reports.pages.figures_style import (

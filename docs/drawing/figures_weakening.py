@@ -9,8 +9,8 @@ from pathlib import Path
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import WeakeningSettings
 from dqforge.optimizer.field_weakening.fit import solve_weakening
-from dqforge.reports.field_weakening.header import plot_weakening
 from dqforge.reports.pages.figures_style import save
+from dqforge.reports.single_headers.field_weakening import plot_weakening
 
 _DRIVE, _RPM, _FLASH = "baldor-pmsyrm-5k6", 3600.0, 3000
 

@@ -31,7 +31,13 @@ from dqforge.machines.back_emf.columns import (
     pole_pairs_of_fit,
     result_of_fit,
 )
-from dqforge.machines.back_emf.harmonics import ComplexArray, Motion, covers_turn, fit_pole_pairs
+from dqforge.machines.back_emf.harmonics import (
+    ComplexArray,
+    HarmonicFit,
+    Motion,
+    covers_turn,
+    fit_pole_pairs,
+)
 
 _COARSE_HARMONICS = 7
 
@@ -73,7 +79,8 @@ def analyse(
     tell = progress or (lambda _: None)
     axis = checks.check_samples(capture.time, capture.angle, capture.voltages, origin)
     timed = capture.time is not None
-    if capture.voltages.shape[0] != 3:
+    alone = capture.voltages.shape[0] == 1 and capture.connection == "line-to-line"
+    if capture.voltages.shape[0] != 3 and not alone:
         raise origin.error(
             f"a three-phase capture needs three channels, got {capture.voltages.shape[0]}", None
         )
@@ -89,12 +96,14 @@ def analyse(
     voltages = capture.voltages
     if capture.connection == "line-to-line":
         findings += _line_to_line_findings(voltages)
-        voltages, start = _TO_PHASES @ voltages, _TO_PHASES @ start
+        if not alone:
+            voltages, start = _TO_PHASES @ voltages, _TO_PHASES @ start
     fit = numerics.fit_harmonics(
         motion, voltages, count, start, lambda share: tell(0.3 + 0.6 * share)
     )
     checks.check_condition(fit, origin)
     checks.check_length(periods_of(fit.motion), samples, origin)
+    fit = _phase_of_wires(fit) if alone else fit
     if timed:
         checks.check_speed(fit.motion.frequency, pole_pairs, speed, origin)
         omega = fit.motion.unit_speed
@@ -105,11 +114,28 @@ def analyse(
         fit, omega, steps, capture.connection, capture.quantity, findings, origin
     )
     turns = 1 if pole_pairs is None else pole_pairs
-    if turns == 1 or not covers_turn(fit.motion, result.periods, turns):
+    if alone or turns == 1 or not covers_turn(fit.motion, result.periods, turns):
         return result
     whole = fit_pole_pairs(fit.motion, voltages, result.periods, turns, count)
     pairs = pole_pairs_of_fit(whole, omega, steps, capture.quantity, result, turns)
     return replace(result, pole_pairs=pairs)
+
+
+def _phase_of_wires(fit: HarmonicFit) -> HarmonicFit:
+    """Harmonics of phase a from those of one voltage between two wires.
+
+    Where b is a, 120 degrees later, e_ab has C_h (1 - exp(-j h 120 deg)) of C_h in phase a: sqrt(3)
+    in size, and nothing of the orders that are multiples of three.
+    """
+    orders = np.arange(1, fit.coefficients.shape[1] + 1)
+    share = 1.0 - np.exp(-2j * np.pi * orders / 3.0)
+    seen = orders % 3 != 0
+    own = np.where(seen, fit.coefficients / np.where(seen, share, 1.0), 0.0)
+    scaled = {name: getattr(fit, name) / np.sqrt(3.0) for name in _SCALED}
+    return replace(fit, coefficients=own, **scaled)
+
+
+_SCALED = ("offsets", "residual", "noise", "deviation")
 
 
 def _found_motion(
@@ -152,6 +178,8 @@ def _coarse_fit(
     periods = periods_of(motion)
     checks.check_periodic(coarse, voltages[:, ::stride], thin.lines.size / periods, thin)
     checks.check_length(periods, voltages.shape[1] / periods, origin)
+    if len(voltages) == 1:
+        return motion, coarse.coefficients
     # A third channel that is nothing but the negative sum of the others would
     # hide which of them is wrong.
     derived = capture.connection == "line-to-line" and np.array_equal(
@@ -228,6 +256,12 @@ def _line_to_line_findings(voltages: FloatArray) -> list[str]:
             "... are unknown."
         )
     ]
+    if len(voltages) == 1:
+        findings.append(
+            "One voltage between two wires was given: the phases are taken for equal and 120 "
+            "degrees apart; how far they differ is unknown."
+        )
+        return findings
     share = float(np.std(np.sum(voltages, axis=0)) / np.mean([np.std(row) for row in voltages]))
     if share > 0.05:
         findings.append(

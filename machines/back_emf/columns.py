@@ -46,7 +46,8 @@ class BemfCapture:
         time: Ascending times in s, shape (N,), need not be even; None when the angle is given.
         angle: Electrical angle in rad, any origin, shape (N,), may contain both ends of the period;
             None when time is given.
-        voltages: In V, shape (3, N): phases a, b, c, or line-to-line ab, bc, ca.
+        voltages: In V, shape (3, N): phases a, b, c, or line-to-line ab, bc, ca; or ab alone,
+            shape (1, N).
         lines: Line of each sample in the file, shape (N,).
         connection: What the channels were connected to.
         quantity: ``flux`` if `voltages` holds flux linkages in Wb over the angle.
@@ -106,7 +107,8 @@ def capture_from_tables(tables: Sequence[TextTable], options: CaptureOptions) ->
 
     The first column of a file is the time or the angle (told by its heading, unit or numbers);
     where there is none the file or the user must say the interval. Of the others those in volts,
-    else those in Wb, else all are the channels: three, or two line-to-line voltages (ab and bc).
+    else those in Wb, else all are the channels: three, or one or two voltages between wires (ab,
+    bc).
 
     Raises:
         InputError: Nothing tells the times; columns that are missing or too many, a unit that does
@@ -212,8 +214,8 @@ def _named(table: TextTable, columns: Sequence[str | int], origin: Origin) -> li
 
 
 def _check_count(names: list[str], connection: Connection, origin: Origin) -> None:
-    """Refuse anything but three channels, or two line-to-line ones."""
-    if len(names) == 3 or (len(names) == 2 and connection == "line-to-line"):
+    """Refuse anything but three channels, or one or two between wires."""
+    if len(names) == 3 or (0 < len(names) < 3 and connection == "line-to-line"):
         return
     listed = ", ".join(names) or "none"
     if len(names) > 3:
@@ -226,7 +228,8 @@ def _check_count(names: list[str], connection: Connection, origin: Origin) -> No
     count = "is 1 channel" if len(names) == 1 else f"are {len(names)} channels"
     raise origin.error(
         f"there {count} ({listed}): {missing}; capture them together, name the files of all "
-        "channels, or give line-to-line voltages",
+        "channels, or say that what was recorded lies between two wires: --line-to-line, in a "
+        "design connection: line-to-line",
         0,
     )
 
@@ -263,7 +266,7 @@ def _electrical(part: _Part, pole_pairs: int | None) -> FloatArray:
 
 
 def _voltages(parts: Sequence[_Part], scale: tuple[float, float, float]) -> FloatArray:
-    """Channels of all parts in SI units, shape (3, N).
+    """Channels of all parts in SI units, shape (3, N), or (1, N) of one.
 
     The third of two is what makes their sum zero.
     """
@@ -272,7 +275,7 @@ def _voltages(parts: Sequence[_Part], scale: tuple[float, float, float]) -> Floa
         for part in parts
         for k, unit in zip(part.channels, part.factors, strict=True)
     ]
-    voltages = np.empty((3, parts[0].axis.values.size))
+    voltages = np.empty((1 if len(columns) == 1 else 3, parts[0].axis.values.size))
     for row, (values, unit), share in zip(voltages, columns, scale, strict=False):
         np.multiply(values, unit * share, out=row)
     if len(columns) == 2:
@@ -391,9 +394,8 @@ def result_of_fit(
             "two channels are swapped; exchange their columns."
         )
     offsets, noise = np.resize(fit.offsets, 3), np.resize(fit.noise, 3)
-    findings += remarks(
-        symmetry, offsets, noise, np.resize(volts, 3), drift, "Wb" if quantity == "flux" else "V"
-    )
+    unit = "Wb" if quantity == "flux" else "V"
+    findings += remarks(symmetry, fit.offsets, fit.noise, volts, drift, unit)
     return BemfResult(
         frequency=fit.motion.frequency if timed else float("nan"),
         drift=drift,
@@ -684,7 +686,7 @@ def remarks(
 ) -> list[str]:
     """Sentences on what a user should know.
 
-    Offsets, noise and fundamental amplitudes in one unit, shape (3,).
+    Offsets, noise and fundamental amplitudes in one unit, shape (3,), or (1,) of one channel.
     """
     findings = []
     for phase, (offset, rms, amplitude) in enumerate(zip(offsets, noise, amplitudes, strict=True)):

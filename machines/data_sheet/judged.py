@@ -8,9 +8,13 @@ import re
 import textwrap
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 from dqforge.machines.data_sheet.sheet_values import (
     BY_KEY,
+    FLUX_AXES,
+    FLUX_MAP,
+    MAP_FLAGS,
     SHEET_VALUES,
     SheetValue,
     assumed_frequency,
@@ -111,11 +115,15 @@ def _is_of_known(sentence: str, known: Collection[str]) -> bool:
     return key == "machine.pole_pairs" or (key == "machine.resistance" and set(known) >= _DROP)
 
 
-def checked_text(values: Mapping[str, str]) -> str:
+def checked_text(
+    values: Mapping[str, str], folder: Path | None = None, origins: Mapping[str, str] | None = None
+) -> str:
     """Text of the design file of a data sheet, which has passed the checks of every design.
 
     Args:
         values: By the dotted key, what the data sheet says.
+        folder: Where the flux map lies, if there is one.
+        origins: By the dotted key, where a value comes from that is on no data sheet.
 
     Raises:
         InputError: Something is missing, wrong or contradictory; the message names the option.
@@ -124,9 +132,9 @@ def checked_text(values: Mapping[str, str]) -> str:
     if lacking:
         also = " ".join(f"{value.flag} {_quoted(value.example)}" for value in lacking)
         raise InputError(f"a design needs more of the data sheet; give {also} as well")
-    _, plain = _built(values, flags=True)
-    text = design_text(values, _used(plain))
-    _built(values, text, flags=True)
+    _, plain = _built(values, flags=True, folder=folder)
+    text = design_text(values, _used(plain) | dict(origins or {}))
+    _built(values, text, flags=True, folder=folder)
     return text
 
 
@@ -149,12 +157,12 @@ def _used(design: Design) -> dict[str, str]:
 
 
 def _built(
-    values: Mapping[str, str], text: str = "", *, flags: bool = False
+    values: Mapping[str, str], text: str = "", *, flags: bool = False, folder: Path | None = None
 ) -> tuple[DesignFile, Design]:
     text = text or design_text(values)
     document = _document(values, text, flags=flags)
     file = read_sections(document)
-    return file, build_design(file, Reading(document, text.encode("utf-8"), None))
+    return file, build_design(file, Reading(document, text.encode("utf-8"), folder))
 
 
 def _document(values: Mapping[str, str], text: str, *, flags: bool = False) -> YamlDocument:
@@ -164,6 +172,9 @@ def _document(values: Mapping[str, str], text: str, *, flags: bool = False) -> Y
         for value in SHEET_VALUES
         if value.key in values
     }
+    options.update(
+        (tuple(key.split(".")), flag) for key, flag in MAP_FLAGS.items() if key in values
+    )
     return replace(parse_yaml(text.encode("utf-8"), _SOURCE), options=options)
 
 
@@ -239,6 +250,7 @@ def _parts(values: Mapping[str, str], used: Mapping[str, str]) -> Iterator[str]:
     yield _HEAD
     yield f"name: {written(values.get('name') or DEFAULT_NAME)}\n"
     yield "\nmachine:\n"
+    yield _map_entry(values)
     yield from _entries("machine.", values, used)
     yield "\ninverter:\n"
     yield from _entries("inverter.", values, used)
@@ -246,6 +258,22 @@ def _parts(values: Mapping[str, str], used: Mapping[str, str]) -> Iterator[str]:
     yield _LOOPS
     yield _SPEED_LOOP if "machine.inertia" in values else _NO_SPEED_LOOP
     yield _END
+
+
+_MAP = """\
+  model: flux-map
+  # Flux linkages over the currents, from the file beside this one. Axes: magnet-d where d lies
+  # along the magnets, reluctance where they lie on the negative q axis.
+"""
+
+
+def _map_entry(values: Mapping[str, str]) -> str:
+    if FLUX_MAP not in values:
+        return ""
+    entry: dict[str, YamlValue] = {"file": values[FLUX_MAP]}
+    if FLUX_AXES in values:
+        entry["axes"] = values[FLUX_AXES]
+    return f"{_MAP}  flux_map: {written(entry)}\n"
 
 
 def _entries(section: str, values: Mapping[str, str], used: Mapping[str, str]) -> Iterator[str]:

@@ -257,16 +257,23 @@ SHEET_VALUES = (
 
 BY_KEY = {value.key: value for value in SHEET_VALUES}
 
+# A file with a flux map, and what its axes are; it says what magnets and inductances would.
+FLUX_MAP, FLUX_AXES = "machine.flux_map.file", "machine.flux_map.axes"
+MAP_FLAGS = {FLUX_MAP: "--map", FLUX_AXES: "--axes"}
+_OF_MAP = ("magnets", "inductance")
+
 
 def is_needless(value: SheetValue, known: Collection[str]) -> bool:
     """Whether others that are known take the place of a value."""
-    return not set(value.instead).isdisjoint(known)
+    return (FLUX_MAP in known and value.need in _OF_MAP) or not set(value.instead).isdisjoint(known)
 
 
 def missing(known: Collection[str]) -> list[SheetValue]:
     """What a design still needs, each in the first way that is open."""
     found: list[SheetValue] = []
     for need in dict.fromkeys(value.need for value in SHEET_VALUES if value.need):
+        if FLUX_MAP in known and need in _OF_MAP:
+            continue
         ways = [value for value in SHEET_VALUES if value.need == need]
         if need == "inductance" and not set(_AXES).isdisjoint(known):
             found += [value for value in ways if value.key in _AXES and value.key not in known]

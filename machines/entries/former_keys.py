@@ -324,15 +324,19 @@ def _lookup(data: YamlValue, path: KeyPath) -> YamlValue:
 def _without_echoes(faults: list[ErrorDetails]) -> list[ErrorDetails]:
     """Faults without those that others cause.
 
-    A missing key beside an unknown one is likely the same, misspelt; a list with a wrong entry is
-    also reported as too short.
+    A missing key beside an unknown one is likely the same, misspelt, and one that is unknown
+    elsewhere stands there; a list with a wrong entry is also reported as too short.
     """
-    misspelt = {fault["loc"][:-1] for fault in faults if fault["type"] == "extra_forbidden"}
+    unknown = [fault["loc"] for fault in faults if fault["type"] == "extra_forbidden"]
+    misspelt, moved = {place[:-1] for place in unknown}, {place[-1] for place in unknown}
     parents = {fault["loc"][:length] for fault in faults for length in range(len(fault["loc"]))}
     return [
         fault
         for fault in faults
-        if not (fault["type"] == "missing" and fault["loc"][:-1] in misspelt)
+        if not (
+            fault["type"] == "missing"
+            and (fault["loc"][:-1] in misspelt or fault["loc"][-1] in moved)
+        )
         and not (fault["type"] == "too_short" and fault["loc"] in parents)
     ]
 

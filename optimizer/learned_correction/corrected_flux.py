@@ -170,13 +170,16 @@ def scale(gains: Any) -> tuple[float, float]:
 # it. tanh is the rational function of `hyperbolic_tangent` here, in training and in the emitted C
 # alike.
 #
-# The training is L-BFGS on the mean square, with the gradient written out, from seeded weights and
-# for a fixed number of steps. All sums are numpy's own loops: its bytes do not depend on the
-# threads of a linear algebra library; they do depend on the instructions that numpy is compiled
-# for.
+# The training is Levenberg and Marquardt's method on the mean square from seeded weights, for fixed
+# numbers of steps: most on every eighth drive, the last on all. What a network answers at one point
+# scatters with the drives that it saw, and with the last digits by which its way begins: on 10,000
+# drives it left up to 0.7 of the flux observer's error where the mean of eight networks left 0.1.
 
-STEPS = 400  # Of L-BFGS.
+STEPS = ((8, 60), (1, 6))  # Every how manieth drive, and so many steps.
 SEED = 20
+_DAMPING = 1.0e-5  # Of the first step, added to the mean squares of the slopes.
+_EASED, _RAISED, _MOST_RAISED = 3.0, 4.0, 12
+_BLOCK = 1024  # Drives.
 END = 4.97  # Size of the argument from which on the rational function is replaced by its sign.
 TANH_ERROR = 1.0e-4  # Largest difference of `hyperbolic_tangent` from the hyperbolic tangent.
 _UPPER = (135135.0, 17325.0, 378.0, 1.0)
@@ -282,38 +285,73 @@ def _parts(
     return a.reshape(first, TOLD), b, c.reshape(second, first), d, e, float(f[0])
 
 
-def mean_square(
-    x: FloatArray, wanted: FloatArray, first: int, second: int
-) -> Callable[[FloatArray], tuple[float, FloatArray]]:
-    """Weights -> mean square of answer less ``wanted`` (over the limit), and its gradient.
+def _run(
+    flat: FloatArray, x: FloatArray, hidden: tuple[int, int]
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Values and slopes of the tangents of each layer."""
+    w_1, b_1, w_2, b_2, w_3, b_3 = _parts(flat, *hidden)
+    one = _curve(w_1 @ x + b_1[:, None])
+    two = _curve(w_2 @ one[0] + b_2[:, None])
+    return [one, two, _curve(w_3 @ two[0] + b_3)]
+
+
+def residuals(
+    flat: FloatArray, x: FloatArray, wanted: FloatArray, hidden: tuple[int, int]
+) -> tuple[FloatArray, FloatArray]:
+    """Answers less those wanted over the limit, shape (M,), and their slopes, shape (weights, M).
 
     Args:
+        flat: All weights.
         x: Inputs of -1 to 1, shape (5, M).
         wanted: Corrections over the limit, shape (M,).
-        first, second: Neurons of the hidden layers.
+        hidden: Neurons of the hidden layers.
     """
-    count = len(wanted)
+    _, _, w_2, _, w_3, _ = _parts(flat, *hidden)
+    (one, one_slope), (two, two_slope), (last, back_3) = _run(flat, x, hidden)
+    back_2 = w_3[:, None] * back_3 * two_slope
+    back_1 = (w_2.T @ back_2) * one_slope
+    slopes = [
+        (back_1[:, None] * x).reshape(-1, len(wanted)),
+        back_1,
+        (back_2[:, None] * one).reshape(-1, len(wanted)),
+        back_2,
+        back_3 * two,
+        back_3[None],
+    ]
+    return last - wanted, np.concatenate(slopes)
 
-    def cost(flat: FloatArray) -> tuple[float, FloatArray]:
-        w_1, b_1, w_2, b_2, w_3, b_3 = _parts(flat, first, second)
-        one, one_slope = _curve(np.einsum("ij,jn->in", w_1, x) + b_1[:, None])
-        two, two_slope = _curve(np.einsum("ij,jn->in", w_2, one) + b_2[:, None])
-        last, last_slope = _curve(np.einsum("i,in->n", w_3, two) + b_3)
-        gap = last - wanted
-        back_3 = (2.0 / count) * gap * last_slope
-        back_2 = w_3[:, None] * back_3 * two_slope
-        back_1 = np.einsum("ij,in->jn", w_2, back_2) * one_slope
-        slopes = [
-            np.einsum("in,jn->ij", back_1, x).ravel(),
-            np.einsum("in->i", back_1),
-            np.einsum("in,jn->ij", back_2, one).ravel(),
-            np.einsum("in->i", back_2),
-            np.einsum("in,n->i", two, back_3),
-            np.einsum("n->", back_3).reshape(1),
-        ]
-        return float(np.einsum("n,n->", gap, gap)) / count, np.concatenate(slopes)
 
-    return cost
+def _descended(
+    flat: FloatArray, x: FloatArray, wanted: FloatArray, hidden: tuple[int, int], steps: int
+) -> FloatArray:
+    """Weights after so many steps of damped least squares, fewer where none leads down.
+
+    By the normal equations: of 80,000 drives a factor of the slopes takes ten times as long.
+    """
+    # Blocks whose slopes the processor's cache holds.
+    blocks = [slice(at, at + _BLOCK) for at in range(0, len(wanted), _BLOCK)]
+
+    def square(weights: FloatArray) -> float:
+        gaps = [_run(weights, x[:, own], hidden)[-1][0] - wanted[own] for own in blocks]
+        return sum(float(gap @ gap) for gap in gaps)
+
+    ridge, least = _DAMPING * len(wanted), square(flat)
+    for _ in range(steps):
+        slope, curvature = np.zeros(flat.size), np.zeros((flat.size, flat.size))
+        for own in blocks:
+            gap, slopes = residuals(flat, x[:, own], wanted[own], hidden)
+            slope += slopes @ gap
+            curvature += slopes @ slopes.T
+        for _ in range(_MOST_RAISED):
+            tried = flat - np.linalg.solve(curvature + ridge * np.eye(flat.size), slope)
+            found = square(tried)
+            if found < least:
+                break
+            ridge *= _RAISED
+        else:
+            return flat
+        flat, least, ridge = tried, found, ridge / _EASED
+    return flat
 
 
 def trained_network(
@@ -327,8 +365,6 @@ def trained_network(
         hidden: Neurons of the hidden layers.
         limit: Of the answer in rad.
     """
-    from scipy.optimize import minimize
-
     first, second = hidden
     generator = np.random.default_rng(SEED)
 
@@ -336,16 +372,11 @@ def trained_network(
         return np.asarray(generator.standard_normal(rows * columns) / np.sqrt(columns))
 
     begin = [spread(first, TOLD), np.zeros(first), spread(second, first), np.zeros(second)]
-    begin += [spread(1, second), np.zeros(1)]
-    found = minimize(
-        mean_square(np.ascontiguousarray(x[:TOLD]), wanted / limit, first, second),
-        np.concatenate(begin),
-        jac=True,
-        method="L-BFGS-B",
-        options={"maxiter": STEPS, "maxfun": 10 * STEPS, "ftol": 0.0, "gtol": 0.0, "maxcor": 20},
-    )
-    single = np.asarray(found.x, dtype=np.float32).astype(np.float64)
-    w_1, b_1, w_2, b_2, w_3, b_3 = _parts(single, first, second)
+    flat = np.concatenate([*begin, spread(1, second), np.zeros(1)])
+    for every, steps in STEPS:
+        seen, shares = np.ascontiguousarray(x[:TOLD, ::every]), wanted[::every] / limit
+        flat = _descended(flat, seen, shares, hidden, steps)
+    w_1, b_1, w_2, b_2, w_3, b_3 = _parts(flat.astype(np.float32).astype(np.float64), *hidden)
     plain = [tuple(part.ravel().tolist()) for part in (w_1, b_1, w_2, b_2, w_3)]
     return Network(plain[0], plain[1], plain[2], plain[3], plain[4], b_3)
 

@@ -374,7 +374,9 @@ Corrects = Callable[[FloatArray], FloatArray]
 
 
 @lru_cache(maxsize=4)
-def training_drives(gains: FluxGains, machine: LinearMachine, box: TrainingBox) -> SteadyErrors:
+def training_drives(
+    gains: FluxGains, machine: LinearMachine, box: TrainingBox, count: int = POINTS
+) -> SteadyErrors:
     """The drives that are trained on, each with some share of its error corrected already.
 
     The correction turns the angle in which the currents are held, and with it what the observer
@@ -383,7 +385,7 @@ def training_drives(gains: FluxGains, machine: LinearMachine, box: TrainingBox) 
     Raises:
         NoSolutionError: The observer holds on hardly any of them.
     """
-    drives = drawn(machine, box, gains.path.t_s, POINTS, _TRAINED)
+    drives = drawn(machine, box, gains.path.t_s, count, _TRAINED)
     bare = drives.at_rest(gains)
     share = float(np.mean(bare.held))
     if share < LEAST_HELD:
@@ -392,7 +394,7 @@ def training_drives(gains: FluxGains, machine: LinearMachine, box: TrainingBox) 
             "the drives of its tolerance box alone; there is nothing to learn from, narrow "
             "control.tolerances or write method: flux"
         )
-    done = np.random.default_rng(_TRAINED).uniform(0.0, 1.0, POINTS)
+    done = np.random.default_rng(_TRAINED).uniform(0.0, 1.0, count)
     found = drives.at_rest(gains, np.where(bare.held, -done * bare.error, 0.0))
     return found.only(found.held & bare.held)
 
@@ -451,6 +453,7 @@ def assessed(
     gains: FluxGains,
     machine: LinearMachine,
     box: TrainingBox,
+    trained: SteadyErrors,
     frame: CorrectionFrame,
     omega_max: float,
     corrects: Corrects,
@@ -461,13 +464,13 @@ def assessed(
 
     Args:
         gains: Of the flux observer.
+        trained: The drives that were trained on.
         frame: What the correction is told, and its limit.
         omega_max: Largest electrical speed in rad/s, of which the bands are shares.
         corrects: What was learned.
         rules: Bound of its rules in rad, None where it has none.
         numbers: How many constants were learned.
     """
-    trained = training_drives(gains, machine, box)
     linear = least_squares(_regression(trained, box), -trained.error)
     further = replace(box, r_s=beyond(box))
     edges = omega_max * np.stack([_EDGES[:-1], _EDGES[1:]], axis=1)

@@ -23,6 +23,7 @@ from dqforge.optimizer.learned_correction.corrected_flux import (
     told,
 )
 from dqforge.optimizer.learned_correction.correction_frame import (
+    POINTS,
     SILENT,
     CorrectionFrame,
     Inputs,
@@ -38,7 +39,7 @@ from dqforge.optimizer.observers.reduced_order import Training, TrainingBox
 from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic, Pair
 
 HIDDEN = (8, 8)  # Neurons of the hidden layers where the design names none.
-_EVERY = 2  # Of the drawn drives, every second one trains: twice as many gain no tenth of a degree.
+_DRIVES = 4 * POINTS  # A network scatters more than rules with the drives that it learned from.
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +85,9 @@ def _trained(
     box: TrainingBox,
     hidden: tuple[int, int],
 ) -> NeuralGains:
-    drives = training_drives(gains.flux, machine, box)
-    x, wanted = inputs_of(frame, drives)[:, ::_EVERY], -drives.error[::_EVERY]
-    wanted = np.clip(wanted, -frame.limit, frame.limit)
-    found = network.trained_network(x, wanted, hidden, frame.limit)
+    drives = training_drives(gains.flux, machine, box, _DRIVES)
+    wanted = np.clip(-drives.error, -frame.limit, frame.limit)
+    found = network.trained_network(inputs_of(frame, drives), wanted, hidden, frame.limit)
     return replace(gains, frame=frame, network=found)
 
 
@@ -98,7 +98,7 @@ def train(
     box: TrainingBox,
     omega_max: float,
 ) -> tuple[NeuralGains, Training]:
-    """A network by L-BFGS over the drives of the box.
+    """A network by least squares over the drives of the box.
 
     Args:
         settings: Hidden layers, filter and limit, where the design names them.
@@ -111,8 +111,9 @@ def train(
     def corrects(x: FloatArray) -> FloatArray:
         return np.asarray(learned(EXACT, found, tuple(x)), dtype=np.float64)
 
-    size = found.network.size
-    return found, assessed(gains.flux, machine, box, frame, omega_max, corrects, None, size)
+    trained, size = training_drives(gains.flux, machine, box, _DRIVES), found.network.size
+    told = assessed(gains.flux, machine, box, trained, frame, omega_max, corrects, None, size)
+    return found, told
 
 
 def _in_words(tuning: ObserverTuning, gains: Any, t_s: float) -> str:

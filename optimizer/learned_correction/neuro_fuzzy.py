@@ -100,7 +100,9 @@ def train(
 
     bound = fuzzy_rules.largest_rule(found.rules, frame)
     numbers = len(found.rules.answers)
-    return found, assessed(gains.flux, machine, box, frame, omega_max, corrects, bound, numbers)
+    trained = training_drives(gains.flux, machine, box)
+    told = assessed(gains.flux, machine, box, trained, frame, omega_max, corrects, bound, numbers)
+    return found, told
 
 
 def _in_words(tuning: ObserverTuning, gains: Any, t_s: float) -> str:

@@ -39,7 +39,7 @@ def answer_check(design: Design) -> Answer:
     first = replace(first, notes=(*first.notes, *leaving)) if leaving else first
     if design.control.current_loop.switches:
         from dqforge.optimizer.current_feedback import regulator_plan
-        from dqforge.reports.current_feedback.tables import settings_table
+        from dqforge.reports.single_headers.current_feedback import settings_table
 
         others.append(settings_table(regulator_plan(design)))
     options = () if design.places is None else dict.fromkeys(design.places.options.values())

@@ -8,8 +8,8 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import parse_option
 from dqforge.optimizer.waveforms.comparison import compare_waveforms, with_point
-from dqforge.reports.flashing_choice.question import what_to_flash
-from dqforge.reports.flashing_choice.tables import flash_tables, plain_flash
+from dqforge.reports.answers.flashing_choice import what_to_flash
+from dqforge.reports.flashing_choice import flash_tables, plain_flash
 from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.waveforms.tables import plain_waveforms, waveform_tables

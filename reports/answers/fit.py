@@ -12,9 +12,9 @@ from dqforge.optimizer.field_weakening.fit import solve_weakening
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import solve_negative
 from dqforge.reports.current_reference.capability import fit_tables, negative_tables
-from dqforge.reports.field_weakening.header import weakening_tables
 from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.session.drives import Fit
+from dqforge.reports.single_headers.field_weakening import weakening_tables
 
 
 def answer_fit(design: Design) -> Answer:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, shown
 from dqforge.machines.files.library_files import (
     DESIGN_SCHEMA,
     STUDY_SCHEMA,
@@ -30,6 +30,8 @@ class NewRequest:
             it.
         template: Whether the general template is asked for.
         study: Name of a study in the library, which is made instead of a design.
+        capture: Where the magnet flux linkage comes from, beside the data sheet.
+        flux_map, axes: File of a flux map, which is copied beside the design, and its ``axes``.
     """
 
     machine: str | None = None
@@ -38,6 +40,46 @@ class NewRequest:
     sheet: Mapping[str, str] | None = None
     template: bool = False
     study: str | None = None
+    capture: CapturedFlux | None = None
+    flux_map: Path | None = None
+    axes: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CapturedFlux:
+    """Files of a capture of the back-EMF from which the magnet flux linkage comes, and what its
+    channels were, as `dqforge bemf` has it.
+    """
+
+    files: Sequence[Path]
+    line_to_line: bool = False
+    scale: str | None = None
+
+
+def recorded(
+    files: Sequence[Path] | None,
+    flux_map: Path | None,
+    axes: str | None,
+    scale: str | None,
+    *,
+    line_to_line: bool,
+) -> tuple[CapturedFlux | None, Path | None, str | None]:
+    """Files of measurements among the options, the last three members of `NewRequest`.
+
+    Raises:
+        InputError: An option says something of a file that is not given.
+    """
+    for flag, said, needed, other in (
+        ("--axes", axes, flux_map, "--map"),
+        ("--scale", scale, files, "--capture"),
+        ("--line-to-line", line_to_line, files, "--capture"),
+    ):
+        if said and not needed:
+            raise InputError(
+                f"{flag} says something of a file that is not given; write {other} FILE"
+            )
+    capture = CapturedFlux(files, line_to_line, scale) if files else None
+    return capture, flux_map, axes
 
 
 def answer_new(folder: Path, asked: NewRequest) -> Answer:
@@ -57,8 +99,8 @@ def answer_new(folder: Path, asked: NewRequest) -> Answer:
     if asked.study is not None:
         return _answer_new_study(folder, asked.study)
     path = new_file(folder, NEW_DESIGN)
-    if asked.sheet:
-        return _answer_new_of(asked.sheet, path)
+    if asked.sheet or asked.capture or asked.flux_map:
+        return _answer_new_of(asked, path)
     from dqforge.machines.design import catalogue
 
     files = design_files(catalogue.template(asked.machine))
@@ -83,6 +125,11 @@ def _refuse_two_ways(asked: NewRequest) -> None:
     from dqforge.machines.data_sheet.sheet_values import BY_KEY
 
     given = [BY_KEY[key].flag for key in asked.sheet or ()]
+    given += [
+        flag
+        for flag, value in (("--capture", asked.capture), ("--map", asked.flux_map))
+        if value is not None
+    ]
     ways = {
         "--from": asked.files,
         "--machine": asked.machine,
@@ -96,18 +143,68 @@ def _refuse_two_ways(asked: NewRequest) -> None:
         )
 
 
-def _answer_new_of(sheet: Mapping[str, str], path: Path) -> Answer:
+def _answer_new_of(asked: NewRequest, path: Path) -> Answer:
     """The design of a data sheet, and what `dqforge check` says of it."""
     from dqforge.machines.data_sheet.judged import checked_text
+    from dqforge.machines.data_sheet.sheet_values import FLUX_AXES, FLUX_MAP
     from dqforge.machines.design.catalogue import load_text
     from dqforge.reports.answers.check import answer_check
 
-    files = design_files(checked_text(sheet).encode("utf-8"))
-    checked = answer_check(load_text(files.contents[NEW_DESIGN], str(path)))
+    sheet, found = dict(asked.sheet or {}), asked.flux_map
+    said, origins = _add_capture(sheet, asked.capture) if asked.capture else ((), {})
+    if found is not None:
+        sheet |= {FLUX_MAP: found.name} | ({FLUX_AXES: asked.axes} if asked.axes else {})
+    source = None if found is None else found.parent
+    files = design_files(checked_text(sheet, source, origins).encode("utf-8"))
+    checked = answer_check(load_text(files.contents[NEW_DESIGN], str(path), source))
     following = f"dqforge tune {path}"
-    notes = (*checked.notes, f"{path} written; next: {following}")
+    notes = (*said, *checked.notes, f"{path} written; next: {following}")
     plain = {"next": following} | checked.plain
+    if found is not None and found.resolve().parent != path.parent.resolve():
+        new_file(path.parent, found.name)
+        files = replace(files, contents={**files.contents, found.name: found.read_bytes()})
     return replace(checked, plain=plain, files=files, notes=notes)
+
+
+# Harmonics from this share of the fundamental on are told: with currents in phase with the
+# fundamental they are a ripple of the torque of about their size.
+_TOLD = 0.02
+_FLUX = "machine.magnet_flux"
+
+
+def _add_capture(
+    sheet: dict[str, str], capture: CapturedFlux
+) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Put the magnet flux linkage of a capture to the values of a data sheet; what is to be said,
+    and where it comes from by its key.
+
+    Raises:
+        InputError: As `read_capture`.
+    """
+    from dqforge.reports.back_emf import CaptureRequest, read_capture
+
+    pairs = sheet.get("machine.pole_pairs", "")
+    request = CaptureRequest(
+        line_to_line=capture.line_to_line,
+        scale=capture.scale,
+        pole_pairs=int(pairs) if pairs.isdigit() and int(pairs) > 0 else None,
+    )
+    reading = read_capture(capture.files, request)
+    result, source = reading.result, reading.name
+    sheet[_FLUX] = f"{1e3 * result.psi_pm:.4g} mWb peak"
+    shares = result.amplitudes.max(axis=0) / result.amplitudes[:, 0].mean()
+    loud = [
+        f"{share:.1%} of order {order}"
+        for order, share in zip(result.orders[1:], shares[1:], strict=True)
+        if share > _TOLD and order % 3
+    ]
+    more = (
+        f"{source}: the back-EMF has {', '.join(loud)}: torque ripple with sinusoidal currents; "
+        "model: waveform takes it"
+    )
+    first = f"magnet flux {1e3 * result.psi_pm:.4g} mWb, the fundamental of the capture"
+    said = (f"{source}: {sentence}" for sentence in (first, *reading.findings))
+    return (*said, *([more] * bool(loud))), {_FLUX: f"fundamental of the capture {shown(source)}"}
 
 
 def design_files(text: bytes) -> Files:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.losses.solve import require_losses
-from dqforge.reports.current_feedback.question import with_regulators
+from dqforge.reports.answers.current_feedback import with_regulators
 from dqforge.reports.losses.map_tables import losses_tables, plain_losses
 from dqforge.reports.losses.question import LossRequest, answer
 from dqforge.reports.modulation_choice.question import answer_choice

@@ -12,7 +12,6 @@ from dqforge.optimizer.operating_points.solve import solve_curves
 from dqforge.optimizer.overmodulation import solve_overmodulation
 from dqforge.reports.operating_points.plain import mtpa_tables, plain_curves
 from dqforge.reports.operating_points.question import Request, answer
-from dqforge.reports.overmodulation.tables import overmodulation_tables, plain_overmodulation
 from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.plain_data import PlainData
 
@@ -46,6 +45,11 @@ def _curves(design: Design) -> Answer:
         plain["mtpa_negative"] = plain_curves(mirrored)
     tables, beyond = mtpa_tables(design, curves, mirrored), solve_overmodulation(design)
     if beyond is not None:
+        from dqforge.reports.single_headers.overmodulation import (
+            overmodulation_tables,
+            plain_overmodulation,
+        )
+
         plain["overmodulation"] = plain_overmodulation(beyond)
         tables = [*tables, *overmodulation_tables(beyond)]
     return Answer(design.name, tables, plain, figure)

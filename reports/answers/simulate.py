@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dqforge.machines.design.design import Design
-from dqforge.reports.current_feedback.question import answer_regulator
+from dqforge.reports.answers.current_feedback import answer_regulator
 from dqforge.reports.firmware.design_simulation import simulate_with_firmware
 from dqforge.reports.output.folder import SIMULATION, SWITCHED, default_folder, refuse_other_design
 from dqforge.reports.pages.answer import Answer, Files, shares, stage

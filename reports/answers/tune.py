@@ -29,7 +29,7 @@ def answer_tune(design: Design) -> Answer:
     A current loop that switches the bridge itself has no gains: the answer is what it does.
     """
     if design.control.current_loop.switches:
-        from dqforge.reports.current_feedback.question import answer_feedback
+        from dqforge.reports.answers.current_feedback import answer_feedback
 
         return answer_feedback(design)
     stage("tuning")

@@ -479,6 +479,22 @@ Source = Annotated[
 ]
 
 
+CaptureOfNew = Annotated[
+    list[Path] | None,
+    _text("--capture", "FILE", "Capture of the back-EMF, for the magnet flux; repeatable."),
+]
+
+
+MapOfNew = Annotated[
+    Path | None, _text("--map", "FILE", "Flux map, instead of magnet flux and inductances.")
+]
+
+
+AxesOfNew = Annotated[
+    str | None, _text("--axes", "AXES", "Of the map: magnet-d (default) or reluctance.")
+]
+
+
 SetOfNew = Annotated[list[str] | None, _text("--set", "KEY=VALUE", f"{_SET}; with --from.")]
 
 
@@ -607,7 +623,9 @@ OutOfPair = Annotated[
 ]
 
 
-LineToLine = Annotated[bool, Option("--line-to-line", help="The channels are ab, bc and ca.")]
+LineToLine = Annotated[
+    bool, Option("--line-to-line", help="The channels are ab, bc and ca, or ab alone.")
+]
 
 
 PolePairs = Annotated[int | None, _text("--pole-pairs", "P", "For constants per mechanical speed.")]

@@ -143,7 +143,7 @@ def solved_side(source: str, design: Design, capabilities: Capabilities = CAPABI
         capabilities: Those of the product, or these and some from outside.
     """
     from dqforge.optimizer.solution import solve
-    from dqforge.reports.main_header.header import header_files
+    from dqforge.reports.main_header import header_files
 
     stage("solving")
     solution = solve(design)

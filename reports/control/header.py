@@ -47,11 +47,11 @@ from dqforge.reports.c_code.harness import (
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.control.fixed_header import ReferenceModel, ReferenceState, reference_model
 from dqforge.reports.current_reference.plain import from_plain
-from dqforge.reports.field_weakening.header import weakening_from
 from dqforge.reports.loops.firmware_text import stability_lines
 from dqforge.reports.loops.proven_text import proven_lines
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
+from dqforge.reports.single_headers.field_weakening import weakening_from
 
 _PIS = ("d", "q", "speed")
 

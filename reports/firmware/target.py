@@ -712,5 +712,5 @@ def _period(time: FloatArray, value: FloatArray) -> float:
 # The firmware whose files are written and read, by name.
 
 TARGETS: LoadedByName[Firmware, Target] = LoadedByName(
-    {name: f"dqforge.reports.firmware.{name}.target:TARGET" for name in get_args(Firmware)}
+    {name: f"dqforge.reports.firmware.{name}:TARGET" for name in get_args(Firmware)}
 )

@@ -472,7 +472,7 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
 
         tables.append(observer_table(gains.observer, gains.observer_slopes))
     if gains.measured_speed is not None:
-        from dqforge.reports.speed_measurement.tables import measured_tables
+        from dqforge.reports.single_headers.speed_measurement import measured_tables
 
         tables += measured_tables(gains.measured_speed)
     if gains.position is not None:

@@ -53,12 +53,12 @@ if TYPE_CHECKING:
 
 
 def _place(name: str) -> Path | Traversable:
-    """Where the template ``<room>/<file>`` lies: in the folder ``templates`` of its room; a
-    template from outside the package is named by its absolute path.
+    """Where the template ``<room>/<file>`` or ``<room>/<subject>/<file>`` lies: in the folder
+    ``templates`` of its room; one from outside the package is named by its absolute path.
     """
     if Path(name).is_absolute():
         return Path(name)
-    room, _, file = name.rpartition("/")
+    room, _, file = name.partition("/")
     return resources.files("dqforge.reports").joinpath(room, "templates", file)
 
 

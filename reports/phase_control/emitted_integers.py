@@ -37,7 +37,6 @@ from dqforge.reports.control.header import (
     control_programme,
     plain_control,
 )
-from dqforge.reports.fixed_reference.mesh_reading import mesh_from
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
 from dqforge.reports.pages.templating import LOOPS, render
@@ -54,6 +53,7 @@ from dqforge.reports.phase_control.header import (
     phase_control_from,
     plain_solution_control,
 )
+from dqforge.reports.single_headers.fixed_mesh_reading import mesh_from
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design

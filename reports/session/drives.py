@@ -54,10 +54,10 @@ from dqforge.optimizer.operating_points.mtpa_locus import Active
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import NegativeHalf, solve_negative
 from dqforge.reports.current_reference.plain import plain_fit, plain_negative
-from dqforge.reports.field_weakening.header import plain_weakening_fit
 from dqforge.reports.operating_points.map_tables import plain_map
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.session.result import DrawnResult, Result, dataset
+from dqforge.reports.single_headers.field_weakening import plain_weakening_fit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

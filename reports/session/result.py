@@ -243,7 +243,7 @@ class Tuning(DrawnResult):
 
             plain["dynamic_references"] = plain_references(self.gains.references)
         if self.gains.measured_speed is not None:
-            from dqforge.reports.speed_measurement.tables import plain_measured
+            from dqforge.reports.single_headers.speed_measurement import plain_measured
 
             plain["speed_measurement"] = plain_measured(self.gains.measured_speed)
         if self.proof is not None:

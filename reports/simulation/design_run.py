@@ -22,11 +22,8 @@ from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.application.header import application_files
-from dqforge.reports.field_weakening.header import weakening_files
 from dqforge.reports.fixed_observers.fixed_observer_header import fixed_observer_files
-from dqforge.reports.fixed_reference.header import reference_files
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.tracker_header import (
     REDUCED_ORDER,
@@ -53,7 +50,10 @@ from dqforge.reports.simulation.recorded_run import (
     simulator,
 )
 from dqforge.reports.simulation.start_figures import StartFigures, estimated, start_figures
-from dqforge.reports.speed_measurement.tables import measurement_files
+from dqforge.reports.single_headers.application import application_files
+from dqforge.reports.single_headers.field_weakening import weakening_files
+from dqforge.reports.single_headers.fixed_reference import reference_files
+from dqforge.reports.single_headers.speed_measurement import measurement_files
 from dqforge.reports.start_up.header import every_start_file
 from dqforge.reports.waveforms.tables import waveform_files
 

@@ -33,7 +33,7 @@ from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.solution import solve
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.current_reference.plain import vector_torques
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.verification.measured_cost import TargetCost, cost_on_target
 
 pytestmark = pytest.mark.benchmark

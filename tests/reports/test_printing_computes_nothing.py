@@ -7,10 +7,12 @@ from __future__ import annotations
 import ast
 from functools import cache
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 import dqforge
+from dqforge.machines.names import Firmware
 
 REPORTS = Path(dqforge.__file__).parent / "reports"
 
@@ -25,13 +27,11 @@ ROOMS_THAT_ASK = {
 # Modules that ask the optimizer, and why; what they find, others print.
 ORCHESTRATORS = {
     "comparison.sources": "solves a design, or judges the loops of a file, that is to be compared",
-    "current_feedback.question": "answers a question: what a current regulator does and loses",
     "estimator_comparison.question": "answers a question: which estimators, and what they cost",
     "exploration.viewing": "goes through the parts of a study for what is shown of it",
     "firmware_files.settled": "tunes a slower speed loop where firmware does not settle",
     "firmware_files.design_made": "finds the phase-locked loop of a file that becomes a design",
     "firmware.design_simulation": "solves a design, and runs the loops of its firmware beside it",
-    "flashing_choice.question": "answers a question: what to flash, with all that can be run here",
     "losses.question": "answers a question: losses over a map or a mission",
     "modulation_choice.question": "answers a question: the choice of modulator and frequency",
     "operating_points.question": "answers a question: operating points, maps and limits",
@@ -48,12 +48,9 @@ MODELS = {
     "control.fixed_model": "the control functions in integers, step by step, and proven again",
     "firmware.loop_code": "the loops of other firmware in C, by the rules they are judged by",
     "fixed_observers.fixed_observer_model": "the observers in integers, step by step",
-    "fixed_reference.mesh_reading": "proves again what is read back",
+    "single_headers.fixed_mesh_reading": "proves again what is read back",
     "modulation_choice.rule_model": "the choice of modulator in single precision",
     "phase_control.fixed_phase_model": "the control of phases in integers, step by step",
-    "firmware.simplefoc.reader": "what a file amounts to, by the function that serves a design",
-    "firmware.st.target": "counts of currents, in which older versions of the files hold them",
-    "firmware.vesc.reader": "what a file amounts to, by the function that serves a design",
     "output.stored_proof": "proves again what is read back",
     "six_step.float32_model": "control of a six-step drive in single precision",
     "observers.float32_model": "observers of position and speed, and trackers, in single precision",
@@ -61,14 +58,12 @@ MODELS = {
     "waveforms.float32_model": "phase currents in single precision",
 }
 
+
 # Modules of the firmware of others that work out what a file amounts to, by the functions that
 # serve a design.
-READERS = ("reader",)
-
-
 def reads_firmware(name: str) -> bool:
-    """Whether a module reads files of a firmware."""
-    return name.startswith("firmware.") and name.rsplit(".", 1)[1] in READERS
+    """Whether a module reads and writes files of a firmware."""
+    return name.removeprefix("firmware.") in get_args(Firmware)
 
 
 @cache

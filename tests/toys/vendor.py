@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 from dqforge.reports.c_code.harness import Constant
-from dqforge.reports.main_header.dialect import Dialect, Entry
+from dqforge.reports.main_header import Dialect, Entry
 
 NAMES = {
     "machine.pole_pairs": ("POLE_PAIR_NUM", 1),

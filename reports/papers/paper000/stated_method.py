@@ -40,7 +40,7 @@ from dqforge.optimizer.operating_points.mtpa_locus import (
 )
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.operating_system.host_compiler import NO_COMPILER, find_compiler
 from dqforge.reports.verification.host import verify_files
 

@@ -35,7 +35,7 @@ from dqforge.optimizer.phase_control.phase_controller import (
 from dqforge.optimizer.solution import Solution
 from dqforge.optimizer.waveforms.constraint_rows import spectrum, unit_currents
 from dqforge.reports.c_code.harness import title
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.templating import render
 from dqforge.reports.papers.paper002.bench_currents import (

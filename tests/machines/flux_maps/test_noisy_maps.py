@@ -26,7 +26,7 @@ from dqforge.optimizer.control_design.gain_set import gains_or_reason, solve_gai
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points.solve import solve_curves
 from dqforge.optimizer.solution import solve
-from dqforge.reports.main_header.header import header_context
+from dqforge.reports.main_header import header_context
 from dqforge.reports.pages.templating import render
 from dqforge.reports.report import other_assumptions
 from dqforge.reports.run import run_design
@@ -254,7 +254,7 @@ def test_the_price_of_smoothing_is_told_everywhere_alike(
     solution = solve(design)
     largest = format_quantity(evidence.torque_residual[1], "N m", 3)
     assert f"at most {largest} from that of the plain spline" in render(
-        "main_header/dialects/neutral/header.h.j2", header_context(solution)
+        "c_code/main_header.h.j2", header_context(solution)
     )
     (row,) = (
         row

@@ -28,7 +28,7 @@ from dqforge.optimizer.current_reference.fit import (
 from dqforge.optimizer.current_reference.solve import QuickFits, choose_fit, is_hopeless
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.solution import solve
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 
 DESIGN = """\
 dqforge: 1

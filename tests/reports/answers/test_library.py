@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
+from dqforge.machines.errors import InputError
 from dqforge.machines.exploration.study import study_json_schema
 from dqforge.machines.files.library_files import DESIGN_SCHEMA, schema_bytes
-from dqforge.reports.answers.library import NewRequest, answer_new, answer_schema
+from dqforge.reports.answers.library import (
+    CapturedFlux,
+    NewRequest,
+    answer_new,
+    answer_schema,
+    recorded,
+)
 
 
 def test_the_command_prints_it() -> None:
@@ -35,3 +48,106 @@ def test_a_new_design_brings_the_schema_that_it_names(tmp_path: Path) -> None:
         assert first == b"# yaml-language-server: $schema=design.schema.json"
         assert rest == catalogue.template(machine)
         assert schema == schema_bytes(DESIGN_SCHEMA)
+
+
+SHEET = {
+    "machine.pole_pairs": "7",
+    "machine.resistance": "35 mOhm phase",
+    "machine.max_current": "40 A peak",
+    "inverter.v_dc": "24 V",
+}
+
+
+def _capture(path: Path, *, channels: int) -> Path:
+    """A machine of 10 mWb and a tenth of it in the fifth harmonic, wire to wire, 100 Hz."""
+    theta = 2.0 * np.pi * 100.0 * np.arange(2000) * 25e-6
+    phases = [
+        np.sin(theta - k * 2.0 * np.pi / 3.0) + 0.1 * np.sin(5.0 * (theta - k * 2.0 * np.pi / 3.0))
+        for k in range(3)
+    ]
+    size = 0.01 * 2.0 * np.pi * 100.0
+    lines = [size * (phases[k] - phases[(k + 1) % 3]) for k in range(channels)]
+    rows = np.column_stack([np.arange(2000) * 25e-6, *lines])
+    head = ",".join(["t_s", "ab_V", "bc_V", "ca_V"][: channels + 1])
+    np.savetxt(path, rows, delimiter=",", header=head, comments="")
+    return path
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3])
+def test_a_capture_gives_the_magnet_flux(tmp_path: Path, channels: int) -> None:
+    file = _capture(tmp_path / "scope.csv", channels=channels)
+    sheet = SHEET | {"machine.inductance": "30 uH phase"}
+    captured = CapturedFlux([file], line_to_line=True)
+    answer = answer_new(tmp_path / "hub", NewRequest(sheet=sheet, capture=captured))
+    assert answer.files is not None
+    text = answer.files.contents["design.yaml"]
+    assert b"# fundamental of the capture 'scope.csv'" in text
+    psi_pm = load_text(text, "design.yaml").machine.psi_pm
+    assert psi_pm == pytest.approx(0.01, rel=1e-3)
+    assert any("10.0% of order 5: torque ripple" in note for note in answer.notes)
+
+
+def test_names_of_files_stay_text(tmp_path: Path) -> None:
+    file = _capture(tmp_path / "a\nname: b # c.csv", channels=1)
+    sheet = SHEET | {"machine.inductance": "30 uH phase"}
+    capture = CapturedFlux([file], line_to_line=True)
+    files = answer_new(tmp_path / "hub", NewRequest(sheet=sheet, capture=capture)).files
+    assert files is not None
+    design = load_text(files.contents["design.yaml"], "design.yaml")
+    assert design.name == "My drive"
+
+
+def test_a_capture_that_contradicts_the_data_sheet_is_refused(tmp_path: Path) -> None:
+    file = _capture(tmp_path / "scope.csv", channels=3)
+    sheet = SHEET | {"machine.inductance": "30 uH phase", "machine.kv": "190 rpm/V"}
+    with pytest.raises(InputError, match="magnet"):
+        answer_new(
+            tmp_path / "hub",
+            NewRequest(sheet=sheet, capture=CapturedFlux([file], line_to_line=True)),
+        )
+
+
+def test_a_flux_map_is_copied_beside_the_design(tmp_path: Path) -> None:
+    lines = [
+        f"{d};{q};{10 + 0.03 * d:.2f};{0.05 * q:.2f}"
+        for d in range(-40, 1, 8)
+        for q in range(0, 41, 8)
+    ]
+    file = tmp_path / "map.csv"
+    file.write_text("\n".join(["i_d [A];i_q [A];psi_d [mVs];psi_q [mVs]", *lines]), "ascii")
+    asked = NewRequest(sheet=SHEET, flux_map=file)
+    answer = answer_new(tmp_path / "hub", asked)
+    assert answer.files is not None
+    contents = answer.files.contents
+    assert contents["map.csv"] == file.read_bytes()
+    machine = load_text(contents["design.yaml"], "design.yaml", tmp_path).machine
+    assert machine.psi_pm == pytest.approx(0.01, rel=1e-3)
+    # In its own folder nothing is copied; a file of its name in the other is kept.
+    inside = answer_new(tmp_path, asked).files
+    assert inside is not None
+    assert "map.csv" not in inside.contents
+    (tmp_path / "hub").mkdir()
+    (tmp_path / "hub" / "map.csv").write_text("mine", "ascii")
+    with pytest.raises(InputError, match="exists already"):
+        answer_new(tmp_path / "hub", asked)
+    for bad, words in (
+        (replace(asked, axes="q"), "--axes: expected one of magnet-d, reluctance"),
+        (replace(asked, flux_map=tmp_path / "none.csv"), "--map: there is no file 'none.csv'"),
+        (replace(asked, machine="vdyno-trampa-6340"), "both say what is to be made"),
+    ):
+        with pytest.raises(InputError, match=words):
+            answer_new(tmp_path / "other", bad)
+
+
+@pytest.mark.parametrize(
+    ("given", "flag"),
+    [
+        ((None, None, "reluctance", None, False), "--map"),
+        ((None, None, None, "1,1,1", False), "--capture"),
+        ((None, None, None, None, True), "--capture"),
+    ],
+)
+def test_what_is_said_of_a_file_needs_the_file(given: tuple[Any, ...], flag: str) -> None:
+    *files, line_to_line = given
+    with pytest.raises(InputError, match=f"write {flag} FILE"):
+        recorded(*files, line_to_line=line_to_line)

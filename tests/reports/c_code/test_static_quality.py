@@ -39,12 +39,12 @@ from dqforge.optimizer.solution import Solution, solve
 from dqforge.optimizer.waveforms.solve import solve_phases
 from dqforge.reports.control.fixed_header import control_fixed_files
 from dqforge.reports.control.header import control_files
-from dqforge.reports.field_weakening.header import weakening_files
-from dqforge.reports.frame_tables.capability import frame_files
 from dqforge.reports.loops.capability import gains_files
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.modulation_choice.figures import rule_header
 from dqforge.reports.modulation_choice.rule_model import Alternative
+from dqforge.reports.single_headers.field_weakening import weakening_files
+from dqforge.reports.single_headers.frame_tables import frame_files
 from dqforge.reports.verification.host import WARNINGS
 from dqforge.reports.waveforms.tables import waveform_files
 

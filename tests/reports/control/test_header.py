@@ -34,7 +34,7 @@ from dqforge.reports.control.header import (
     control_results,
     plain_control,
 )
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.pages.answer import write_all
 from dqforge.reports.result import plain_solution, read_folder, verify_folder
 from dqforge.reports.run import export_design

@@ -23,7 +23,7 @@ from dqforge.reports.control.header import (
     control_results,
     plain_control,
 )
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.result import plain_solution
 from dqforge.reports.verification.host import verify_files
 

@@ -20,7 +20,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.certificates.current_reference import Certificate
 from dqforge.optimizer.current_reference.forms import PENALTY_FROM, FixedReference
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.pages.templating import render
 
 INPUTS = 3_000_000

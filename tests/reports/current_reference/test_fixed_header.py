@@ -22,7 +22,7 @@ from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.current_reference.plain import from_plain, sweep_codes, to_plain, vector_codes
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.host import WARNINGS, verify_files
 

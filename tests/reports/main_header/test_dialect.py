@@ -14,9 +14,8 @@ from toys.vendor import NAMES, VENDOR
 from dqforge.machines.design.settings import FitSettings
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.comparison.sources import header_macros
-from dqforge.reports.main_header.dialects.neutral.names import NAMES as NEUTRAL_NAMES
-from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
-from dqforge.reports.main_header.header import DIALECTS, constant_groups, header_files
+from dqforge.reports.main_header import DIALECTS, NEUTRAL, constant_groups, header_files
+from dqforge.reports.main_header import NAMES as NEUTRAL_NAMES
 from dqforge.reports.report import render_report
 from dqforge.reports.verification.host import verify_files
 

@@ -27,7 +27,7 @@ from dqforge.reports.current_reference.plain import (
     to_plain,
     vector_torques,
 )
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.operating_system.host_compiler import require_compiler
 from dqforge.reports.verification.host import WARNINGS, verify_files
 

@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 
 OMEGA = 6283.0  # bandwidth of the current loops of `make_design`, in rad/s
 T_S = 1e-5

@@ -21,7 +21,7 @@ from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import PhaseOpening, PlantErrors, Scenario, constant
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.phase_control.header import phase_control_files
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import Summary, simulate, simulate_many, simulator

@@ -19,7 +19,7 @@ from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.phase_control.judged_box import PhasePlants, radius
 from dqforge.optimizer.phase_control.phase_controller import AxisGains, MidpointGains, PhaseControl
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.phase_control.header import phase_control_files
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import simulate, simulator

@@ -19,7 +19,7 @@ from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit, fit_phase_control
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.phase_control.emitted_integers import (
     phase_fixed_files,
     phase_fixed_programme,

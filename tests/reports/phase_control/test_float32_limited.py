@@ -20,7 +20,7 @@ from dqforge.optimizer.phase_control.limited_shapes import (
 )
 from dqforge.optimizer.phase_control.phase_controller import LimitedShapes, PhaseControl
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.phase_control.emitted_integers import (
     phase_control_inputs,
     phase_control_programme,

@@ -15,7 +15,7 @@ from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl, PhaseShape, TorqueLimit
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.phase_control.emitted_integers import (
     phase_control_inputs,
     phase_control_programme,

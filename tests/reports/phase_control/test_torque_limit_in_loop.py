@@ -15,7 +15,7 @@ from dqforge.machines.names import Topology
 from dqforge.machines.plants.scenario import InverterModel, Scenario, constant
 from dqforge.optimizer.phase_control.phase_controller import limit_at
 from dqforge.optimizer.solution import solve
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.phase_control.header import phase_control_files
 from dqforge.reports.simulation.design_run import controller_files
 from dqforge.reports.simulation.plant_input import Drive

@@ -201,7 +201,7 @@ def test_header_of_three_legs_leaves_the_others_unconnected(design: Design) -> N
 def simulate_three_legs(design: Design) -> FloatArray:
     from dqforge.optimizer.solution import solve
     from dqforge.reports.control.header import control_files
-    from dqforge.reports.main_header.header import header_files
+    from dqforge.reports.main_header import header_files
 
     solution = solve(design)
     files = header_files(solution) | control_files(solution)

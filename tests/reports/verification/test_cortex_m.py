@@ -21,7 +21,7 @@ from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.names import WaveformForm
 from dqforge.optimizer.solution import solve
 from dqforge.optimizer.waveforms.solve import solve_phases
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.verification.cortex_m import verify_on_target
 from dqforge.reports.verification.cross_tools import TARGETS
 from dqforge.reports.verification.text import target_text

@@ -246,9 +246,13 @@ def _captured(
             reading.remarks.append(f"{source}: {pairs.finding}")
         return result.orders.astype(np.float64), result.amplitudes, result.phases
     if pairs is None:
-        raise reading.document.error(
-            _not_covered(source, result.periods, pole_pairs), (*_PATH, "span")
+        why = (
+            f"machine.back_emf.span: {source} is one voltage between two wires, which does not "
+            "tell what the pole pairs differ by; write span: electrical"
+            if len(capture.voltages) == 1
+            else _not_covered(source, result.periods, pole_pairs)
         )
+        raise reading.document.error(why, (*_PATH, "span"))
     if not pairs.differ:
         reading.remarks.append(
             f"{source}: what the pole pairs differ by, up to {pairs.spread:.1%}, is no more than "

@@ -20,10 +20,10 @@ from dqforge.optimizer.field_weakening.voltage_region import voltage_region
 from dqforge.optimizer.operating_points.characteristics import characteristics
 from dqforge.optimizer.operating_points.mtpa_locus import Active, mtpa_locus
 from dqforge.optimizer.operating_points.points import optimal_points
-from dqforge.reports.field_weakening.header import weakening_tables
 from dqforge.reports.pages.answer import write_all
 from dqforge.reports.result import read_folder, verify_folder
 from dqforge.reports.run import export_design, run_design
+from dqforge.reports.single_headers.field_weakening import weakening_tables
 
 LIBRARY = Path(__file__).resolve().parents[4] / "machines" / "library"
 RPM = math.pi / 30.0

@@ -14,14 +14,15 @@ from dqforge.machines.devices.inverter import CurrentSensing
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
 from dqforge.optimizer.firmware.firmware_method import judge
-from dqforge.optimizer.firmware.targets.ti import configure, profile
-from dqforge.optimizer.firmware.ti_format import (
+from dqforge.optimizer.firmware.targets.ti import (
     BANDWIDTHS,
     OLDER_LAB,
     VERSION,
     as_printed,
     configuration,
+    configure,
     current_rule,
+    profile,
     shortfalls,
     speed_rule,
 )

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from dqforge.machines.errors import InputError
-from dqforge.reports.firmware.infineon.reader import read, recognise
+from dqforge.reports.firmware.infineon import read, recognise
 
 # The numbers of the library's own defaults, in a layout of our own.
 DEFAULTS = """void board(void)

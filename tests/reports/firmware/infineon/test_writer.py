@@ -16,8 +16,7 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration
 from dqforge.optimizer.firmware.infineon_format import KEYS, TABLE, TABLE_KEYS
 from dqforge.optimizer.firmware.targets.infineon import configure
-from dqforge.reports.firmware.infineon.reader import read
-from dqforge.reports.firmware.infineon.target import TARGET, write
+from dqforge.reports.firmware.infineon import TARGET, read, write
 from dqforge.reports.firmware.target import FileTitle
 
 TITLE = FileTitle("scooter", "hub */ of a scooter", "ab" * 32, "0.1", ("one */ #error remark",))

@@ -16,8 +16,7 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration
 from dqforge.optimizer.firmware.moteus_format import rounded_down
 from dqforge.optimizer.firmware.targets import moteus
-from dqforge.reports.firmware.moteus.reader import read, recognise
-from dqforge.reports.firmware.moteus.target import TARGET, write
+from dqforge.reports.firmware.moteus import TARGET, read, recognise, write
 from dqforge.reports.firmware.target import FileTitle
 
 TITLE = FileTitle("hub", "hub of a scooter", "ab" * 32, "0.1", ("one remark",))

@@ -10,7 +10,7 @@ import pytest
 from nxp_headers import header
 
 from dqforge.machines.errors import InputError
-from dqforge.reports.firmware.nxp.reader import read, recognise
+from dqforge.reports.firmware.nxp import read, recognise
 
 PLACE = "m1_pmsm_appconfig.h"
 

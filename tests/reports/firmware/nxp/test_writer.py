@@ -20,8 +20,7 @@ from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked
 from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import FIXED_2022, FLOAT_2025, Edition
 from dqforge.optimizer.firmware.targets.nxp import NXP, configured
-from dqforge.reports.firmware.nxp.reader import read
-from dqforge.reports.firmware.nxp.target import constant_text, plain, write
+from dqforge.reports.firmware.nxp import constant_text, plain, read, write
 from dqforge.reports.firmware.target import FileTitle
 
 TITLE = FileTitle("hub", "hub motor", "0" * 64, "0.0.0", ("a remark",))

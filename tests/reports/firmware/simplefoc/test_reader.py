@@ -8,7 +8,7 @@ import pytest
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
-from dqforge.reports.firmware.simplefoc.reader import read, recognise
+from dqforge.reports.firmware.simplefoc import read, recognise
 
 # As people write them; of our own making.
 SKETCH = """#include <SimpleFOC.h>

@@ -8,7 +8,7 @@ import pytest
 from firmware_asked import scooter
 
 from dqforge.optimizer.firmware.simplefoc_format import configuration
-from dqforge.reports.firmware.simplefoc.target import TARGET
+from dqforge.reports.firmware.simplefoc import TARGET
 from dqforge.reports.firmware.target import settles
 
 

@@ -15,8 +15,7 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration
 from dqforge.optimizer.firmware.simplefoc_format import MEMBERS
 from dqforge.optimizer.firmware.targets.simplefoc import configure
-from dqforge.reports.firmware.simplefoc.reader import read
-from dqforge.reports.firmware.simplefoc.target import TARGET, write
+from dqforge.reports.firmware.simplefoc import TARGET, read, write
 from dqforge.reports.firmware.target import FileTitle
 
 TITLE = FileTitle("scooter", "hub of a scooter */ x", "ab" * 32, "0.1", ("one */ remark",))

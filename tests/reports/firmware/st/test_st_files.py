@@ -14,7 +14,7 @@ from random_st_drives import base_design, random_asked, value
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration
 from dqforge.optimizer.firmware.targets.st import ST
-from dqforge.reports.firmware.st.target import TARGET
+from dqforge.reports.firmware.st import TARGET
 from dqforge.reports.firmware.target import FileTitle
 
 TITLE = FileTitle("drive", "a drive", "0" * 64, "1", ("a remark",))

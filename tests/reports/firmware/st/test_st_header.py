@@ -11,7 +11,7 @@ from random_st_drives import random_asked, value
 from dqforge.optimizer.firmware.st_keys import table_currents
 from dqforge.optimizer.firmware.st_scales import integers
 from dqforge.optimizer.firmware.targets.st import ST
-from dqforge.reports.firmware.st.target import TARGET
+from dqforge.reports.firmware.st import TARGET
 from dqforge.reports.firmware.target import FileTitle
 
 # What the firmware brings: logarithm of a divider, unit of speeds, widths of the numbers. Ours.

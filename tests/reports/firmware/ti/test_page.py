@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from firmware_pages import assert_example, page_of
 
-from dqforge.optimizer.firmware.ti_format import KEYS
+from dqforge.optimizer.firmware.targets.ti import KEYS
 
 PAGE = page_of("ti")
 

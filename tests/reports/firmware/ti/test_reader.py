@@ -7,8 +7,8 @@ import math
 import pytest
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.firmware.ti_format import INSTASPIN, OLDER_LAB, VERSION
-from dqforge.reports.firmware.ti.reader import read, recognise
+from dqforge.optimizer.firmware.targets.ti import INSTASPIN, OLDER_LAB, VERSION
+from dqforge.reports.firmware.ti import read, recognise
 
 BLOCK = """#define USER_MOTOR1_TYPE                   MOTOR_TYPE_PM
 #define USER_MOTOR1_NUM_POLE_PAIRS         (4)

@@ -13,8 +13,7 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration
 from dqforge.optimizer.firmware.targets.ti import configure
 from dqforge.reports.firmware.target import FileTitle
-from dqforge.reports.firmware.ti.reader import read
-from dqforge.reports.firmware.ti.target import TARGET, write
+from dqforge.reports.firmware.ti import TARGET, read, write
 
 TITLE = FileTitle("scooter", "hub */ of a scooter", "ab" * 32, "0.1", ("one */ #error remark",))
 NAME = "scooter_user_mtr1.h"

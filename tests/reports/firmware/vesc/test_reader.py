@@ -6,7 +6,7 @@ import pytest
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.targets.vesc import profile
-from dqforge.reports.firmware.vesc.reader import read, recognise
+from dqforge.reports.firmware.vesc import read, recognise
 
 # The layout that VESC Tool writes (auto-formatted, values alone), with values of our own.
 XML = """<?xml version="1.0" encoding="UTF-8"?>

@@ -11,7 +11,7 @@ from firmware_asked import scooter
 
 from dqforge.optimizer.firmware.configuration import PiGains
 from dqforge.reports.firmware.target import settles
-from dqforge.reports.firmware.vesc.target import TARGET
+from dqforge.reports.firmware.vesc import TARGET
 
 
 @pytest.mark.slow

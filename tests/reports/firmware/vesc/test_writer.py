@@ -15,8 +15,7 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration
 from dqforge.optimizer.firmware.targets.vesc import configure
 from dqforge.reports.firmware.target import FileTitle
-from dqforge.reports.firmware.vesc.reader import read
-from dqforge.reports.firmware.vesc.target import TARGET, write
+from dqforge.reports.firmware.vesc import TARGET, read, write
 
 TITLE = FileTitle("scooter", "hub -- of a scooter */ <!-- -->", "ab" * 32, "0.1", ("one remark",))
 

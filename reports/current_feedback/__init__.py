@@ -1,1 +1,0 @@
-"""Current-feedback PWM: tables, JSON, figures, and what is emitted of a regulator."""

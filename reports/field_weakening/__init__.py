@@ -1,1 +1,0 @@
-"""The field-weakening reference as tables, JSON, figures and C."""

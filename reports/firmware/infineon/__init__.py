@@ -1,1 +1,0 @@
-"""Parameters of Infineon's motor-ctrl-lib: assignments to its structure params."""

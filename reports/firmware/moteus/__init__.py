@@ -1,1 +1,0 @@
-"""Configurations of moteus: lines of its own console."""

@@ -1,1 +1,0 @@
-"""Configurations of NXP's MCAT: headers written, read, edited in place."""

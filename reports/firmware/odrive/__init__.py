@@ -1,1 +1,0 @@
-"""Configurations of ODrive 0.5: the JSON of odrivetool."""

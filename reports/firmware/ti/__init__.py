@@ -1,1 +1,0 @@
-"""Motor blocks of TI's universal motor control lab (user_mtr1.h)."""

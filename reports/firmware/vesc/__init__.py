@@ -1,1 +1,0 @@
-"""VESC's motor configuration: XML of VESC Tool and the header of custom builds."""

@@ -1,1 +1,0 @@
-"""Current references in integers as C, data, tables and words."""

@@ -1,1 +1,0 @@
-"""Tables of the frames dqx and dqy, as C, tables, JSON and text."""

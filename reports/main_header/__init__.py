@@ -1,1 +1,0 @@
-"""The main header of a design."""

@@ -1,1 +1,0 @@
-"""Dialects of the main header, a folder each."""

@@ -1,1 +1,0 @@
-"""Overmodulation as tables, JSON, HTML and a figure."""

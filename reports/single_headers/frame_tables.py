@@ -1,0 +1,273 @@
+"""Tables of the frames dqx and dqy: as C, plain data, tables and words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from dqforge.machines.design.design import Design
+from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
+from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.optimizer.frame_tables import COLUMNS, DENSE, FrameCandidate, FrameTable, FrameTables
+from dqforge.reports.c_code.harness import (
+    SWEEP_POINTS,
+    SWEEP_SEED,
+    HeaderKind,
+    Programme,
+    singles_from,
+    title,
+)
+from dqforge.reports.c_code.numbers import rounded_up
+from dqforge.reports.capability import Capability, Quantity, ReportPart
+from dqforge.reports.pages.answer import Table
+from dqforge.reports.pages.html_text import HtmlTable, Row, ceiling, share
+from dqforge.reports.pages.templating import WAVEFORMS as CHAPTER
+from dqforge.reports.pages.templating import render
+from dqforge.reports.plain_data import PlainData, shortest
+
+_MOST_ROWS = 1 << 17
+_INPUTS = 5  # Turn, electrical speed, and currents of dqy.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameModel:
+    """The header in numpy: its table."""
+
+    table: FrameTable
+
+    def evaluate(self, inputs: SingleArray) -> SingleArray:
+        """Quantities of `COLUMNS`, and decoupling voltages of dqy in V, shape (M, 21).
+
+        ``inputs`` are the turn, the electrical speed in rad/s and the currents d, q, 0 of dqy in A,
+        shape (M, 5).
+        """
+        turn, omega, i_d, i_q, i_0 = inputs.T
+        found = self.table.values(np.ascontiguousarray(turn))
+        at = dict(zip(COLUMNS, found, strict=True))
+        with np.errstate(invalid="ignore", over="ignore", under="ignore"):
+            sums = [
+                ((at[f"c_{axis}d"] * i_d) + (at[f"c_{axis}q"] * i_q)) + (at[f"c_{axis}0"] * i_0)
+                for axis in "dq0"
+            ]
+            sums[1] = sums[1] + at["emf"]
+            volts = [omega * total for total in sums]
+        return np.ascontiguousarray(np.stack([*found, *volts]).T, dtype=np.float32)
+
+
+def plain_frame_model(table: FrameTable) -> PlainData:
+    """The table as plain data; every number is a float32 value."""
+    return {
+        "parts": table.parts,
+        "columns": list(COLUMNS),
+        "table": [[shortest(value) for value in row] for row in table.entries],
+    }
+
+
+def frame_model_from(plain: Mapping[str, Any]) -> FrameModel:
+    """Read a table back.
+
+    Raises:
+        InputError: The data are not what `plain_frame_model` makes.
+    """
+    fault = InputError("frames_header is not what dqforge writes; run the design again")
+    try:
+        rows, parts = plain["table"], plain["parts"]
+        known = list(plain["columns"]) == list(COLUMNS) and parts in (1, 3)
+        if not known or not 2 < len(rows) <= _MOST_ROWS:
+            raise fault
+        entries = np.stack([singles_from(row, len(COLUMNS)) for row in rows])
+        if entries.shape[1] != len(COLUMNS):
+            raise fault
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise fault from error
+    return FrameModel(FrameTable(entries, int(parts)))
+
+
+def frame_inputs(count: int, seed: int) -> SingleArray:
+    """Inputs of the functions, special turns first, shape (count, 5)."""
+    generator = np.random.default_rng(seed)
+    inputs = generator.uniform(-1.0, 1.0, (count, _INPUTS)) * [1.0, 2000.0, 20.0, 20.0, 20.0]
+    inputs[:, 0] = generator.uniform(0.0, 1.0, count)
+    below_one = float(np.nextafter(np.float32(1.0), np.float32(0.0)))
+    special = [0.0, -0.0, below_one, 1.0, -0.25, np.nan, 1e30, 1.0 / 3.0, 2.0 / 3.0, 0.5, 1e-40]
+    inputs[: len(special), 0] = special
+    return np.ascontiguousarray(inputs, dtype=np.float32)
+
+
+def model_results(model: FrameModel, count: int = SWEEP_POINTS) -> tuple[SingleArray, SingleArray]:
+    """Inputs and what the compiled functions must return."""
+    inputs = frame_inputs(count, SWEEP_SEED)
+    return inputs, model.evaluate(inputs)
+
+
+# What is said of frame tables: summary, terminal, report, plain data.
+
+_COLUMNS = ("intervals", "bytes", "torque dqx %", "torque dqy %", "coupling %", "back-EMF %")
+
+
+def _candidates(found: FrameTables) -> tuple[FrameCandidate, ...]:
+    """The emitted one first."""
+    return (found.chosen, *reversed(found.coarser))
+
+
+def _shares(entry: FrameCandidate) -> tuple[float, ...]:
+    errors = entry.errors
+    return (errors.torque_x, errors.torque_y, errors.coupling, errors.emf)
+
+
+def _size(entry: FrameCandidate) -> tuple[str, str]:
+    return f"{entry.table.size * entry.table.parts}", f"{entry.table.flash}"
+
+
+def frame_rows(found: FrameTables) -> list[tuple[str, str]]:
+    """The summary of a run."""
+    intervals, flash = _size(found.chosen)
+    worst = 100.0 * found.chosen.errors.torque
+    return [("frame tables", f"{intervals} intervals, {flash} B, torque within {worst:.2g} %")]
+
+
+def frame_table(found: FrameTables) -> Table:
+    """Sizes with their largest errors, the emitted one first."""
+    rows = tuple(
+        (*_size(entry), *(f"{100.0 * value:.2g}" for value in _shares(entry)))
+        for entry in _candidates(found)
+    )
+    return Table("Frame tables dqx and dqy: largest errors found", _COLUMNS, rows)
+
+
+def frame_part(found: FrameTables, prefix: str) -> PlainData:
+    """The part of the report."""
+    rows = tuple(
+        Row(
+            (*_size(entry), *(share(ceiling(value), 3) for value in _shares(entry))),
+            "chosen" if entry is found.chosen else "muted",
+        )
+        for entry in _candidates(found)
+    )
+    columns = tuple(name.removesuffix(" %") for name in _COLUMNS)
+    return {
+        "text": (
+            f"{prefix}_frames.h holds factors, angles, their derivatives and the coupling of dqy "
+            "over the angle, for those who implement the frames of paper 002 themselves."
+        ),
+        "table": HtmlTable("Tables by size, the emitted one first: largest errors", columns, rows),
+    }
+
+
+def plain_frames(found: FrameTables) -> PlainData:
+    """Sizes and errors as fractions."""
+    return {
+        "phi_m_Wb": found.scale,
+        "turns": found.turns,
+        "tolerance": found.tolerance,
+        "candidates": [
+            {
+                "intervals": entry.table.size * entry.table.parts,
+                "constants_B": entry.table.flash,
+                "errors": asdict(entry.errors),
+            }
+            for entry in _candidates(found)
+        ],
+    }
+
+
+# The C header of the frames dqx and dqy, as text.
+
+# What the members of the structure are, in the order of `COLUMNS`.
+MEANINGS = {
+    "a_x": "sqrt(3/2) over the length of the alpha-beta vector of the shape: dqx is divided by it",
+    "a_y": "sqrt(3/2) over the length of its alpha-beta-0 vector: dqy is divided by it",
+    "theta_x": "angle from dq to dqx, rad",
+    "theta_y": "angle from dqx to dqy, rad",
+    "turn_x": "1 + d theta_x / d theta: speed of dqx over the electrical speed",
+    "rate_y": "d theta_y / d theta",
+    "growth_x": "(d a_x / d theta) / a_x, 1/rad",
+    "growth_y": "(d a_y / d theta) / a_y, 1/rad",
+    "emf": "back-EMF of the q axis of dqy over the electrical speed, Wb",
+    **{
+        f"c_{row}{column}": f"coupling of the {row} axis with the current of the {column} axis, H"
+        for row in "dq0"
+        for column in "dq0"
+    },
+}
+
+
+def _error_lines(found: FrameTables) -> list[str]:
+    table, errors = found.chosen.table, found.chosen.errors
+    torque_x, torque_y, coupling, emf = (
+        rounded_up(100.0 * value)
+        for value in (errors.torque_x, errors.torque_y, errors.coupling, errors.emf)
+    )
+    held = f"{table.size * table.parts} intervals of the turn, {table.size} of which are held"
+    rates = rounded_up(errors.rates)
+    return [
+        f"{held}; {table.flash} bytes.",
+        f"The torque of constant currents in dqx errs by up to {torque_x} %, in dqy {torque_y} %,",
+        f"coupling terms by {coupling} % of the largest, the back-EMF by {emf} % of its largest,",
+        f"speeds of the frames and a'/a by {rates} ({2 * DENSE} evaluations of each electrical",
+        "period, with and without fused multiply-add; sampled, not proven).",
+    ]
+
+
+def _context(design: Design, found: FrameTables) -> PlainData:
+    table, span = found.chosen.table, "electrical" if found.turns == 1 else "mechanical"
+    return {
+        **title(design),
+        "span": span,
+        "members": [{"name": name, "meaning": MEANINGS[name]} for name in COLUMNS],
+        "rows": [[shortest(value) for value in row] for row in table.entries],
+        "size": table.size,
+        "parts": table.parts,
+        "phi_m": shortest(np.float32(found.scale)),
+        "lines": _error_lines(found),
+    }
+
+
+def frame_files(design: Design, found: FrameTables) -> dict[str, bytes]:
+    """Name and bytes of the header."""
+    text = render("single_headers/frame_tables/frames.h.j2", _context(design, found))
+    return {f"{design.export.prefix}_frames.h": text.encode("ascii")}
+
+
+def frame_programme(model: FrameModel) -> Programme:
+    """The harness of the frames, with what their model answers."""
+    inputs, results = model_results(model)
+    context = {"members": list(COLUMNS)}
+    return Programme(
+        "single_headers/frame_tables/harness.c.j2", inputs, results, context, name="frames"
+    )
+
+
+# Tables of the frames dqx and dqy, as a record.
+
+_HEADER: HeaderKind[FrameTables, FrameModel] = HeaderKind(
+    name="frames",
+    files=lambda solution, found: frame_files(solution.design, found),
+    plain=lambda _, found: plain_frame_model(found.chosen.table),
+    read=lambda own, _: frame_model_from(own),
+    programme=frame_programme,
+    vectors=False,
+)
+
+FRAME_TABLES = Capability(
+    name="frame_tables",
+    title="frames dqx and dqy in the firmware",
+    of=lambda outcome: outcome.solution.frame_tables,
+    plain=lambda _, found: plain_frames(found),
+    always=False,
+    summary=lambda _, found: frame_rows(found),
+    tables=lambda _, found: [frame_table(found)],
+    parts=lambda solution, found: [
+        ReportPart(
+            CHAPTER,
+            "single_headers/frame_tables/report.html.j2",
+            frame_part(found, solution.design.export.prefix),
+        )
+    ],
+    headers=(_HEADER,),
+    quantities=(Quantity("phase currents", "phi_m", "Wb", ("frame_tables", "phi_m_Wb")),),
+)

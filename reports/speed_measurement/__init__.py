@@ -1,1 +1,0 @@
-"""The emitted measurement of the speed: header, model, tables."""
