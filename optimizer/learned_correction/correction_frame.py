@@ -613,25 +613,31 @@ def rule(o: Arithmetic, answers: Any, x: Inputs, number: Any) -> Reals:
     )
 
 
-def answered(o: Arithmetic, rules: FuzzyRules, x: Inputs) -> Reals:
-    """Mean of the four rules around inputs of -1 to 1, rad: no larger than the largest of them."""
+def mean_of_rules(o: Arithmetic, rules: FuzzyRules, x: Inputs, k: Any, n: Any) -> Reals:
+    """Mean of the four rules from speed k and current n on, rad: no larger than the largest of
+    them.
+    """
     speed, current = x[_SPEED], x[_CURRENT]
-    slow, small = rules.speed_knots, rules.current_knots
-    k = o.reached("k", [speed >= knot for knot in slow[1:-1]], "speeds below")
-    n = o.reached("n", [current >= knot for knot in small[1:-1]], "currents below")
-    f = o.let("f", (speed - o.at(slow, k)) * o.at(rules.speed_slopes, k))
-    g = o.let("g", (current - o.at(small, n)) * o.at(rules.current_slopes, n))
+    f = o.let("f", (speed - o.at(rules.speed_knots, k)) * o.at(rules.speed_slopes, k))
+    g = o.let("g", (current - o.at(rules.current_knots, n)) * o.at(rules.current_slopes, n))
     number = o.let("number", k * KNOTS + n)
+    faster = o.let("faster", number + KNOTS)
 
     def along(name: str, at: Any) -> Reals:
         first = o.let(name, o.call(rule, rules.answers, x, at))
         mean: Reals = first + g * (o.call(rule, rules.answers, x, at + 1) - first)
         return mean
 
-    low = o.let("low", along("first", number))
-    high = o.let("high", along("second", o.let("faster", number + KNOTS)))
+    low, high = o.let("low", along("first", number)), o.let("high", along("second", faster))
     found: Reals = low + f * (high - low)
     return found
+
+
+def answered(o: Arithmetic, rules: FuzzyRules, x: Inputs) -> Reals:
+    """What the rules answer to inputs of -1 to 1, rad."""
+    k = o.reached("k", [x[_SPEED] >= knot for knot in rules.speed_knots[1:-1]])
+    n = o.reached("n", [x[_CURRENT] >= knot for knot in rules.current_knots[1:-1]])
+    return o.call(mean_of_rules, rules, x, k, n)
 
 
 def _hats(knots: tuple[float, ...], x: FloatArray) -> FloatArray:

@@ -51,7 +51,7 @@ def design(
 
 
 def learned(o: Arithmetic, gains: NeuroFuzzyGains, x: Inputs) -> Reals:
-    """Mean of the four rules around inputs of -1 to 1, rad: no larger than the largest of them."""
+    """What the rules answer to inputs of -1 to 1, rad."""
     return fuzzy_rules.answered(o, gains.rules, x)
 
 

@@ -165,7 +165,7 @@ class Arithmetic(Floats):
             found = found + of(place)
         return np.asarray(found)
 
-    def reached(self, name: str, conditions: Sequence[Any], meaning: str = "") -> Any:  # noqa: ARG002
+    def reached(self, name: str, conditions: Sequence[Any]) -> Any:  # noqa: ARG002
         """How many conditions hold, of which each one implies those before it: a place."""
         return sum(np.asarray(condition).astype(np.intp) for condition in conditions)
 

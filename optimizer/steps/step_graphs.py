@@ -120,7 +120,13 @@ class Graphs(Arithmetic):
         """One number after the other."""
         return tuple(map(of, range(count)))
 
-    def reached(self, name: str, conditions: Sequence[Any], meaning: str = "") -> Any:  # noqa: ARG002
+    def summed(self, name: str, first: Any, count: int, of: Callable[[Any], Any]) -> Any:  # noqa: ARG002
+        """One number after the other."""
+        for place in range(count):
+            first = first + of(place)
+        return first
+
+    def reached(self, name: str, conditions: Sequence[Any]) -> Any:  # noqa: ARG002
         """How many conditions hold."""
         return Number(sum(condition.graph for condition in conditions))
 

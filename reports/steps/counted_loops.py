@@ -79,11 +79,14 @@ def _loop(
     outer.work([head, *inner.lines, f"{outer.indent}}}"])
 
 
-def reached(conditions: Sequence[Condition]) -> Index:
+def reached(reader: StepReader, name: str, conditions: Sequence[Condition]) -> Index:
     """How many conditions hold, of which each one implies those before it."""
-    text, terms = "0U", list[Expression]()
+    block = reader.block
+    block.take(name)
+    block.variable("unsigned int", name)
+    block.work([f"{block.indent}{name} = 0U;"])
     for number, condition in enumerate(conditions, 1):
-        text = f"({condition.text()}) ? {number}U : {text if number == 1 else f'({text})'}"
-        terms += condition.terms
-    found = joined(text, *terms)
-    return place(text, atom=False, reads=found.reads, members=found.members)
+        reader.take(condition.terms)
+        head = folded("if (", condition.text(), ") {", block.indent)
+        block.work([*head, f"{block.indent}    {name} = {number}U;", f"{block.indent}}}"])
+    return place(name)

@@ -311,9 +311,9 @@ class StepReader(Arithmetic):
         """A variable to which a counted loop adds."""
         return summed(self, name, first, count, of)
 
-    def reached(self, name: str, conditions: Sequence[Any], meaning: str = "") -> Any:
-        """A constant of the block, a whole number."""
-        return self._named(name, reached(conditions), meaning)
+    def reached(self, name: str, conditions: Sequence[Any]) -> Any:
+        """A variable that is raised by one condition after the other."""
+        return reached(self, name, conditions)
 
     def remark(self, text: str) -> None:
         """A comment on a line of its own."""

@@ -109,14 +109,22 @@ def weighed(o: Arithmetic, k: tuple[float, ...], x: tuple[Any, ...], number: Any
     return o.summed("last", part - y[0], 2, lambda n: o.at(y, n) * o.at(k, number))
 
 
+def chosen(o: Arithmetic, k: tuple[float, ...], y: Any) -> Any:
+    """A place by two comparisons."""
+    return o.at(k, o.reached("n", [y >= -1.0, y >= 3.0]))
+
+
+def found(o: Arithmetic, k: tuple[float, ...], x: tuple[Any, ...], y: Any) -> Any:
+    """A place that is handed on."""
+    return o.call(weighed, k, x, o.reached("n", [y > 0.0]))
+
+
 def counted(gains: Any, state: ObserverState, v: Any, i: Any, o: Arithmetic) -> ObserverState:
     """An array, a place of it that is found, and loops."""
     x = o.let("x", (v[0], v[1] - gains.limit * i[0], i[0]), "an array")
-    n = o.reached("n", [i[1] >= -1.0, i[1] >= 3.0])
     if not state.started:
-        return replace(state, omega_e=o.at(gains.k, n), started=True)
-    small = o.let("small", o.reached("m", [v[1] > 0.0]))
-    return replace(state, omega_e=o.call(weighed, gains.k, x, small))
+        return replace(state, omega_e=o.call(chosen, gains.k, i[1]), started=True)
+    return replace(state, omega_e=o.call(found, gains.k, x, v[1]))
 
 
 @pytest.mark.parametrize("step", [tried, both, counted])
