@@ -12,11 +12,11 @@ chapter 2.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import field
 from functools import cache
 from math import isqrt
-from typing import Any, Protocol
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,12 +40,40 @@ CodeArray = NDArray[np.int64]
 
 BoolArray = NDArray[np.bool_]
 
+_T = TypeVar("_T")
+_P = ParamSpec("_P")
+
 
 class Arithmetic(Protocol[N, C]):
     """Operations on numbers N with conditions C.
 
-    ``name`` says what a result is that could overflow.
+    ``name`` says what a result is that could overflow. Steps of which the C is written
+    (`dqforge.reports.steps.integer_text`) use `let`, `call` and `remark`, too, which change
+    nothing.
     """
+
+    def let(self, name: str, value: _T, meaning: str = "") -> _T:
+        """Give a value its name in the firmware; whatever is used twice needs one.
+
+        Args:
+            name: Of a local variable.
+            value: A number, a vector, or a list of numbers, which get a name each.
+            meaning: What it is.
+        """
+
+    def call(
+        self,
+        function: Callable[Concatenate[Arithmetic[N, Any], _P], _T],
+        *args: _P.args,
+        **kwargs: _P.kwargs,
+    ) -> _T:
+        """Let a function be one of the firmware, too: ``function(self, ...)``."""
+
+    def remark(self, text: str) -> None:
+        """Say what comes next."""
+
+    def known(self, a: N, low: int, high: int) -> N:
+        """The number a, which lies from low to high for a reason that its range does not show."""
 
     def const(self, value: int) -> N:
         """A constant."""
@@ -100,8 +128,30 @@ class Arithmetic(Protocol[N, C]):
         """Number a where the condition holds, else b."""
 
 
+class _Unnamed:
+    """Numbers and ranges have no names."""
+
+    __slots__ = ()
+
+    def let(self, name: str, value: _T, meaning: str = "") -> _T:  # noqa: ARG002
+        """The value."""
+        return value
+
+    def call(
+        self,
+        function: Callable[Concatenate[Any, _P], _T],
+        *args: _P.args,
+        **kwargs: _P.kwargs,
+    ) -> _T:
+        """What the function returns."""
+        return function(self, *args, **kwargs)
+
+    def remark(self, text: str) -> None:
+        """Nothing."""
+
+
 @dataclass(slots=True)
-class Integers:
+class Integers(_Unnamed):
     """Arithmetic on arrays of int64, any shapes that fit together: the model of the emitted C.
 
     With ``seen``, the least and largest value of every named quantity is kept there.
@@ -113,6 +163,16 @@ class Integers:
         if self.seen is not None:
             low, high = self.seen.get(name, (0, 0))
             self.seen[name] = (min(low, int(np.min(a))), max(high, int(np.max(a))))
+        return a
+
+    def known(self, a: CodeArray, low: int, high: int) -> CodeArray:
+        """The numbers.
+
+        Raises:
+            ValueError: One of them lies outside.
+        """
+        if np.any((a < low) | (a > high)):
+            raise ValueError(f"a number from {low} to {high} is not")
         return a
 
     def const(self, value: int) -> CodeArray:
@@ -232,7 +292,7 @@ class Reach:
 
 
 @dataclass(slots=True)
-class Ranges:
+class Ranges(_Unnamed):
     """Arithmetic on ranges.
 
     ``reaches`` collects what every named quantity can take, in the order of evaluation.
@@ -255,6 +315,10 @@ class Ranges:
     def overflowing(self) -> Reach | None:
         """The first quantity that its word cannot hold."""
         return next((reach for reach in self.reaches.values() if not reach.fits), None)
+
+    def known(self, a: Range, low: int, high: int) -> Range:
+        """The part of the range that lies there."""
+        return self.clamp(a, low, high)
 
     def const(self, value: int) -> Range:
         """A constant."""

@@ -36,16 +36,16 @@ from dqforge.optimizer.fixed_observers.kit import (
     Scales,
     TrackedState,
     Word,
+    clipped,
     code_limits,
     common_scale,
     gain,
-    odd_value_of,
+    odd_polynomial,
+    polynomial,
     predicted,
-    saturated,
     speed_limit,
     times,
     turned_by,
-    value_of,
 )
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.ekf import EkfGains
@@ -140,8 +140,8 @@ def _slope_rows(rows: list[list[float]]) -> list[list[float]]:
 
 def _slopes_at(o: Arithmetic[N, Any], slopes: FixedPolynomials, x: N) -> list[N]:
     square = times(o, "square of the speed", x, x)
-    odd = [odd_value_of(o, row, square, x) for row in slopes.rows[:EVEN]]
-    return odd + [value_of(o, row, square) for row in slopes.rows[EVEN:]]
+    odd = [odd_polynomial(o, row, square, x) for row in slopes.rows[:EVEN]]
+    return odd + [polynomial(o, row, square) for row in slopes.rows[EVEN:]]
 
 
 def weighted(o: Arithmetic[N, Any], name: str, p: N, factor: N, bits: int) -> N:
@@ -236,7 +236,7 @@ def _gains_of(o: Arithmetic[N, Any], h: list[N], size: N) -> list[N]:
     for part in parts:
         limited = o.clamp(part, -_MOST_PART, _MOST_PART)
         fine = weighted(o, "h / size", limited, inverse, WIDTH - 1)
-        found.append(saturated(o, rounded(o, "h / size", fine, _SIZE_BITS - 1 - K_BITS)))
+        found.append(clipped(o, rounded(o, "h / size", fine, _SIZE_BITS - 1 - K_BITS)))
     return found
 
 
@@ -265,9 +265,7 @@ def _taken_in(
             after = o.total("P after", p[n][m], o.negative(less))
             p[m][n] = p[n][m] = o.clamp(after, -2 * LIMIT, 2 * LIMIT)
     return [
-        saturated(
-            o, rounded(o, "K innovation", o.product("K innovation", part, innovation), K_BITS)
-        )
+        clipped(o, rounded(o, "K innovation", o.product("K innovation", part, innovation), K_BITS))
         for part in k
     ]
 
@@ -284,7 +282,7 @@ def step(
     foretold = next_currents(o, gains.model.entries.shift, e, before, u)
     theta_p = predicted(o, gains.model.advance, state.theta, state.omega)
     seen = park(codes, i, rotation(o, WIDTH, theta_p))
-    nu_d = saturated(o, o.total("innovation", seen.x, o.negative(foretold.x)))
+    nu_d = clipped(o, o.total("innovation", seen.x, o.negative(foretold.x)))
     first = _taken_in(o, gains, p, 0, o.negative(foretold.y), nu_d)
     turned = rounded(
         o, "i_d turn", o.product("i_d turn", foretold.x, first[3]), WIDTH - 1 - ANGLE_BITS
@@ -292,7 +290,7 @@ def step(
     rest = o.total(
         "innovation", seen.y, o.negative(foretold.y), o.negative(first[1]), o.negative(turned)
     )
-    second = _taken_in(o, gains, p, 1, foretold.x, saturated(o, rest))
+    second = _taken_in(o, gains, p, 1, foretold.x, clipped(o, rest))
     both = [o.total("correction", a, b) for a, b in zip(first, second, strict=True)]
     return _sound_or_anew(o, gains, state.omega, theta_p, i, foretold, both, p)
 
@@ -319,8 +317,8 @@ def _sound_or_anew(
     own = (
         turned_by(o, gains.angle, theta, correction[3]),
         speed,
-        saturated(o, o.total("current", foretold.x, correction[0])),
-        saturated(o, o.total("current", foretold.y, correction[1])),
+        clipped(o, o.total("current", foretold.x, correction[0])),
+        clipped(o, o.total("current", foretold.y, correction[1])),
         # Changes no number: beyond, the filter begins anew.
         *(o.clamp(p[n][m], -LIMIT, LIMIT) for n, m in _UPPER),
     )

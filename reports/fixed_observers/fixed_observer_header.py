@@ -32,6 +32,7 @@ from dqforge.reports.fixed_observers.fixed_observer_model import (
     row_results,
 )
 from dqforge.reports.pages.templating import render
+from dqforge.reports.steps.integer_text import integer_observer_text
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -40,6 +41,9 @@ if TYPE_CHECKING:
 
 
 _SEED = 20_261_122
+
+# Methods whose C is a template still.
+_TEMPLATES = ("flux", "open_loop_flux", "matsui_voltage", "matsui_current", "ekf")
 
 
 def plain_fixed_observer(observer: FixedPositionObserver) -> PlainData:
@@ -122,7 +126,12 @@ def fixed_observer_files(design: Design, fit: FixedObserverFit) -> dict[str, byt
         "gains": asdict(observer.gains),
         "preamble": _preamble(fit, design),
         "core": fixed_basics(fit.sine, fit.sine_error),
+        "text": "",
     }
+    if observer.method.code not in _TEMPLATES:
+        context["text"] = integer_observer_text(
+            observer.method, observer.gains, observer.width, context["prefix"], context["macro"]
+        )
     inputs = row_inputs(observer, design.export.vectors, _SEED)
     rows = {
         "inputs": input_names(observer),

@@ -111,7 +111,7 @@ def _start(method: ObserverMethod, prefix: str, state: str) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Path:
+class Path:
     """Statements of a step, and what it writes to the state at its end."""
 
     declared: list[str]
@@ -120,7 +120,7 @@ class _Path:
 
 def _path(
     method: ObserverMethod, gains: Any, prefix: str, functions: Functions, started: bool
-) -> _Path:
+) -> Path:
     assert method.members is not None
     block = Block("        ", {"gains", "observer", "v", "i"})
     reader = StepReader(prefix, functions, block)
@@ -134,14 +134,14 @@ def _path(
     )
     result = method.step(own, state, vector(AlphaBeta, "v"), vector(AlphaBeta, "i"), reader)
     if reader.branches is None:
-        return _Path(block.lines, _written(method.members, result, reader, block.indent))
+        return Path(block.lines, _written(method.members, result, reader, block.indent))
     condition, branches = reader.branches
     lines = [*folded("if (", condition, ") {", block.indent)]
     for n, (inner, after) in enumerate(branches):
         written = _written(method.members, after, reader, inner.indent)
-        gap = [""] if inner.lines else []
-        lines += [*([f"{block.indent}}} else {{"] if n else []), *inner.lines, *gap, *written]
-    return _Path(block.lines, [*lines, f"{block.indent}}}"])
+        between = [""] if inner.lines else []
+        lines += [*([f"{block.indent}}} else {{"] if n else []), *inner.lines, *between, *written]
+    return Path(block.lines, [*lines, f"{block.indent}}}"])
 
 
 def _member(name: str) -> Any:
@@ -176,7 +176,20 @@ def _written(
         part, place = expression(value), f"observer->{n}"
         reader.take([part])
         open_.append((place, part.bare(), part.reads, {place}))
-    open_ = [item for item in open_ if item[0] != item[1]]
+    return in_order(open_, indent)
+
+
+def in_order(writes: Sequence[tuple[str, str, frozenset[str], set[str]]], indent: str) -> list[str]:
+    """Assignments to members of a state, none before another one that reads the old value.
+
+    Args:
+        writes: What is written, its value, what that reads, and which members it changes.
+        indent: Of the lines.
+
+    Raises:
+        ValueError: There is no such order.
+    """
+    open_ = [item for item in writes if item[0] != item[1]]
     block = Block(indent, set())
     while open_:
         free = [
@@ -191,21 +204,8 @@ def _written(
     return block.lines
 
 
-def _step(head: str, gains: str, state: str, prefix: str, first: _Path, then: _Path) -> list[str]:
-    """The step of both paths: what they share stands before and behind the branch."""
-    before = _shared(first.declared, then.declared)
-    inside = _declared([*first.declared[before:], *then.declared[before:]])
-    after = [
-        statement
-        for statement in _statements(first.written)
-        if statement in _statements(then.written) and _stands_alone(statement, inside)
-    ]
-    branches = []
-    for path in (first, then):
-        own = path.declared[before:]
-        written = [part for part in _statements(path.written) if part not in after]
-        branches.append([*own, *_gap(own), *(line for part in written for line in part)])
-    both = [line[4:] for line in first.declared[:before]]
+def _step(head: str, gains: str, state: str, prefix: str, first: Path, then: Path) -> list[str]:
+    both, branches, after = merged(first, then)
     vector_kind = f"{prefix}_alphabeta_t"
     arguments = f"const {gains} *gains, {state} *observer, {vector_kind} v, {vector_kind} i"
     return [
@@ -215,19 +215,40 @@ def _step(head: str, gains: str, state: str, prefix: str, first: _Path, then: _P
         *folded(f"static inline void {head}", arguments, ")", ""),
         "{",
         *both,
-        *_gap(both),
+        *gap(both),
         "    if (observer->started == 0) {",
         *branches[0],
         "        observer->started = 1;",
         "    } else {",
         *branches[1],
         "    }",
-        *(line[4:] for statement in after for line in statement),
+        *after,
         "}",
     ]
 
 
-def _statements(lines: Sequence[str]) -> list[list[str]]:
+def merged(first: Path, then: Path) -> tuple[list[str], tuple[list[str], list[str]], list[str]]:
+    """Both paths of a step: what they share before the branch, the branches, what they share
+    behind them.
+    """
+    before = _shared(first.declared, then.declared)
+    inside = _declared([*first.declared[before:], *then.declared[before:]])
+    after = [
+        statement
+        for statement in statements(first.written)
+        if statement in statements(then.written) and _stands_alone(statement, inside)
+    ]
+
+    def branch(path: Path) -> list[str]:
+        own = path.declared[before:]
+        written = [part for part in statements(path.written) if part not in after]
+        return [*own, *gap(own), *(line for part in written for line in part)]
+
+    both = [line[4:] for line in first.declared[:before]]
+    return both, (branch(first), branch(then)), [line[4:] for part in after for line in part]
+
+
+def statements(lines: Sequence[str]) -> list[list[str]]:
     """Lines of each statement, also of what opens or closes a block."""
     found: list[list[str]] = [[]]
     for line in lines:
@@ -250,7 +271,8 @@ def _stands_alone(statement: Sequence[str], inside: set[str]) -> bool:
     return "observer->" not in value and not inside & set(re.findall(r"\w+", value))
 
 
-def _gap(lines: Sequence[str]) -> list[str]:
+def gap(lines: Sequence[str]) -> list[str]:
+    """The empty line behind declarations."""
     return [""] if lines else []
 
 
@@ -477,7 +499,7 @@ class StepReader(Arithmetic):
         parameters = ", ".join(text for text, _ in inside)
         head = folded(f"static inline {kind} {self.prefix}_{name}(", parameters, ")", "")
         lines = [
-            *comment(_sentence(function)),
+            *comment(sentence(function)),
             *head,
             "{",
             *body,
@@ -569,13 +591,14 @@ def _handed_on(value: Any) -> str:
     return text
 
 
-def _said(kind: type[Any], name: str) -> str:
+def said(kind: type[Any], name: str) -> str:
+    """Phrase and unit of a member of a record, or nothing."""
     hint = get_type_hints(kind, include_extras=True).get(name)
-    said = [item for item in getattr(hint, "__metadata__", ()) if isinstance(item, Member)]
-    return said[0].text if said else ""
+    found = [item for item in getattr(hint, "__metadata__", ()) if isinstance(item, Member)]
+    return found[0].text if found else ""
 
 
-def _sentence(item: Any) -> str:
+def sentence(item: Any) -> str:
     """The first paragraph of what is said of a function or record."""
     return (inspect.getdoc(item) or "").split("\n\n")[0].replace("`", "").replace("\n", " ")
 
@@ -595,8 +618,8 @@ def struct(name: str, members: Sequence[tuple[str, str]]) -> list[str]:
 
 def vector_struct(kind: type[Any], prefix: str) -> list[str]:
     """The type of a vector that no header declares."""
-    members = [(f"float {n}", _said(kind, n)) for n in kind._fields]
-    return [*comment(_sentence(kind)), *struct(f"{prefix}_{c_name(kind)}_t", members)]
+    members = [(f"float {n}", said(kind, n)) for n in kind._fields]
+    return [*comment(sentence(kind)), *struct(f"{prefix}_{c_name(kind)}_t", members)]
 
 
 def record_structs(like: Any, prefix: str, members: set[Origin]) -> Iterator[list[str]]:
@@ -608,8 +631,8 @@ def record_structs(like: Any, prefix: str, members: set[Origin]) -> Iterator[lis
             lines.append((f"{prefix}_{c_name(type(value))}_t {name}", ""))
         else:
             size = f"[{len(value)}]" if isinstance(value, tuple) else ""
-            lines.append((f"float {name}{size}", _said(type(like), name)))
-    yield [*comment(_sentence(type(like))), *struct(f"{prefix}_{own}_t", lines)]
+            lines.append((f"float {name}{size}", said(type(like), name)))
+    yield [*comment(sentence(type(like))), *struct(f"{prefix}_{own}_t", lines)]
 
 
 def record_values(like: Any, members: set[Origin]) -> list[str]:
