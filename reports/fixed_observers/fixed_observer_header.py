@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 _SEED = 20_261_122
 
 # Methods whose C is a template still.
-_TEMPLATES = ("matsui_voltage", "ekf")
+_TEMPLATES = ("ekf",)
 
 
 def plain_fixed_observer(observer: FixedPositionObserver) -> PlainData:
