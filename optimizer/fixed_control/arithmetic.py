@@ -13,7 +13,7 @@ chapter 2.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import field
+from dataclasses import field, fields, is_dataclass, replace
 from functools import cache
 from math import isqrt
 from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
@@ -73,7 +73,22 @@ class Arithmetic(Protocol[N, C]):
         """Say what comes next."""
 
     def known(self, a: N, low: int, high: int) -> N:
-        """The number a, which lies from low to high for a reason that its range does not show."""
+        """The number a, which lies from low to high for a reason that its range does not show; the
+        firmware takes it as it is.
+        """
+
+    def shifted_by(self, a: N, bits: N) -> N:
+        """floor(a / 2^bits) by a number of bits that is computed."""
+
+    def every(self, *conditions: C) -> C:
+        """Condition that all hold."""
+
+    def either(self, condition: C, then: Callable[[], _T], otherwise: Callable[[], _T]) -> _T:
+        """What ``then`` returns where the condition holds, else what ``otherwise`` returns: records
+        of numbers and tuples of them, at the end of a step.
+
+        The firmware computes one of them.
+        """
 
     def const(self, value: int) -> N:
         """A constant."""
@@ -149,6 +164,20 @@ class _Unnamed:
     def remark(self, text: str) -> None:
         """Nothing."""
 
+    def either(self, condition: Any, then: Callable[[], _T], otherwise: Callable[[], _T]) -> _T:
+        """Both, of which each number is chosen."""
+        found: _T = self._merged(condition, then(), otherwise())
+        return found
+
+    def _merged(self, condition: Any, a: Any, b: Any) -> Any:
+        if isinstance(a, tuple):
+            return tuple(self._merged(condition, x, y) for x, y in zip(a, b, strict=True))
+        if is_dataclass(a) and not isinstance(a, Range):
+            names = [each.name for each in fields(a)]
+            parts = {n: self._merged(condition, getattr(a, n), getattr(b, n)) for n in names}
+            return replace(a, **parts)  # type: ignore[type-var]
+        return self.choose(condition, a, b)  # type: ignore[attr-defined]
+
 
 @dataclass(slots=True)
 class Integers(_Unnamed):
@@ -166,14 +195,16 @@ class Integers(_Unnamed):
         return a
 
     def known(self, a: CodeArray, low: int, high: int) -> CodeArray:
-        """The numbers.
+        """The numbers within the limits; the C would differ from others."""
+        return self.clamp(a, low, high)
 
-        Raises:
-            ValueError: One of them lies outside.
-        """
-        if np.any((a < low) | (a > high)):
-            raise ValueError(f"a number from {low} to {high} is not")
-        return a
+    def shifted_by(self, a: CodeArray, bits: CodeArray) -> CodeArray:
+        """floor(a / 2^bits)."""
+        return np.asarray(a >> bits)
+
+    def every(self, *conditions: BoolArray) -> BoolArray:
+        """Whether all hold."""
+        return np.asarray(np.logical_and.reduce(np.broadcast_arrays(*conditions)), dtype=np.bool_)
 
     def const(self, value: int) -> CodeArray:
         """A constant, shape ()."""
@@ -315,6 +346,17 @@ class Ranges(_Unnamed):
     def overflowing(self) -> Reach | None:
         """The first quantity that its word cannot hold."""
         return next((reach for reach in self.reaches.values() if not reach.fits), None)
+
+    def shifted_by(self, a: Range, bits: Range) -> Range:
+        """Range over every number of bits."""
+        corners = [x >> y for x in (a.low, a.high) for y in (bits.low, bits.high)]
+        return Range(min(corners), max(corners))
+
+    def every(self, *conditions: bool | None) -> bool | None:
+        """True or False where the ranges decide it, else None."""
+        if False in conditions:
+            return False
+        return None if None in conditions else True
 
     def known(self, a: Range, low: int, high: int) -> Range:
         """The part of the range that lies there."""

@@ -85,9 +85,8 @@ def limited_speed(o: Arithmetic[N, Any], model: FixedSampled, omega: N) -> N:
     return o.clamp(omega, -model.most, model.most)
 
 
-def entries_at(o: Arithmetic[N, Any], entries: FixedPolynomials, x: N) -> list[N]:
-    """Mantissas of the ten entries at a speed."""
-    square = o.let("square", o.call(times, "square of the speed", x, x))
+def entries_at(o: Arithmetic[N, Any], entries: FixedPolynomials, square: N, x: N) -> list[N]:
+    """Mantissas of the ten entries at a speed with its square."""
     even = [o.call(polynomial, row, square) for row in entries.rows[:EVEN]]
     return even + [odd_polynomial(o, row, square, x) for row in entries.rows[EVEN:]]
 
@@ -244,7 +243,8 @@ def shown_gap(
     ahead = o.let("ahead", o.call(rotation, WIDTH, theta))
     now = o.let("now", o.call(to_rotor, i, ahead))
     x = o.let("x", limited_speed(o, model, state.omega))
-    e = o.let("e", entries_at(o, model.entries, x))
+    square = o.let("square", o.call(times, "square of the speed", x, x))
+    e = o.let("e", entries_at(o, model.entries, square, x))
     last = o.let("last", o.call(to_rotor, Pair(*state.words[:2]), before))
     u = o.let("u", o.call(to_rotor, v, before))
     foretold = o.let("foretold", next_currents(o, model.entries.shift, e, last, u))

@@ -42,9 +42,6 @@ if TYPE_CHECKING:
 
 _SEED = 20_261_122
 
-# Methods whose C is a template still.
-_TEMPLATES = ("ekf",)
-
 
 def plain_fixed_observer(observer: FixedPositionObserver) -> PlainData:
     """Method, format, full scales and integers as plain data."""
@@ -126,12 +123,10 @@ def fixed_observer_files(design: Design, fit: FixedObserverFit) -> dict[str, byt
         "gains": asdict(observer.gains),
         "preamble": _preamble(fit, design),
         "core": fixed_basics(fit.sine, fit.sine_error),
-        "text": "",
     }
-    if observer.method.code not in _TEMPLATES:
-        context["text"] = integer_observer_text(
-            observer.method, observer.gains, observer.width, context["prefix"], context["macro"]
-        )
+    context["text"] = integer_observer_text(
+        observer.method, observer.gains, observer.width, context["prefix"], context["macro"]
+    )
     inputs = row_inputs(observer, design.export.vectors, _SEED)
     rows = {
         "inputs": input_names(observer),

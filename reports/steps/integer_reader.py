@@ -189,6 +189,7 @@ class IntegerReader:
         self, functions: Functions, block: Block, *, dry: bool, noting: bool = False
     ) -> None:
         self.functions, self.block, self.dry, self.noting = functions, block, dry, noting
+        self.branches: tuple[str, list[tuple[Block, Any]]] | None = None
         self._ranges = Ranges(WIDTH)
 
     def _made(
@@ -229,6 +230,17 @@ class IntegerReader:
         text = f"{a.written(a.kind, operand=True)} >> {by.written(UINT32, operand=True)}"
         return self._made(text, a.kind, Range(min(corners), max(corners)), (a, by))
 
+    def shifted_by(self, a: Number, bits: Number) -> Number:
+        """A right shift by a number of bits that is computed."""
+        return self.shifted(a, bits)
+
+    def halvings(self, _: str, a: Number, most: int) -> Number:
+        """How often a must be halved until it is at most ``most``."""
+        found = self._ranges.halvings("", a.range, most)
+        limit = integers.literal(most)
+        text = f"{self._core('halvings')}({a.written(INT64)}, {limit.text})"
+        return self._made(text, UINT32, found, (a,), atom=True)
+
     def known(self, a: Number, low: int, high: int) -> Number:
         """The number, which is known to lie there."""
         return self._kept(integers.narrowed(a, low, high))
@@ -250,7 +262,9 @@ class IntegerReader:
             text = f"{self._core('within')}({a.written(INT64)}, {most.written(INT64)})"
             return self._made(text, INT64, found, (a, most), atom=True)
         if below and above:
-            return self.clamp(self.clamp(a, low, 2**63 - 1), -(2**63), high)
+            held = self.clamp(a, least, 2**63 - 1)
+            condition = f"{self._side(a, most)} > {self._side(most, a)}"
+            return self._chosen(condition, most, held, found, (most, a, held))
         limit, sign = (least, "<") if below else (most, ">")
         condition = f"{self._side(a, limit)} {sign} {self._side(limit, a)}"
         return self._chosen(condition, limit, a, found, (limit, a, a))
@@ -306,7 +320,30 @@ class IntegerReader:
     def at_least(self, a: Number, b: Number) -> _Condition:
         """Condition that a >= b."""
         text = f"{self._side(a, b)} >= {self._side(b, a)}"
+        if a.is_literal:
+            text = f"{self._side(b, a)} <= {self._side(a, b)}"
         return _Condition(text, (a, b), self._ranges.at_least(a.range, b.range))
+
+    def every(self, *conditions: _Condition) -> _Condition:
+        """Condition that all hold."""
+        decided = self._ranges.every(*(each.decided for each in conditions))
+        open_ = [each for each in conditions if each.decided is None]
+        text = " && ".join(f"({each.text})" for each in open_)
+        return _Condition(text, tuple(part for each in open_ for part in each.parts), decided)
+
+    def either(
+        self, condition: _Condition, then: Callable[[], _T], otherwise: Callable[[], _T]
+    ) -> _T:
+        """An if at the end of the step, with its else."""
+        outer, found = self.block, list[tuple[Block, Any]]()
+        for part in condition.parts:
+            part.bare()
+        for branch in (then, otherwise):
+            self.block = Lines(outer.indent + "    ", set(outer.names))
+            found.append((self.block, branch()))
+        self.block, self.branches = outer, (condition.text, found)
+        result: _T = found[0][1]
+        return result
 
     def choose(self, condition: _Condition, a: Number, b: Number) -> Number:
         """A conditional expression, where ranges do not decide it."""

@@ -208,7 +208,16 @@ def _path(
     after = (method.step if started else method.begin)(reader, own, state, v, i)
     if dry:
         return Path([], [])
-    written = _written(method, after, block.indent)
+    if reader.branches is None:
+        written = _written(method, after, block.indent)
+    else:
+        condition, branches = reader.branches
+        written = folded("if (", condition, ") {", block.indent)
+        for n, (inner, state_after) in enumerate(branches):
+            own = _written(method, state_after, inner.indent)
+            begin = [f"{block.indent}}} else {{"] if n else []
+            written += [*begin, *inner.lines, *(gap(own) if inner.lines else []), *own]
+        written.append(f"{block.indent}}}")
     text = "\n".join([*block.lines, *written])
     kind, widened = functions.core("alphabeta"), f"{functions.prefix}_widened_{functions.form}"
 
