@@ -12,11 +12,11 @@ chapter 2.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import field
+from collections.abc import Callable, Sequence
+from dataclasses import field, fields, is_dataclass, replace
 from functools import cache
 from math import isqrt
-from typing import Any, Protocol
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,12 +40,55 @@ CodeArray = NDArray[np.int64]
 
 BoolArray = NDArray[np.bool_]
 
+_T = TypeVar("_T")
+_P = ParamSpec("_P")
+
 
 class Arithmetic(Protocol[N, C]):
     """Operations on numbers N with conditions C.
 
-    ``name`` says what a result is that could overflow.
+    ``name`` says what a result is that could overflow. Steps of which the C is written
+    (`dqforge.reports.steps.integer_text`) use `let`, `call` and `remark`, too, which change
+    nothing.
     """
+
+    def let(self, name: str, value: _T, meaning: str = "") -> _T:
+        """Give a value its name in the firmware; whatever is used twice needs one.
+
+        Args:
+            name: Of a local variable.
+            value: A number, a vector, or a list of numbers, which get a name each.
+            meaning: What it is.
+        """
+
+    def call(
+        self,
+        function: Callable[Concatenate[Arithmetic[N, Any], _P], _T],
+        *args: _P.args,
+        **kwargs: _P.kwargs,
+    ) -> _T:
+        """Let a function be one of the firmware, too: ``function(self, ...)``."""
+
+    def remark(self, text: str) -> None:
+        """Say what comes next."""
+
+    def known(self, a: N, low: int, high: int) -> N:
+        """The number a, which lies from low to high for a reason that its range does not show; the
+        firmware takes it as it is.
+        """
+
+    def shifted_by(self, a: N, bits: N) -> N:
+        """floor(a / 2^bits) by a number of bits that is computed."""
+
+    def every(self, *conditions: C) -> C:
+        """Condition that all hold."""
+
+    def either(self, condition: C, then: Callable[[], _T], otherwise: Callable[[], _T]) -> _T:
+        """What ``then`` returns where the condition holds, else what ``otherwise`` returns: records
+        of numbers and tuples of them, at the end of a step.
+
+        The firmware computes one of them.
+        """
 
     def const(self, value: int) -> N:
         """A constant."""
@@ -100,8 +143,44 @@ class Arithmetic(Protocol[N, C]):
         """Number a where the condition holds, else b."""
 
 
+class _Unnamed:
+    """Numbers and ranges have no names."""
+
+    __slots__ = ()
+
+    def let(self, name: str, value: _T, meaning: str = "") -> _T:  # noqa: ARG002
+        """The value."""
+        return value
+
+    def call(
+        self,
+        function: Callable[Concatenate[Any, _P], _T],
+        *args: _P.args,
+        **kwargs: _P.kwargs,
+    ) -> _T:
+        """What the function returns."""
+        return function(self, *args, **kwargs)
+
+    def remark(self, text: str) -> None:
+        """Nothing."""
+
+    def either(self, condition: Any, then: Callable[[], _T], otherwise: Callable[[], _T]) -> _T:
+        """Both, of which each number is chosen."""
+        found: _T = self._merged(condition, then(), otherwise())
+        return found
+
+    def _merged(self, condition: Any, a: Any, b: Any) -> Any:
+        if isinstance(a, tuple):
+            return tuple(self._merged(condition, x, y) for x, y in zip(a, b, strict=True))
+        if is_dataclass(a) and not isinstance(a, Range):
+            names = [each.name for each in fields(a)]
+            parts = {n: self._merged(condition, getattr(a, n), getattr(b, n)) for n in names}
+            return replace(a, **parts)  # type: ignore[type-var]
+        return self.choose(condition, a, b)  # type: ignore[attr-defined]
+
+
 @dataclass(slots=True)
-class Integers:
+class Integers(_Unnamed):
     """Arithmetic on arrays of int64, any shapes that fit together: the model of the emitted C.
 
     With ``seen``, the least and largest value of every named quantity is kept there.
@@ -114,6 +193,18 @@ class Integers:
             low, high = self.seen.get(name, (0, 0))
             self.seen[name] = (min(low, int(np.min(a))), max(high, int(np.max(a))))
         return a
+
+    def known(self, a: CodeArray, low: int, high: int) -> CodeArray:
+        """The numbers within the limits; the C would differ from others."""
+        return self.clamp(a, low, high)
+
+    def shifted_by(self, a: CodeArray, bits: CodeArray) -> CodeArray:
+        """floor(a / 2^bits)."""
+        return np.asarray(a >> bits)
+
+    def every(self, *conditions: BoolArray) -> BoolArray:
+        """Whether all hold."""
+        return np.asarray(np.logical_and.reduce(np.broadcast_arrays(*conditions)), dtype=np.bool_)
 
     def const(self, value: int) -> CodeArray:
         """A constant, shape ()."""
@@ -232,7 +323,7 @@ class Reach:
 
 
 @dataclass(slots=True)
-class Ranges:
+class Ranges(_Unnamed):
     """Arithmetic on ranges.
 
     ``reaches`` collects what every named quantity can take, in the order of evaluation.
@@ -255,6 +346,21 @@ class Ranges:
     def overflowing(self) -> Reach | None:
         """The first quantity that its word cannot hold."""
         return next((reach for reach in self.reaches.values() if not reach.fits), None)
+
+    def shifted_by(self, a: Range, bits: Range) -> Range:
+        """Range over every number of bits."""
+        corners = [x >> y for x in (a.low, a.high) for y in (bits.low, bits.high)]
+        return Range(min(corners), max(corners))
+
+    def every(self, *conditions: bool | None) -> bool | None:
+        """True or False where the ranges decide it, else None."""
+        if False in conditions:
+            return False
+        return None if None in conditions else True
+
+    def known(self, a: Range, low: int, high: int) -> Range:
+        """The part of the range that lies there."""
+        return self.clamp(a, low, high)
 
     def const(self, value: int) -> Range:
         """A constant."""

@@ -12,13 +12,13 @@ is brought to 27 bits before its reciprocal is taken.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Annotated, Any
 
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import N, Pair, park
+from dqforge.machines.transforms import C, N, Pair
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, Range, rounded
-from dqforge.optimizer.fixed_control.transforms import Codes, rotation
+from dqforge.optimizer.fixed_control.transforms import rotation
 from dqforge.optimizer.fixed_observers.fixed_sampled_machine import (
     FixedSampled,
     combined_currents,
@@ -31,25 +31,28 @@ from dqforge.optimizer.fixed_observers.fixed_sampled_machine import (
 from dqforge.optimizer.fixed_observers.kit import (
     ONE,
     WIDTH,
+    Dq,
     FixedMethod,
     FixedPolynomials,
     Scales,
     TrackedState,
     Word,
+    clipped,
     code_limits,
     common_scale,
     gain,
-    odd_value_of,
+    odd_polynomial,
+    polynomial,
     predicted,
-    saturated,
     speed_limit,
     times,
+    to_rotor,
     turned_by,
-    value_of,
 )
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.ekf import EkfGains
 from dqforge.optimizer.observers.sampled_machine import EVEN
+from dqforge.optimizer.steps.step_arithmetic import Member
 
 ANGLE_BITS = 2  # An angle of the covariance has 2^2 rad of full scale.
 P_BITS = 54  # Fractional bits of the covariance.
@@ -58,32 +61,33 @@ K_BITS = 24  # Fractional bits of the filter's gains.
 _SLOPE_BITS = 29
 _SIZE_BITS = 27
 _MOST_PART = 1 << 40
-_STAGES = (16, 16, 8, 4, 2, 1)
 _P_THETA = 10.0
+_COVARIANCE = "covariance of i_d, i_q, speed, angle: upper triangle, row by row"
 _UPPER = tuple((n, m) for n in range(4) for m in range(n, 4))
 
 
 @dataclass(frozen=True, slots=True)
 class FixedEkf:
-    """Sampled machine with the derivatives of its entries by the speed, angle of a period in codes
-    of the covariance, variances in its codes, limits, gain from angles of the covariance to codes
-    of a turn.
+    """Extended Kalman filter in integers.
+
+    Covariances have 2^54 codes of one squared full scale: of the current, of the speed, of an angle
+    of 4 rad.
     """
 
     model: FixedSampled
-    slopes: FixedPolynomials
-    turn: int
-    q_i: int
-    q_22: int
-    q_23: int
-    q_33: int
-    r: int
-    p_omega: int
-    p_theta: int
-    most_omega: int
-    most_theta: int
-    angle: FixedGain
-    most: int
+    slopes: Annotated[FixedPolynomials, Member("derivatives of the entries by the speed")]
+    turn: Annotated[int, Member("angle of a period at full speed, 2^31 codes of 4 rad")]
+    q_i: Annotated[int, Member("process variance of a current per sample"), "int64_t"]
+    q_22: Annotated[int, Member("of the speed"), "int64_t"]
+    q_23: Annotated[int, Member("of speed and angle"), "int64_t"]
+    q_33: Annotated[int, Member("of the angle"), "int64_t"]
+    r: Annotated[int, Member("variance of a measured current"), "int64_t"]
+    p_omega: Annotated[int, Member("variance of the first speed"), "int64_t"]
+    p_theta: Annotated[int, Member("variance of the first angle"), "int64_t"]
+    most_omega: Annotated[int, Member("largest variance of a speed"), "int64_t"]
+    most_theta: Annotated[int, Member("and of an angle"), "int64_t"]
+    angle: Annotated[FixedGain, Member("of a correction, to codes of a turn")]
+    most: Annotated[int, Member("limit of the speed")]
 
 
 def design(gains: EkfGains, scales: Scales) -> FixedEkf:
@@ -138,14 +142,13 @@ def _slope_rows(rows: list[list[float]]) -> list[list[float]]:
     return found + [[(2.0 * k + 1.0) * row[k] for k in range(4)] for row in rows[EVEN:]]
 
 
-def _slopes_at(o: Arithmetic[N, Any], slopes: FixedPolynomials, x: N) -> list[N]:
-    square = times(o, "square of the speed", x, x)
-    odd = [odd_value_of(o, row, square, x) for row in slopes.rows[:EVEN]]
-    return odd + [value_of(o, row, square) for row in slopes.rows[EVEN:]]
+def _slopes_at(o: Arithmetic[N, Any], slopes: FixedPolynomials, square: N, x: N) -> list[N]:
+    odd = [odd_polynomial(o, row, square, x) for row in slopes.rows[:EVEN]]
+    return odd + [o.call(polynomial, row, square) for row in slopes.rows[EVEN:]]
 
 
 def weighted(o: Arithmetic[N, Any], name: str, p: N, factor: N, bits: int) -> N:
-    """floor(p factor / 2^bits) of a word of 64 bits and a factor of 32."""
+    """A covariance of 64 bits times a factor of 32 over 2^bits, without so many bits."""
     high = o.product(name, o.shifted(p, bits), factor)
     low = o.shifted(o.product(name, o.wrapped(p, bits), factor), bits)
     return o.total(name, high, low)
@@ -163,19 +166,19 @@ def begin(
 ) -> TrackedState[N]:
     """The measured current at the given angle, with the covariance of the start."""
     del v
-    first = park(Codes(o, WIDTH), i, rotation(o, WIDTH, state.theta))
+    turn = o.let("turn", o.call(rotation, WIDTH, state.theta))
+    first = o.let("first", o.call(to_rotor, i, turn))
     diagonal = (gains.r, gains.r, gains.p_omega, gains.p_theta)
     rows = tuple(o.const(diagonal[n] if n == m else 0) for n, m in _UPPER)
     return TrackedState(state.theta, state.omega, (first.x, first.y, *rows))
 
 
 def _jacobian(
-    o: Arithmetic[N, Any], gains: FixedEkf, e: list[N], x: N, i: Pair[N], u: Pair[N]
+    o: Arithmetic[N, Any], gains: FixedEkf, e: list[N], g: list[N], i: Pair[N], u: Pair[N]
 ) -> list[list[N]]:
     """Derivatives of the next currents by currents, speed and angle, mantissas of the entries."""
-    shift = gains.model.entries.shift
-    slope = combined_currents(o, _slopes_at(o, gains.slopes, x), i, u)
-    bits = gains.slopes.shift + WIDTH - 1 - shift
+    slope = combined_currents(o, g, i, u)
+    bits = gains.slopes.shift + WIDTH - 1 - gains.model.entries.shift
 
     def by_angle(own: N, other: N) -> N:
         part = o.total(
@@ -183,11 +186,21 @@ def _jacobian(
             o.product("turned voltage", own, u.y),
             o.negative(o.product("turned voltage", other, u.x)),
         )
-        return rounded(o, "turned voltage", part, WIDTH - 1 - ANGLE_BITS)
+        return o.call(rounded, "turned voltage", part, WIDTH - 1 - ANGLE_BITS)
 
     return [
-        [e[0], e[5], rounded(o, "slope", slope.x, bits), by_angle(e[2], e[7])],
-        [e[6], e[1], rounded(o, "slope", slope.y, bits), by_angle(e[8], e[3])],
+        [
+            e[0],
+            e[5],
+            o.let("d_speed", o.call(rounded, "slope", slope.x, bits)),
+            o.let("d_angle", by_angle(e[2], e[7])),
+        ],
+        [
+            e[6],
+            e[1],
+            o.let("q_speed", o.call(rounded, "slope", slope.y, bits)),
+            o.let("q_angle", by_angle(e[8], e[3])),
+        ],
     ]
 
 
@@ -198,46 +211,46 @@ def _covariance_ahead(
     bits, turn = gains.model.entries.shift, o.const(gains.turn)
 
     def along(row: list[N], column: list[N]) -> N:
-        parts = [weighted(o, "F P", column[k], row[k], bits) for k in range(4)]
+        parts = [o.call(weighted, "F P", column[k], row[k], bits) for k in range(4)]
         return o.total("F P", *parts)
 
     def later(own: N, rate: N) -> N:
-        return o.total("P ahead", own, weighted(o, "turn P", rate, turn, WIDTH - 1))
+        part = o.call(weighted, "turn P", rate, turn, WIDTH - 1)
+        return o.total("P ahead", own, part)
 
-    a = [[along(f[n], [p[k][m] for k in range(4)]) for m in range(4)] for n in (0, 1)]
-    a += [list(p[2]), [later(p[3][m], p[2][m]) for m in range(4)]]
+    a = [
+        [o.let(f"a_{n}{m}", along(f[n], [p[k][m] for k in range(4)])) for m in range(4)]
+        for n in (0, 1)
+    ]
+    last = [o.let(f"a_3{m}", later(p[3][m], p[2][m])) for m in (2, 3)]
     new = [[o.const(0)] * 4 for _ in range(4)]
-    for n in range(2):
-        for m in range(n + 1):
-            total = along(f[n], a[m])
-            if n == m:
-                total = o.total("P ahead", total, o.const(gains.q_i))
-            new[m][n] = new[n][m] = total
+
+    def put(n: int, m: int, value: N) -> None:
+        new[n][m] = new[m][n] = o.let(f"p_{n}{m}", value)
+
+    put(0, 0, o.total("P ahead", along(f[0], a[0]), o.const(gains.q_i)))
+    put(0, 1, along(f[1], a[0]))
+    put(1, 1, o.total("P ahead", along(f[1], a[1]), o.const(gains.q_i)))
     for m in range(2):
         new[m][2] = new[2][m] = a[m][2]
-        new[m][3] = new[3][m] = later(a[m][3], a[m][2])
-    new[2][2] = o.total("P ahead", a[2][2], o.const(gains.q_22))
-    new[2][3] = new[3][2] = o.total("P ahead", later(a[2][3], a[2][2]), o.const(gains.q_23))
-    new[3][3] = o.total("P ahead", later(a[3][3], a[3][2]), o.const(gains.q_33))
+        put(m, 3, later(a[m][3], a[m][2]))
+    put(2, 2, o.total("P ahead", p[2][2], o.const(gains.q_22)))
+    put(2, 3, o.total("P ahead", later(p[2][3], p[2][2]), o.const(gains.q_23)))
+    put(3, 3, o.total("P ahead", later(last[1], last[0]), o.const(gains.q_33)))
     return new
 
 
-def _gains_of(o: Arithmetic[N, Any], h: list[N], size: N) -> list[N]:
-    """Filter gains h / size with K_BITS fractional bits, saturated; a positive size has 27 bits."""
-    parts = h
-    for stage in _STAGES:
-        large = o.at_least(size, o.const(1 << (_SIZE_BITS - 1 + stage)))
-        size = o.choose(large, o.shifted(size, stage), size)
-        parts = [o.choose(large, o.shifted(part, stage), part) for part in parts]
-    # Changes no number of a sound filter, whose innovations vary by r at least.
-    size = o.clamp(size, 1 << (_SIZE_BITS - 1), (1 << _SIZE_BITS) - 1)
-    inverse = o.quotient("1 / size", o.const(1 << (_SIZE_BITS + 30)), size)
-    found = []
-    for part in parts:
-        limited = o.clamp(part, -_MOST_PART, _MOST_PART)
-        fine = weighted(o, "h / size", limited, inverse, WIDTH - 1)
-        found.append(saturated(o, rounded(o, "h / size", fine, _SIZE_BITS - 1 - K_BITS)))
-    return found
+def gain_of(o: Arithmetic[N, Any], h: N, inverse: N, places: N) -> N:
+    """A gain of the filter, with 24 fractional bits, saturated."""
+    part = o.let("part", o.clamp(o.shifted_by(h, places), -_MOST_PART, _MOST_PART))
+    fine = weighted(o, "h / size", part, inverse, WIDTH - 1)
+    return o.call(clipped, o.call(rounded, "h / size", fine, _SIZE_BITS - 1 - K_BITS))
+
+
+def correction(o: Arithmetic[N, Any], k: N, innovation: N) -> N:
+    """What a gain of the filter makes of an innovation."""
+    part = o.product("K innovation", k, innovation)
+    return o.call(clipped, o.call(rounded, "K innovation", part, K_BITS))
 
 
 def _taken_in(
@@ -252,82 +265,92 @@ def _taken_in(
 
     ``b`` is the derivative of the component by the angle, a code of the current.
     """
-    bits = WIDTH - 1 - ANGLE_BITS
+    bits, name = WIDTH - 1 - ANGLE_BITS, "dq"[axis]
     h = []
     for n in range(4):
-        part = o.total("P C", p[n][axis], weighted(o, "P C", p[n][3], b, bits))
-        h.append(o.clamp(part, -LIMIT, LIMIT))
-    size = o.total("C P C", h[axis], weighted(o, "C P C", h[3], b, bits), o.const(gains.r))
-    k = _gains_of(o, h, size)
+        part = o.total("P C", p[n][axis], o.call(weighted, "P C", p[n][3], b, bits))
+        h.append(o.let(f"h_{name}{n}", o.clamp(part, -LIMIT, LIMIT)))
+    across = o.call(weighted, "C P C", h[3], b, bits)
+    size = o.let(f"size_{name}", o.total("C P C", h[axis], across, o.const(gains.r)))
+    places = o.let(f"places_{name}", o.halvings("size", size, (1 << _SIZE_BITS) - 1))
+    small = o.known(o.shifted_by(size, places), -(2**62), (1 << _SIZE_BITS) - 1)
+    short = o.let(f"short_{name}", small, "27 bits of it")
+    # Changes no number of a sound filter, whose innovations vary by r at least.
+    divisor = o.clamp(short, 1 << (_SIZE_BITS - 1), (1 << _SIZE_BITS) - 1)
+    inverse = o.quotient("1 / size", o.const(1 << (_SIZE_BITS + 30)), divisor)
+    over = o.let(f"over_{name}", inverse)
+    k = [o.let(f"k_{name}{n}", o.call(gain_of, h[n], over, places)) for n in range(4)]
     for n in range(4):
         for m in range(n + 1):
-            less = weighted(o, "K C P", h[n], k[m], K_BITS)
+            less = o.call(weighted, "K C P", h[n], k[m], K_BITS)
             after = o.total("P after", p[n][m], o.negative(less))
-            p[m][n] = p[n][m] = o.clamp(after, -2 * LIMIT, 2 * LIMIT)
-    return [
-        saturated(
-            o, rounded(o, "K innovation", o.product("K innovation", part, innovation), K_BITS)
-        )
-        for part in k
-    ]
+            held = o.clamp(after, -2 * LIMIT, 2 * LIMIT)
+            p[m][n] = p[n][m] = o.let(f"p_{name}{m}{n}", held)
+    return [o.let(f"x_{name}{n}", o.call(correction, part, innovation)) for n, part in enumerate(k)]
 
 
 def step(
     o: Arithmetic[N, Any], gains: FixedEkf, state: TrackedState[N], v: Pair[N], i: Pair[N]
 ) -> TrackedState[N]:
-    """One sample: ``v`` acted over the period that ends at the sampling instant of ``i``."""
-    codes, before = Codes(o, WIDTH), Pair(*state.words[:2])
-    u = park(codes, v, rotation(o, WIDTH, state.theta))
-    x = limited_speed(o, gains.model, state.omega)
-    e = entries_at(o, gains.model.entries, x)
-    p = _covariance_ahead(o, gains, _full(state.words[2:]), _jacobian(o, gains, e, x, before, u))
-    foretold = next_currents(o, gains.model.entries.shift, e, before, u)
-    theta_p = predicted(o, gains.model.advance, state.theta, state.omega)
-    seen = park(codes, i, rotation(o, WIDTH, theta_p))
-    nu_d = saturated(o, o.total("innovation", seen.x, o.negative(foretold.x)))
-    first = _taken_in(o, gains, p, 0, o.negative(foretold.y), nu_d)
-    turned = rounded(
-        o, "i_d turn", o.product("i_d turn", foretold.x, first[3]), WIDTH - 1 - ANGLE_BITS
-    )
+    """One sample: v acted over the period that ends at the sampling instant of i; both in codes of
+    the control. After a sample that leaves no covariance, or one beyond its limits, the filter
+    begins anew by itself: at the angle foretold and the speed before, with the covariance of the
+    start.
+    """
+    before = Dq(*state.words[:2])
+    u = o.let("u", o.call(to_rotor, v, o.let("last", o.call(rotation, WIDTH, state.theta))))
+    x = o.let("x", limited_speed(o, gains.model, state.omega))
+    square = o.let("square", o.call(times, "square of the speed", x, x))
+    e = o.let("e", entries_at(o, gains.model.entries, square, x))
+    g = o.let("g", _slopes_at(o, gains.slopes, square, x))
+    f = _jacobian(o, gains, e, g, before, u)
+    p = _covariance_ahead(o, gains, _full(state.words[2:]), f)
+    foretold = o.let("foretold", next_currents(o, gains.model.entries.shift, e, before, u))
+    theta = o.let("theta", o.call(predicted, gains.model.advance, state.theta, state.omega))
+    seen = o.let("seen", o.call(to_rotor, i, o.let("now", o.call(rotation, WIDTH, theta))))
+    apart = o.call(clipped, o.total("innovation", seen.x, o.negative(foretold.x)))
+    nu_d = o.let("nu_d", apart, "innovation")
+    less = o.let("less", o.negative(foretold.y))
+    first = _taken_in(o, gains, p, 0, less, nu_d)
+    turned = o.product("i_d turn", foretold.x, first[3])
     rest = o.total(
-        "innovation", seen.y, o.negative(foretold.y), o.negative(first[1]), o.negative(turned)
+        "innovation",
+        seen.y,
+        o.negative(foretold.y),
+        o.negative(first[1]),
+        o.negative(o.call(rounded, "i_d turn", turned, WIDTH - 1 - ANGLE_BITS)),
     )
-    second = _taken_in(o, gains, p, 1, foretold.x, saturated(o, rest))
-    both = [o.total("correction", a, b) for a, b in zip(first, second, strict=True)]
-    return _sound_or_anew(o, gains, state.omega, theta_p, i, foretold, both, p)
+    nu_q = o.let("nu_q", o.call(clipped, rest))
+    second = _taken_in(o, gains, p, 1, foretold.x, nu_q)
+
+    def corrected() -> TrackedState[N]:
+        both = [o.total("correction", a, b) for a, b in zip(first, second, strict=True)]
+        speed = o.clamp(o.total("speed", state.omega, both[2]), -gains.most, gains.most)
+        return TrackedState(
+            o.call(turned_by, gains.angle, theta, both[3]),
+            speed,
+            (
+                o.call(clipped, o.total("current", foretold.x, both[0])),
+                o.call(clipped, o.total("current", foretold.y, both[1])),
+                # Beyond, the filter begins anew.
+                *(o.known(p[n][m], -LIMIT, LIMIT) for n, m in _UPPER),
+            ),
+        )
+
+    def anew() -> TrackedState[N]:
+        return begin(o, gains, TrackedState(theta, state.omega, ()), i, i)
+
+    return o.either(_sound(o, gains, p), corrected, anew)
 
 
-def _sound_or_anew(
-    o: Arithmetic[N, Any],
-    gains: FixedEkf,
-    omega: N,
-    theta: N,
-    i: Pair[N],
-    foretold: Pair[N],
-    correction: list[N],
-    p: list[list[N]],
-) -> TrackedState[N]:
-    """The corrected state, or a new beginning where the covariance is none."""
-    sound, nil = o.const(1), o.const(0)
+def _sound(o: Arithmetic[N, C], gains: FixedEkf, p: list[list[N]]) -> C:
+    """Whether a covariance is one, within its limits."""
     most = (LIMIT, LIMIT, gains.most_omega, gains.most_theta)
+    held = []
     for n, m in _UPPER:
-        top = most[n] if n == m else LIMIT
-        sound = o.choose(o.at_least(o.const(top), p[n][m]), sound, nil)
-        sound = o.choose(o.at_least(p[n][m], o.const(1 if n == m else -LIMIT)), sound, nil)
-    good = o.at_least(sound, o.const(1))
-    speed = o.clamp(o.total("speed", omega, correction[2]), -gains.most, gains.most)
-    own = (
-        turned_by(o, gains.angle, theta, correction[3]),
-        speed,
-        saturated(o, o.total("current", foretold.x, correction[0])),
-        saturated(o, o.total("current", foretold.y, correction[1])),
-        # Changes no number: beyond, the filter begins anew.
-        *(o.clamp(p[n][m], -LIMIT, LIMIT) for n, m in _UPPER),
-    )
-    anew = begin(o, gains, TrackedState(theta, omega, ()), i, i)
-    pairs = zip(own, (anew.theta, anew.omega, *anew.words), strict=True)
-    chosen = [o.choose(good, a, b) for a, b in pairs]
-    return TrackedState(chosen[0], chosen[1], tuple(chosen[2:]))
+        held.append(o.at_least(o.const(most[n] if n == m else LIMIT), p[n][m]))
+        held.append(o.at_least(p[n][m], o.const(1 if n == m else -LIMIT)))
+    return o.every(*held)
 
 
 def _limits(gains: FixedEkf) -> tuple[Range, ...]:
@@ -340,9 +363,9 @@ METHOD = FixedMethod(
     gains=FixedEkf,
     design=design,
     words=(
-        Word("i.d"),
+        Word("i.d", meaning="estimated current in the rotor's frame"),
         Word("i.q"),
-        *(Word(f"p[{k}]", "int64_t") for k in range(len(_UPPER))),
+        *(Word(f"p[{k}]", "int64_t", _COVARIANCE) for k in range(len(_UPPER))),
     ),
     limits=_limits,
     begin=begin,

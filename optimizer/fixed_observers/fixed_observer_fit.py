@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
@@ -41,9 +41,9 @@ from dqforge.optimizer.fixed_observers.kit import (
     Scales,
     TrackedState,
     active_angle,
+    clipped,
     code_limits,
     corrected,
-    difference,
     fixed_current_model,
     fixed_flux_path,
     flux_floor,
@@ -51,7 +51,6 @@ from dqforge.optimizer.fixed_observers.kit import (
     integrated,
     model_flux,
     predicted,
-    saturated,
     shown,
     speed_size,
     vector_words,
@@ -60,6 +59,7 @@ from dqforge.optimizer.fixed_observers.kit import (
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.tuning import PositionObserver
+from dqforge.optimizer.steps.step_arithmetic import Member
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,15 +167,13 @@ ALL = 1 << SHARE_BITS  # The whole of the current model.
 
 @dataclass(frozen=True, slots=True)
 class FixedFlux:
-    """Voltage and current model, share of the latter (2^30 codes of 1) at rest and by the speed,
-    least active flux linkage in codes of 16 bits, loop.
-    """
+    """Flux observer in integers."""
 
     path: FixedFluxPath
     model: FixedCurrentModel
-    alpha_0: int
-    alpha_1: FixedGain
-    floor: int
+    alpha_0: Annotated[int, Member("share of the current model at rest, 2^30 codes of 1")]
+    alpha_1: Annotated[FixedGain, Member("and by the speed")]
+    floor: Annotated[int, Member("least active flux linkage that counts in full, of 16 bits")]
     pll: FixedPll
 
 
@@ -201,29 +199,38 @@ def begin(
 ) -> TrackedState[N]:
     """The flux linkage of the current model."""
     del v
-    psi = model_flux(o, gains.model, i, rotation(o, WIDTH, state.theta))
+    turn = o.let("turn", o.call(rotation, WIDTH, state.theta))
+    psi = o.let("psi", o.call(model_flux, gains.model, i, turn))
     return TrackedState(state.theta, state.omega, (psi.x, psi.y, i.x, i.y))
+
+
+def pulled(o: Arithmetic[N, Any], alpha: N, own: N, model: N) -> N:
+    """A flux linkage pulled by a share, 2^30 codes of 1, towards that of the current model."""
+    gap = o.total("model - flux", model, o.negative(own))
+    part = o.call(rounded, "alpha gap", o.product("alpha gap", alpha, gap), SHARE_BITS)
+    return o.call(clipped, o.total("corrected flux", own, part))
 
 
 def step(
     o: Arithmetic[N, Any], gains: FixedFlux, state: TrackedState[N], v: Pair[N], i: Pair[N]
 ) -> TrackedState[N]:
-    """One sample: ``v`` acted over the period that ends at the sampling instant of ``i``."""
+    """One sample: v acted over the period that ends at the sampling instant of i; both in codes of
+    the control.
+    """
     before, last = Pair(*state.words[:2]), Pair(*state.words[2:])
-    theta_p = predicted(o, gains.pll.advance, state.theta, state.omega)
-    turn = rotation(o, WIDTH, theta_p)
-    psi = integrated(o, gains.path, before, v, (last, i), state.omega)
-    model = model_flux(o, gains.model, i, turn)
-    by_speed = scaled(o, "alpha_1 omega", gains.alpha_1, speed_size(o, state.omega))
-    alpha = o.clamp(o.total("alpha", by_speed, o.const(gains.alpha_0)), -ALL, ALL)
-    gap = difference(o, "model - flux", model, psi)
-
-    def pulled(own: N, apart: N) -> N:
-        part = rounded(o, "alpha gap", o.product("alpha gap", alpha, apart), SHARE_BITS)
-        return saturated(o, o.total("corrected flux", own, part))
-
-    psi = Pair(pulled(psi.x, gap.x), pulled(psi.y, gap.y))
-    error = active_angle(o, gains.model, psi, i, turn, gains.floor)
+    theta_p = o.let("theta", o.call(predicted, gains.pll.advance, state.theta, state.omega))
+    turn = o.let("turn", o.call(rotation, WIDTH, theta_p))
+    own = o.let("own", o.call(integrated, gains.path, before, v, last, i, state.omega))
+    model = o.let("model", o.call(model_flux, gains.model, i, turn))
+    size = o.call(speed_size, state.omega)
+    by_speed = o.call(scaled, "alpha_1 omega", gains.alpha_1, size)
+    share = o.total("alpha", by_speed, o.const(gains.alpha_0))
+    alpha = o.let("alpha", o.clamp(share, -ALL, ALL))
+    psi = o.let(
+        "psi",
+        Pair(o.call(pulled, alpha, own.x, model.x), o.call(pulled, alpha, own.y, model.y)),
+    )
+    error = o.let("error", o.call(active_angle, gains.model, psi, i, turn, gains.floor))
     theta, omega = corrected(o, gains.pll, theta_p, state.omega, error)
     return TrackedState(theta, omega, (psi.x, psi.y, i.x, i.y))
 
@@ -233,7 +240,7 @@ METHOD = FixedMethod(
     code="flux",
     gains=FixedFlux,
     design=design,
-    words=vector_words("psi", "i"),
+    words=vector_words(psi="stator flux linkage", i="last current"),
     limits=code_limits(4),
     begin=begin,
     step=step,

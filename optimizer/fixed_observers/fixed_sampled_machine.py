@@ -3,41 +3,43 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Generic
+from typing import Annotated, Any, Generic, NamedTuple
 
 import numpy as np
 
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import N, Pair, park
+from dqforge.machines.transforms import N, Pair
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded, scaled
-from dqforge.optimizer.fixed_control.transforms import Codes, rotation
+from dqforge.optimizer.fixed_control.transforms import rotation
 from dqforge.optimizer.fixed_observers.kit import (
     ONE,
     WIDTH,
+    Dq,
     FixedMethod,
     FixedPolynomials,
     Scales,
     TrackedState,
+    clipped,
     code,
     code_limits,
     common_scale,
     difference,
     gain,
-    odd_value_of,
+    odd_polynomial,
+    polynomial,
     predicted,
     quotient,
-    saturated,
-    saturated_pair,
     speed_limit,
     times,
+    to_rotor,
     turned_by,
-    value_of,
     vector_words,
 )
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.matsui import ShownGains
 from dqforge.optimizer.observers.methods.matsui_current import MatsuiCurrentGains
 from dqforge.optimizer.observers.sampled_machine import EVEN, SampledGains
+from dqforge.optimizer.steps.step_arithmetic import Member
 
 _ENTRY_BITS = 29
 _VOLTS, _AMPERES = (2, 3, 7, 8), (4, 9)
@@ -45,13 +47,13 @@ _VOLTS, _AMPERES = (2, 3, 7, 8), (4, 9)
 
 @dataclass(frozen=True, slots=True)
 class FixedSampled:
-    """Entries of the sampled machine between codes, the even ones first; largest speed; gain that
-    makes the angle of a period.
+    """The machine from one sample to the next: ten entries between codes, the last five times the
+    speed.
     """
 
     entries: FixedPolynomials
-    most: int
-    advance: FixedGain
+    most: Annotated[int, Member("largest speed of the entries")]
+    advance: Annotated[FixedGain, Member("angle of a period, of the code of the speed")]
 
 
 def fixed_sampled(model: SampledGains, scales: Scales) -> FixedSampled:
@@ -83,11 +85,10 @@ def limited_speed(o: Arithmetic[N, Any], model: FixedSampled, omega: N) -> N:
     return o.clamp(omega, -model.most, model.most)
 
 
-def entries_at(o: Arithmetic[N, Any], entries: FixedPolynomials, x: N) -> list[N]:
-    """Mantissas of the ten entries at a speed."""
-    square = times(o, "square of the speed", x, x)
-    even = [value_of(o, row, square) for row in entries.rows[:EVEN]]
-    return even + [odd_value_of(o, row, square, x) for row in entries.rows[EVEN:]]
+def entries_at(o: Arithmetic[N, Any], entries: FixedPolynomials, square: N, x: N) -> list[N]:
+    """Mantissas of the ten entries at a speed with its square."""
+    even = [o.call(polynomial, row, square) for row in entries.rows[:EVEN]]
+    return even + [odd_polynomial(o, row, square, x) for row in entries.rows[EVEN:]]
 
 
 def combined_currents(o: Arithmetic[N, Any], e: list[N], i: Pair[N], v: Pair[N]) -> Pair[N]:
@@ -107,12 +108,12 @@ def combined_currents(o: Arithmetic[N, Any], e: list[N], i: Pair[N], v: Pair[N])
     return Pair(row(e[0], e[5], e[2], e[7], e[4]), row(e[6], e[1], e[8], e[3], e[9]))
 
 
-def next_currents(o: Arithmetic[N, Any], shift: int, e: list[N], i: Pair[N], v: Pair[N]) -> Pair[N]:
+def next_currents(o: Arithmetic[N, Any], shift: int, e: list[N], i: Pair[N], v: Pair[N]) -> Dq[N]:
     """Currents one sample after ``i`` under the voltage ``v``, saturated; ``e`` are mantissas."""
     found = combined_currents(o, e, i, v)
-    return Pair(
-        saturated(o, rounded(o, "next current", found.x, shift)),
-        saturated(o, rounded(o, "next current", found.y, shift)),
+    return Dq(
+        o.call(clipped, o.call(rounded, "next current", found.x, shift)),
+        o.call(clipped, o.call(rounded, "next current", found.y, shift)),
     )
 
 
@@ -130,17 +131,21 @@ _PRODUCT_SHIFT = 28
 
 @dataclass(frozen=True, slots=True)
 class FixedShown:
-    """What tells the errors: ``salient`` and ``psi_pm`` to and in codes of the flux linkage, square
-    of the least speed, fractional ``bits`` of omega / (omega^2 + least^2), and gains from ratios to
-    errors of angle and speed, 2^31 codes of `ANGLE_ROOM` and of `SPEED_ROOM`.
-    """
+    """What tells the errors that a voltage difference shows."""
 
-    salient: FixedGain
+    salient: Annotated[FixedGain, Member("L_d - L_q, to codes of the flux linkage")]
     psi_pm: int
-    least: int
-    bits: int
-    angle: FixedGain
-    slip: FixedGain
+    least: Annotated[int, Member("square of the speed below which the angle is corrected less")]
+    bits: Annotated[int, Member("fractional bits of omega / (omega^2 + least)"), "uint32_t"]
+    angle: Annotated[FixedGain, Member("error of the angle, 2^31 codes of 16 rad, of its ratio")]
+    slip: Annotated[FixedGain, Member("error of the speed, 2^31 codes of 8 full scales")]
+
+
+class Errors(NamedTuple, Generic[N]):
+    """Errors of one sample."""
+
+    angle: Annotated[N, Member("2^31 codes of 16 rad")]
+    slip: Annotated[N, Member("2^31 codes of 8 full scales of the speed")]
 
 
 def fixed_shown(shown: ShownGains, scales: Scales) -> FixedShown:
@@ -166,17 +171,26 @@ def fixed_shown(shown: ShownGains, scales: Scales) -> FixedShown:
     )
 
 
+def flux_ratio(o: Arithmetic[N, Any], value: N, size: N) -> N:
+    """A product of flux linkage and voltage over the square of the flux linkage."""
+    part = o.call(clipped, o.call(rounded, "flux v", value, WIDTH - 1))
+    return o.call(quotient, "v / flux", part, size, RATIO_BITS)
+
+
 def shown_errors(
-    o: Arithmetic[N, Any], shown: FixedShown, omega: N, v: Pair[N], i: Pair[N]
-) -> tuple[N, N]:
+    o: Arithmetic[N, Any], shown: FixedShown, omega: N, v: Dq[N], i: Dq[N]
+) -> Errors[N]:
     """Errors of angle and speed that a voltage difference shows."""
-    cross = saturated(o, scaled(o, "cross flux", shown.salient, i.y))
-    active = saturated(
-        o,
-        o.total("active flux", scaled(o, "active flux", shown.salient, i.x), o.const(shown.psi_pm)),
-    )
-    size = o.total(
-        "square of the flux", times(o, "flux^2", active, active), times(o, "flux^2", cross, cross)
+    cross = o.let("cross", o.call(clipped, o.call(scaled, "cross flux", shown.salient, i.y)))
+    own = o.call(scaled, "active flux", shown.salient, i.x)
+    active = o.let("active", o.call(clipped, o.total("active flux", own, o.const(shown.psi_pm))))
+    size = o.let(
+        "size",
+        o.total(
+            "square of the flux",
+            o.call(times, "flux^2", active, active),
+            o.call(times, "flux^2", cross, cross),
+        ),
     )
     across = o.total(
         "flux v",
@@ -184,20 +198,14 @@ def shown_errors(
         o.negative(o.product("flux v", active, v.x)),
     )
     along = o.total("flux v", o.product("flux v", active, v.y), o.product("flux v", cross, v.x))
-
-    def ratio(value: N) -> N:
-        part = saturated(o, rounded(o, "flux v", value, WIDTH - 1))
-        return quotient(o, "v / flux", part, size, RATIO_BITS)
-
-    square = o.total("omega^2 + least^2", times(o, "omega^2", omega, omega), o.const(shown.least))
-    share = quotient(o, "1 / omega", omega, square, shown.bits)
-    fine = saturated(
-        o, rounded(o, "angle ratio", o.product("angle ratio", ratio(across), share), _PRODUCT_SHIFT)
-    )
-    return (
-        saturated(o, scaled(o, "angle error", shown.angle, fine)),
-        saturated(o, scaled(o, "speed error", shown.slip, ratio(along))),
-    )
+    least = o.const(shown.least)
+    square = o.total("omega^2 + least^2", o.call(times, "omega^2", omega, omega), least)
+    share = o.let("share", o.call(quotient, "1 / omega", omega, square, shown.bits))
+    ratio = o.let("ratio", o.call(flux_ratio, across, size))
+    fine = o.call(rounded, "angle ratio", o.product("angle ratio", ratio, share), _PRODUCT_SHIFT)
+    angle = o.call(scaled, "angle error", shown.angle, o.call(clipped, fine))
+    slip = o.call(scaled, "speed error", shown.slip, o.call(flux_ratio, along, size))
+    return Errors(o.call(clipped, angle), o.call(clipped, slip))
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,10 +215,10 @@ class ShownGap(Generic[N]):
     """
 
     theta: N
-    now: Pair[N]
+    now: Dq[N]
     entries: list[N]
     turn: Pair[N]
-    gap: Pair[N]
+    gap: Dq[N]
 
 
 def shown_gap(
@@ -230,18 +238,22 @@ def shown_gap(
         state: Before the sample; its first two words are the last current.
         v, i: Voltage that acted over the period, current at its end, in codes.
     """
-    codes = Codes(o, WIDTH)
-    turn = rotation(o, WIDTH, state.theta)
-    theta = predicted(o, model.advance, state.theta, state.omega)
-    now = park(codes, i, rotation(o, WIDTH, theta))
-    x = limited_speed(o, model, state.omega)
-    e = entries_at(o, model.entries, x)
-    last = park(codes, Pair(*state.words[:2]), turn)
-    foretold = next_currents(o, model.entries.shift, e, last, park(codes, v, turn))
-    half = saturated(o, scaled(o, "half of the turn", half_turn, x))
-    square = o.shifted(times(o, "half^2", half, half), 1)
-    cosine = saturated(o, o.total("cosine of half the turn", o.const(ONE), o.negative(square)))
-    gap = saturated_pair(o, difference(o, "gap of the current", now, foretold))
+    before = o.let("before", o.call(rotation, WIDTH, state.theta))
+    theta = o.let("theta", o.call(predicted, model.advance, state.theta, state.omega))
+    ahead = o.let("ahead", o.call(rotation, WIDTH, theta))
+    now = o.let("now", o.call(to_rotor, i, ahead))
+    x = o.let("x", limited_speed(o, model, state.omega))
+    square = o.let("square", o.call(times, "square of the speed", x, x))
+    e = o.let("e", entries_at(o, model.entries, square, x))
+    last = o.let("last", o.call(to_rotor, Pair(*state.words[:2]), before))
+    u = o.let("u", o.call(to_rotor, v, before))
+    foretold = o.let("foretold", next_currents(o, model.entries.shift, e, last, u))
+    half = o.let("half", o.call(clipped, o.call(scaled, "half of the turn", half_turn, x)))
+    fall = o.shifted(o.call(times, "half^2", half, half), 1)
+    rest = o.total("cosine of half the turn", o.const(ONE), o.negative(fall))
+    cosine = o.let("cosine", o.call(clipped, rest), "of half the turn")
+    apart = difference(o, "gap of the current", now, foretold)
+    gap = o.let("gap", Dq(o.call(clipped, apart.x), o.call(clipped, apart.y)))
     return ShownGap(theta, now, e, Pair(cosine, half), gap)
 
 
@@ -257,19 +269,17 @@ _TWO_CODES = 2 * ONE
 
 @dataclass(frozen=True, slots=True)
 class FixedMatsuiCurrent:
-    """Sampled machine, half a turn, what shows the errors, voltages of a current gap, shares of
-    angle and speed, half a period's angle of a speed error, limit of the speed.
-    """
+    """Matsui's current model in integers."""
 
     model: FixedSampled
-    half_turn: FixedGain
+    half_turn: Annotated[FixedGain, Member("angle of half a period, 2^31 codes of a radian")]
     shown: FixedShown
-    g_d: FixedGain
+    g_d: Annotated[FixedGain, Member("voltages of a current gap")]
     g_q: FixedGain
-    l_theta: FixedGain
-    speed_share: FixedGain
-    ahead: FixedGain
-    most: int
+    l_theta: Annotated[FixedGain, Member("share of the angle error")]
+    speed_share: Annotated[FixedGain, Member("of the speed error")]
+    ahead: Annotated[FixedGain, Member("angle of a speed error in half a period")]
+    most: Annotated[int, Member("limit of the speed")]
 
 
 def design(gains: MatsuiCurrentGains, scales: Scales) -> FixedMatsuiCurrent:
@@ -304,25 +314,33 @@ def begin(
 def step(
     o: Arithmetic[N, Any], gains: FixedMatsuiCurrent, state: TrackedState[N], v: Pair[N], i: Pair[N]
 ) -> TrackedState[N]:
-    """One sample: ``v`` acted over the period that ends at the sampling instant of ``i``."""
+    """One sample: v acted over the period that ends at the sampling instant of i; both in codes of
+    the control.
+    """
     found = shown_gap(o, gains.model, gains.half_turn, state, v, i)
     gap, turn = found.gap, found.turn
     d = o.total(
-        "gap turned", times(o, "gap", turn.x, gap.x), o.negative(times(o, "gap", turn.y, gap.y))
+        "gap turned",
+        o.call(times, "gap", turn.x, gap.x),
+        o.negative(o.call(times, "gap", turn.y, gap.y)),
     )
-    q = o.total("gap turned", times(o, "gap", turn.x, gap.y), times(o, "gap", turn.y, gap.x))
-    volts = Pair(
-        saturated(o, scaled(o, "voltage difference", gains.g_d, d)),
-        saturated(o, scaled(o, "voltage difference", gains.g_q, q)),
+    q = o.total(
+        "gap turned", o.call(times, "gap", turn.x, gap.y), o.call(times, "gap", turn.y, gap.x)
     )
-    angle, slip = shown_errors(o, gains.shown, state.omega, volts, found.now)
-    ahead = scaled(o, "angle of the speed error", gains.ahead, slip)
-    error = saturated(o, o.total("angle error", angle, ahead))
-    omega = o.total(
-        "speed", state.omega, scaled(o, "share of the speed error", gains.speed_share, slip)
+    volts = o.let(
+        "volts",
+        Dq(
+            o.call(clipped, o.call(scaled, "voltage difference", gains.g_d, d)),
+            o.call(clipped, o.call(scaled, "voltage difference", gains.g_q, q)),
+        ),
     )
+    error = o.let("error", o.call(shown_errors, gains.shown, state.omega, volts, found.now))
+    ahead = o.call(scaled, "angle of the speed error", gains.ahead, error.slip)
+    both = o.let("both", o.call(clipped, o.total("angle error", error.angle, ahead)))
+    share = o.call(scaled, "share of the speed error", gains.speed_share, error.slip)
+    omega = o.total("speed", state.omega, share)
     return TrackedState(
-        turned_by(o, gains.l_theta, found.theta, error),
+        o.call(turned_by, gains.l_theta, found.theta, both),
         o.clamp(omega, -gains.most, gains.most),
         (i.x, i.y),
     )
@@ -333,7 +351,7 @@ METHOD = FixedMethod(
     code="matsui_current",
     gains=FixedMatsuiCurrent,
     design=design,
-    words=vector_words("i"),
+    words=vector_words(i="last current"),
     limits=code_limits(2),
     begin=begin,
     step=step,

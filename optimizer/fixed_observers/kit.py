@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Generic, Literal
+from typing import Annotated, Any, Generic, Literal, NamedTuple
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from dqforge.optimizer.loops.integer_gains import FixedGain, quantise
 from dqforge.optimizer.observers.methods.flux_gains import FluxPath
 from dqforge.optimizer.observers.methods.open_loop_flux import OpenLoopFluxGains
 from dqforge.optimizer.observers.pll import PllGains
+from dqforge.optimizer.steps.step_arithmetic import Member
 
 WIDTH = 32  # Bits of every code inside an observer.
 ONE = 2 ** (WIDTH - 1)  # Codes of full scale, and of a radian.
@@ -50,14 +51,28 @@ _MOST_DIVISOR = 2**62
 _SIZE_BITS = 15
 
 
-def saturated(o: Arithmetic[N, Any], a: N) -> N:
+class Dq(Pair[N]):
+    """A vector in rotor coordinates, d and q."""
+
+
+def clipped(o: Arithmetic[N, Any], a: N) -> N:
     """The code nearest to a of those that lie as far below zero as above."""
     return o.clamp(a, -TOP, TOP)
 
 
 def times(o: Arithmetic[N, Any], name: str, a: N, b: N) -> N:
-    """Product of two codes as a code, rounded."""
-    return rounded(o, name, o.product(name, a, b), WIDTH - 1)
+    """Product of two codes, rounded."""
+    return o.call(rounded, name, o.product(name, a, b), WIDTH - 1)
+
+
+def to_rotor(o: Arithmetic[N, Any], vector: Pair[N], turn: Pair[N]) -> Dq[N]:
+    """Stationary coordinates in a frame turned by (cosine, sine)."""
+    return Dq(*park(Codes(o, WIDTH), vector, turn))
+
+
+def to_stator(o: Arithmetic[N, Any], vector: Dq[N], turn: Pair[N]) -> Pair[N]:
+    """Coordinates of a turned frame back."""
+    return park_inverse(Codes(o, WIDTH), vector, turn)
 
 
 def difference(o: Arithmetic[N, Any], name: str, a: Pair[N], b: Pair[N]) -> Pair[N]:
@@ -67,75 +82,70 @@ def difference(o: Arithmetic[N, Any], name: str, a: Pair[N], b: Pair[N]) -> Pair
 
 def scaled_pair(o: Arithmetic[N, Any], name: str, gain: FixedGain, a: Pair[N]) -> Pair[N]:
     """A vector times a gain."""
-    return Pair(scaled(o, name, gain, a.x), scaled(o, name, gain, a.y))
+    return Pair(o.call(scaled, name, gain, a.x), o.call(scaled, name, gain, a.y))
 
 
-def saturated_pair(o: Arithmetic[N, Any], a: Pair[N]) -> Pair[N]:
+def clipped_vector(o: Arithmetic[N, Any], alpha: N, beta: N) -> Pair[N]:
     """A vector whose components are codes."""
-    return Pair(saturated(o, a.x), saturated(o, a.y))
+    return Pair(o.call(clipped, alpha), o.call(clipped, beta))
 
 
 def sine_of_angle(o: Arithmetic[N, Any], across: N, vector: Pair[N], floor: int) -> N:
-    """The component ``across`` over the length of its vector, at least ``floor``: a sine, 2^31
-    codes of 1.
+    """A component over the length of its vector, which counts as floor at least: a sine, 2^31 codes
+    of 1.
 
     The length only scales a loop gain and needs few digits: it is the root of a word of 32 bits,
     in codes of 16 bits, as ``floor`` is. The quotient has all its digits: two divisions of
     32 bits, the second of what the first leaves.
     """
-    x, y = o.shifted(vector.x, _HALF_WORD), o.shifted(vector.y, _HALF_WORD)
-    # Changes no number: a sum of squares, which a range does not know.
-    square = o.clamp(
-        o.total("x^2 + y^2", o.product("x^2", x, x), o.product("y^2", y, y)), 0, 2 * 2**30
-    )
-    size = o.clamp(o.root(square), floor, 2**16)
-    first = o.quotient(f"{NARROW}across / size", across, size)
-    whole = o.product("whole part of across", first, size)
-    # Changes no number: what a division leaves is less than its divisor.
-    rest = o.within(o.total("rest of across", across, o.negative(whole)), size)
-    fine = o.product(f"{NARROW}rest 2^15", rest, o.const(1 << _SIZE_BITS))
-    second = o.quotient("rest / size", fine, size)
+    x = o.let("x", o.shifted(vector.x, _HALF_WORD))
+    y = o.let("y", o.shifted(vector.y, _HALF_WORD))
+    x_2 = o.let("x_2", o.known(o.product("x^2", x, x), 0, 2**30))
+    y_2 = o.let("y_2", o.known(o.product("y^2", y, y), 0, 2**30))
+    length = o.let("length", o.root(o.total("x^2 + y^2", x_2, y_2)), "in codes of 16 bits")
+    size = o.let("size", o.clamp(length, floor, 2**16))
+    first = o.let("first", o.quotient(f"{NARROW}across / size", across, size))
+    whole = o.known(o.product("whole part of across", first, size), -ONE, TOP)
+    # What a division leaves is less than its divisor.
+    rest = o.known(o.total("rest of across", across, o.negative(whole)), 1 - 2**16, 2**16 - 1)
+    fine = o.let("fine", o.product(f"{NARROW}rest 2^15", rest, o.const(1 << _SIZE_BITS)))
+    second = o.let("second", o.quotient("rest / size", fine, size))
     coarse = o.product("across / size 2^15", first, o.const(1 << _SIZE_BITS))
-    return saturated(o, o.total("sine of the angle", coarse, second))
+    return o.call(clipped, o.total("sine of the angle", coarse, second))
 
 
 def quotient(o: Arithmetic[N, Any], name: str, a: N, b: N, bits: int) -> N:
-    """The code a over the code b with ``bits`` fractional bits, towards zero, saturated.
-
-    A divisor below one code counts as one.
+    """The code a over the code b with so many fractional bits, towards zero, saturated; a divisor
+    below one code counts as one.
     """
     fine = o.product(f"{name}: numerator", a, o.const(1 << bits))
-    return saturated(o, o.quotient(name, fine, o.clamp(b, 1, _MOST_DIVISOR)))
+    return o.call(clipped, o.quotient(name, fine, o.clamp(b, 1, _MOST_DIVISOR)))
 
 
 @dataclass(frozen=True, slots=True)
 class FixedPll:
-    """Phase-locked loop in integers.
+    """Phase-locked loop in integers."""
 
-    ``advance`` makes the angle of a period of a speed, ``l_1`` an angle and ``l_2`` a speed of an
-    angle error in codes of a radian.
-    """
-
-    advance: FixedGain
-    l_1: FixedGain
-    l_2: FixedGain
+    advance: Annotated[FixedGain, Member("angle of a period, of the code of the speed")]
+    l_1: Annotated[FixedGain, Member("angle of an angle error in codes of a radian")]
+    l_2: Annotated[FixedGain, Member("speed of an angle error")]
 
 
 def predicted(o: Arithmetic[N, Any], advance: FixedGain, theta: N, omega: N) -> N:
     """Angle one period on, 2^32 codes of a turn."""
-    turn = scaled(o, "angle of a period", advance, omega)
+    turn = o.call(scaled, "angle of a period", advance, omega)
     return o.wrapped(o.total("angle foretold", theta, turn), WIDTH)
 
 
 def turned_by(o: Arithmetic[N, Any], gain: FixedGain, theta: N, error: N) -> N:
     """An angle corrected by a share of an error in codes of a radian."""
-    return o.wrapped(o.total("angle", theta, scaled(o, "l_1 error", gain, error)), WIDTH)
+    return o.wrapped(o.total("angle", theta, o.call(scaled, "l_1 error", gain, error)), WIDTH)
 
 
 def corrected(o: Arithmetic[N, Any], pll: FixedPll, theta: N, omega: N, error: N) -> tuple[N, N]:
     """Angle and speed after an angle error in codes of a radian; the speed saturates."""
-    speed = o.total("speed", omega, scaled(o, "l_2 error", pll.l_2, error))
-    return turned_by(o, pll.l_1, theta, error), saturated(o, speed)
+    speed = o.total("speed", omega, o.call(scaled, "l_2 error", pll.l_2, error))
+    return o.call(turned_by, pll.l_1, theta, error), o.call(clipped, speed)
 
 
 def with_sign_of(o: Arithmetic[N, Any], sign: N, a: N) -> N:
@@ -145,7 +155,8 @@ def with_sign_of(o: Arithmetic[N, Any], sign: N, a: N) -> N:
 
 def speed_size(o: Arithmetic[N, Any], omega: N) -> N:
     """Magnitude of a speed, a code."""
-    return o.clamp(magnitude(o, omega), 0, TOP)
+    held = o.let("held", o.call(clipped, omega))
+    return o.known(magnitude(o, held), 0, TOP)
 
 
 # Voltage model of the stator flux linkage in integers, and the angle of its active part.
@@ -155,20 +166,18 @@ _TWO_CODES = 2 * ONE
 
 @dataclass(frozen=True, slots=True)
 class FixedFluxPath:
-    """Gains to codes of the flux linkage: of the voltage, of the sum of two currents, of their
-    difference by L_q, and both parts of the end correction.
-    """
+    """Voltage model over a period; all gains lead to codes of the flux linkage."""
 
-    volt: FixedGain
-    half_drop: FixedGain
-    l_q: FixedGain
-    end_drop: FixedGain
-    end_turn: FixedGain
+    volt: Annotated[FixedGain, Member("of the voltage")]
+    half_drop: Annotated[FixedGain, Member("of the sum of two currents")]
+    l_q: Annotated[FixedGain, Member("of the change of the current")]
+    end_drop: Annotated[FixedGain, Member("end correction, of the change of the current")]
+    end_turn: Annotated[FixedGain, Member("and of the turning flux linkage")]
 
 
 @dataclass(frozen=True, slots=True)
 class FixedCurrentModel:
-    """Inductances from codes of the current to those of the flux linkage, and the magnet's."""
+    """Current model: from codes of the current to those of the flux linkage."""
 
     l_d: FixedGain
     l_q: FixedGain
@@ -208,14 +217,14 @@ def flux_floor(floor: float, scales: Scales) -> int:
 def model_flux(
     o: Arithmetic[N, Any], model: FixedCurrentModel, i: Pair[N], turn: Pair[N]
 ) -> Pair[N]:
-    """Flux linkage (alpha, beta) of the current model."""
-    codes = Codes(o, WIDTH)
-    current = park(codes, i, turn)
+    """Stator flux linkage of the current model."""
+    x = o.let("x", o.call(to_rotor, i, turn))
     along = o.total(
-        "flux of the d axis", scaled(o, "l_d i_d", model.l_d, current.x), o.const(model.psi_pm)
+        "flux of the d axis", o.call(scaled, "l_d i_d", model.l_d, x.x), o.const(model.psi_pm)
     )
-    across = saturated(o, scaled(o, "l_q i_q", model.l_q, current.y))
-    return park_inverse(codes, Pair(saturated(o, along), across), turn)
+    across = o.call(clipped, o.call(scaled, "l_q i_q", model.l_q, x.y))
+    psi = o.let("psi", Dq(o.call(clipped, along), across))
+    return o.call(to_stator, psi, turn)
 
 
 def integrated(
@@ -223,26 +232,29 @@ def integrated(
     path: FixedFluxPath,
     psi: Pair[N],
     v: Pair[N],
-    currents: tuple[Pair[N], Pair[N]],
+    last: Pair[N],
+    i: Pair[N],
     omega: N,
 ) -> Pair[N]:
-    """Flux linkage after a period by the voltage model; ``currents`` before and after it."""
-    last, i = currents
+    """Flux linkage after a period in which v acted and the current went from last to i."""
     both = Pair(o.total("both currents", last.x, i.x), o.total("both currents", last.y, i.y))
     volts = scaled_pair(o, "flux of the voltage", path.volt, v)
     drop = scaled_pair(o, "flux of the drop", path.half_drop, both)
-    first = difference(o, "v - R i", volts, drop)
-    change = difference(o, "change of the current", i, last)
+    first = o.let("first", difference(o, "v - R i", volts, drop))
+    change = o.let("change", difference(o, "change of the current", i, last))
     own = scaled_pair(o, "l_q change", path.l_q, change)
-    turning = saturated_pair(o, difference(o, "turning flux", first, own))
+    apart = difference(o, "turning flux", first, own)
+    turning = o.let("turning", o.call(clipped_vector, apart.x, apart.y))
     turned = Pair(
-        times(o, "omega turning", omega, turning.x), times(o, "omega turning", omega, turning.y)
+        o.call(times, "omega turning", omega, turning.x),
+        o.call(times, "omega turning", omega, turning.y),
     )
     end = scaled_pair(o, "end: drop", path.end_drop, change)
     around = scaled_pair(o, "end: turn", path.end_turn, turned)
-    return Pair(
-        saturated(o, o.total("flux", psi.x, first.x, o.negative(end.x), around.y)),
-        saturated(o, o.total("flux", psi.y, first.y, o.negative(end.y), o.negative(around.x))),
+    return o.call(
+        clipped_vector,
+        o.total("flux", psi.x, first.x, o.negative(end.x), around.y),
+        o.total("flux", psi.y, first.y, o.negative(end.y), o.negative(around.x)),
     )
 
 
@@ -254,11 +266,11 @@ def active_angle(
     turn: Pair[N],
     floor: int,
 ) -> N:
-    """Sine of the angle from the direction ``turn`` to the active flux psi - l_q i."""
-    own = scaled_pair(o, "l_q i", model.l_q, i)
-    active = saturated_pair(o, difference(o, "active flux", psi, own))
-    across = park(Codes(o, WIDTH), active, turn).y
-    return sine_of_angle(o, across, active, floor)
+    """Sine of the angle from a direction to the active flux psi - l_q i."""
+    apart = difference(o, "active flux", psi, scaled_pair(o, "l_q i", model.l_q, i))
+    active = o.let("active", o.call(clipped_vector, apart.x, apart.y))
+    seen = o.let("seen", o.call(to_rotor, active, turn))
+    return o.call(sine_of_angle, seen.y, active, floor)
 
 
 # What a position observer in integers is: its record, its state, and a run over samples.
@@ -268,10 +280,11 @@ WordType = Literal["int32_t", "int64_t", "uint32_t"]
 
 @dataclass(frozen=True, slots=True)
 class Word:
-    """A word of the state: its member in C and its type."""
+    """A word of the state: its member in C, its type, and what it is."""
 
     name: str
     type: WordType = "int32_t"
+    meaning: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,9 +332,13 @@ def code_limits(count: int) -> Callable[[Any], tuple[Range, ...]]:
     return limits
 
 
-def vector_words(*names: str) -> tuple[Word, ...]:
-    """Words of vectors in stationary coordinates."""
-    return tuple(Word(f"{name}.{part}") for name in names for part in ("alpha", "beta"))
+def vector_words(**vectors: str) -> tuple[Word, ...]:
+    """Words of vectors in stationary coordinates, by their names with what they are."""
+    return tuple(
+        Word(f"{name}.{part}", meaning=meaning)
+        for name, meaning in vectors.items()
+        for part in ("alpha", "beta")
+    )
 
 
 def widened(o: Arithmetic[N, Any], name: str, a: N, width: int) -> N:
@@ -331,10 +348,11 @@ def widened(o: Arithmetic[N, Any], name: str, a: N, width: int) -> N:
 
 def shown(o: Arithmetic[N, Any], state: TrackedState[N], width: int) -> tuple[N, N]:
     """Angle and speed in codes of ``width`` bits."""
-    bits = WIDTH - width
-    theta = o.wrapped(rounded(o, "angle shown", state.theta, bits), width)
-    top = full_scale(width)
-    return theta, o.clamp(rounded(o, "speed shown", state.omega, bits), -top, top)
+    bits, top = WIDTH - width, full_scale(width)
+    half = o.const((1 << bits) >> 1)
+    theta = o.shifted(o.wrapped(o.total("angle shown", state.theta, half), WIDTH), bits)
+    omega = o.call(rounded, "speed shown", state.omega, bits) if bits else state.omega
+    return theta, o.clamp(omega, -top, top)
 
 
 def observe_codes(
@@ -376,20 +394,30 @@ _SHARE_BITS = 30
 
 @dataclass(frozen=True, slots=True)
 class FixedOpenLoop:
-    """Voltage and current model; corner kappa of the filter over the angle of a period at full
-    speed: by the speed (``corner``), and the least (``least``), codes of 2^31; half of kappa from
-    there; least speed; half cotangent times x; least active flux linkage; loop.
+    """Open-loop flux estimator; kappa is the corner of its filter over the angle of a period.
+
+    Codes of kappa have 2^31 of the angle of a period at full speed.
     """
 
     path: FixedFluxPath
     model: FixedCurrentModel
-    corner: FixedGain
-    least: int
-    half: FixedGain
-    slowest: int
-    cotangent: FixedPolynomials
-    floor: int
+    corner: Annotated[FixedGain, Member("of the filter, of the code of the speed")]
+    least: Annotated[int, Member("and the least"), "int64_t"]
+    half: Annotated[FixedGain, Member("half of kappa, 2^25 codes of 1, of the corner")]
+    slowest: Annotated[int, Member("least speed of the factor c")]
+    cotangent: Annotated[FixedPolynomials, Member("half cotangent times x")]
+    floor: Annotated[int, Member("least active flux linkage that counts in full, of 16 bits")]
     pll: FixedPll
+
+
+class Compensation(NamedTuple, Generic[N]):
+    """The factor c by which the filter makes a turning flux linkage too small, and half of kappa;
+    2^25 codes of 1.
+    """
+
+    real: N
+    imaginary: N
+    half: N
 
 
 def design(gains: OpenLoopFluxGains, scales: Scales) -> FixedOpenLoop:
@@ -424,21 +452,23 @@ def design(gains: OpenLoopFluxGains, scales: Scales) -> FixedOpenLoop:
     )
 
 
-def _factor(o: Arithmetic[N, Any], gains: FixedOpenLoop, omega: N) -> tuple[Pair[N], N]:
-    """Real and imaginary part of c, and half of kappa, in codes of 2^BITS."""
-    size = speed_size(o, omega)
-    kappa = larger(o, scaled(o, "corner", gains.corner, size), o.const(gains.least))
-    slow = o.clamp(size, gains.slowest, ONE)
-    half = scaled(o, "half of kappa", gains.half, kappa)
-    over = quotient(o, "kappa / x", kappa, slow, BITS)
+def compensation(o: Arithmetic[N, Any], gains: FixedOpenLoop, omega: N) -> Compensation[N]:
+    """What makes up for the filter at a speed."""
+    size = o.let("size", o.call(speed_size, omega))
+    corner = o.let("corner", o.call(scaled, "corner", gains.corner, size))
+    kappa = o.let("kappa", larger(o, corner, o.const(gains.least)))
+    slow = o.let("slow", o.clamp(size, gains.slowest, TOP))
+    over = o.let("over", o.call(quotient, "kappa / x", kappa, slow, BITS))
     # The angle of a period enters the series as the speed does: its square is one of codes.
-    share = value_of(o, gains.cotangent.rows[0], times(o, "square of the speed", slow, slow))
-    part = rounded(
-        o, "half cotangent", o.product("half cotangent", share, over), gains.cotangent.shift
+    square = o.call(times, "square of the speed", slow, slow)
+    share = o.call(polynomial, gains.cotangent.rows[0], square)
+    found = o.call(
+        rounded, "half cotangent", o.product("half cotangent", share, over), gains.cotangent.shift
     )
-    imaginary = o.clamp(part, -LARGEST, LARGEST)
+    part = o.let("part", o.clamp(found, -LARGEST, LARGEST))
+    half = o.let("half", o.call(scaled, "half of kappa", gains.half, kappa))
     real = o.clamp(o.total("1 + kappa / 2", o.const(1 << BITS), half), -LARGEST, LARGEST)
-    return Pair(real, o.negative(with_sign_of(o, omega, imaginary))), half
+    return Compensation(real, with_sign_of(o, omega, o.negative(part)), half)
 
 
 def begin(
@@ -446,21 +476,33 @@ def begin(
 ) -> TrackedState[N]:
     """The flux linkage of the current model, as the filter would have it: psi conj(c) / |c|^2."""
     del v
-    c, _ = _factor(o, gains, state.omega)
-    psi = model_flux(o, gains.model, i, rotation(o, WIDTH, state.theta))
-    square = o.total("|c|^2", o.product("|c|^2", c.x, c.x), o.product("|c|^2", c.y, c.y))
-    size = o.clamp(o.shifted(square, BITS), 1, 1 << (2 * WIDTH - 2))
+    c = o.let("c", o.call(compensation, gains, state.omega))
+    turn = o.let("turn", o.call(rotation, WIDTH, state.theta))
+    psi = o.let("psi", o.call(model_flux, gains.model, i, turn))
+    square = o.total(
+        "|c|^2",
+        o.product("|c|^2", c.real, c.real),
+        o.product("|c|^2", c.imaginary, c.imaginary),
+    )
+    whole = o.let("whole", o.shifted(square, BITS))
+    size = o.let("size", o.clamp(whole, 1, 1 << (2 * WIDTH - 2)))
     first = o.total(
-        "conj(c) psi", o.product("conj(c) psi", c.x, psi.x), o.product("conj(c) psi", c.y, psi.y)
+        "conj(c) psi",
+        o.product("conj(c) psi", c.real, psi.x),
+        o.product("conj(c) psi", c.imaginary, psi.y),
     )
     second = o.total(
         "conj(c) psi",
-        o.product("conj(c) psi", c.x, psi.y),
-        o.negative(o.product("conj(c) psi", c.y, psi.x)),
+        o.product("conj(c) psi", c.real, psi.y),
+        o.negative(o.product("conj(c) psi", c.imaginary, psi.x)),
     )
-    filtered = (
-        saturated(o, o.quotient("psi / c", first, size)),
-        saturated(o, o.quotient("psi / c", second, size)),
+    filtered = o.let(
+        "filtered",
+        o.call(
+            clipped_vector,
+            o.quotient("psi / c", first, size),
+            o.quotient("psi / c", second, size),
+        ),
     )
     return TrackedState(state.theta, state.omega, (*filtered, i.x, i.y))
 
@@ -468,32 +510,41 @@ def begin(
 def step(
     o: Arithmetic[N, Any], gains: FixedOpenLoop, state: TrackedState[N], v: Pair[N], i: Pair[N]
 ) -> TrackedState[N]:
-    """One sample: ``v`` acted over the period that ends at the sampling instant of ``i``."""
+    """One sample: v acted over the period that ends at the sampling instant of i; both in codes of
+    the control.
+    """
     before, last = Pair(*state.words[:2]), Pair(*state.words[2:])
-    c, half = _factor(o, gains, state.omega)
-    theta_p = predicted(o, gains.pll.advance, state.theta, state.omega)
-    turn = rotation(o, WIDTH, theta_p)
-    psi = integrated(o, gains.path, before, v, (last, i), state.omega)
+    c = o.let("c", o.call(compensation, gains, state.omega))
+    theta_p = o.let("theta", o.call(predicted, gains.pll.advance, state.theta, state.omega))
+    turn = o.let("turn", o.call(rotation, WIDTH, theta_p))
+    whole = o.let("whole", o.call(integrated, gains.path, before, v, last, i, state.omega))
     one = o.const(1 << BITS)
-    keep = quotient(o, "1 / (1 + kappa)", one, o.total("1 + kappa", one, half, half), _SHARE_BITS)
+    slower = o.total("1 + kappa", one, c.half, c.half)
+    keep = o.let("keep", o.call(quotient, "1 / (1 + kappa)", one, slower, _SHARE_BITS))
 
     def kept(own: N) -> N:
-        return rounded(o, "kept flux", o.product("kept flux", keep, own), _SHARE_BITS)
+        return o.call(rounded, "kept flux", o.product("kept flux", keep, own), _SHARE_BITS)
 
-    filtered = Pair(kept(psi.x), kept(psi.y))
+    filtered = o.let("filtered", Pair(kept(whole.x), kept(whole.y)))
     real = o.total(
         "c psi",
-        o.product("c psi", c.x, filtered.x),
-        o.negative(o.product("c psi", c.y, filtered.y)),
+        o.product("c psi", c.real, filtered.x),
+        o.negative(o.product("c psi", c.imaginary, filtered.y)),
     )
     imaginary = o.total(
-        "c psi", o.product("c psi", c.x, filtered.y), o.product("c psi", c.y, filtered.x)
+        "c psi",
+        o.product("c psi", c.real, filtered.y),
+        o.product("c psi", c.imaginary, filtered.x),
     )
-    psi = Pair(
-        saturated(o, rounded(o, "c psi", real, BITS)),
-        saturated(o, rounded(o, "c psi", imaginary, BITS)),
+    psi = o.let(
+        "psi",
+        o.call(
+            clipped_vector,
+            o.call(rounded, "c psi", real, BITS),
+            o.call(rounded, "c psi", imaginary, BITS),
+        ),
     )
-    error = active_angle(o, gains.model, psi, i, turn, gains.floor)
+    error = o.let("error", o.call(active_angle, gains.model, psi, i, turn, gains.floor))
     theta, omega = corrected(o, gains.pll, theta_p, state.omega, error)
     return TrackedState(theta, omega, (filtered.x, filtered.y, i.x, i.y))
 
@@ -503,7 +554,7 @@ METHOD = FixedMethod(
     code="open_loop_flux",
     gains=FixedOpenLoop,
     design=design,
-    words=vector_words("psi", "i"),
+    words=vector_words(psi="filtered stator flux linkage", i="last current"),
     limits=code_limits(4),
     begin=begin,
     step=step,
@@ -613,12 +664,14 @@ _MOST_SHIFT = 60
 
 @dataclass(frozen=True, slots=True)
 class FixedPolynomials:
-    """Polynomials p(s) = sum of ``rows[n][k]`` s^k / 2^shift of the square of a speed per unit,
-    0 <= s <= 1; their values are mantissas of that ``shift``.
+    """Polynomials of the square of a speed, mantissas of one shift, of rising powers.
+
+    p(s) = sum of ``rows[n][k]`` s^k / 2^shift with 0 <= s <= 1 per unit; their values are mantissas
+    of that ``shift``.
     """
 
     rows: tuple[tuple[int, ...], ...]
-    shift: int
+    shift: Annotated[int, "uint32_t"]
 
 
 def common_scale(
@@ -653,14 +706,16 @@ def common_scale(
     return FixedPolynomials(tuple(tuple(round(c * 2.0**shift) for c in row) for row in rows), shift)
 
 
-def value_of(o: Arithmetic[N, Any], row: tuple[int, ...], square: N) -> N:
-    """Mantissa of a polynomial at the code ``square``."""
+def polynomial(o: Arithmetic[N, Any], row: tuple[int, ...], square: N) -> N:
+    """Mantissa of a polynomial of the square of a speed."""
     value = o.const(row[-1])
-    for coefficient in row[-2::-1]:
-        value = o.total("polynomial", times(o, "polynomial", value, square), o.const(coefficient))
+    for k in range(len(row) - 2, -1, -1):
+        product = o.call(times, "polynomial", value, square)
+        value = o.total("polynomial", product, o.const(row[k]))
+        value = o.let(f"sum_{k}", value) if k else value
     return value
 
 
-def odd_value_of(o: Arithmetic[N, Any], row: tuple[int, ...], square: N, x: N) -> N:
-    """Mantissa of x p(x^2) at the code ``x`` with its square."""
-    return times(o, "odd polynomial", value_of(o, row, square), x)
+def odd_polynomial(o: Arithmetic[N, Any], row: tuple[int, ...], square: N, x: N) -> N:
+    """Mantissa of a polynomial of the square of a speed, times the speed x."""
+    return o.call(times, "odd polynomial", o.call(polynomial, row, square), x)

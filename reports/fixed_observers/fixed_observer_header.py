@@ -32,6 +32,7 @@ from dqforge.reports.fixed_observers.fixed_observer_model import (
     row_results,
 )
 from dqforge.reports.pages.templating import render
+from dqforge.reports.steps.integer_text import integer_observer_text
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -123,6 +124,9 @@ def fixed_observer_files(design: Design, fit: FixedObserverFit) -> dict[str, byt
         "preamble": _preamble(fit, design),
         "core": fixed_basics(fit.sine, fit.sine_error),
     }
+    context["text"] = integer_observer_text(
+        observer.method, observer.gains, observer.width, context["prefix"], context["macro"]
+    )
     inputs = row_inputs(observer, design.export.vectors, _SEED)
     rows = {
         "inputs": input_names(observer),

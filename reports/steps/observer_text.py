@@ -134,7 +134,7 @@ def _start(method: FirmwareStep, prefix: str, state: str) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Path:
+class Path:
     """Statements of a step, and what it writes to the state at its end."""
 
     declared: list[str]
@@ -143,7 +143,7 @@ class _Path:
 
 def _path(
     method: FirmwareStep, gains: Any, prefix: str, functions: Functions, started: bool
-) -> _Path:
+) -> Path:
     block = Block("        ", {"gains", "observer", "v", "i", *method.further})
     reader = StepReader(prefix, functions, block)
     _, own = reader.parameter("gains", gains)
@@ -159,14 +159,14 @@ def _path(
     seen = vector(AlphaBeta, "v"), vector(AlphaBeta, "i")
     result = method.step(own, state, *seen, reader, *further)
     if reader.branches is None:
-        return _Path(block.lines, _written(method.members, result, reader, block.indent))
+        return Path(block.lines, _written(method.members, result, reader, block.indent))
     condition, branches = reader.branches
     lines = [*folded("if (", condition, ") {", block.indent)]
     for n, (inner, after) in enumerate(branches):
         written = _written(method.members, after, reader, inner.indent)
         gap = [""] if inner.lines else []
         lines += [*([f"{block.indent}}} else {{"] if n else []), *inner.lines, *gap, *written]
-    return _Path(block.lines, [*lines, f"{block.indent}}}"])
+    return Path(block.lines, [*lines, f"{block.indent}}}"])
 
 
 def _member(name: str) -> Any:
@@ -189,26 +189,25 @@ def _written(
         part = expression(value)
         reader.take([part])
         open_ += assignments(f"observer->{n}", part, [part], _member(n))
+    return in_order(open_, indent)
+
+
+def in_order(writes: list[Assignment], indent: str) -> list[str]:
+    """Assignments to members of a state, none before another one that reads the old value.
+
+    Args:
+        indent: Of the lines.
+
+    Raises:
+        ValueError: There is no such order.
+    """
     block = Block(indent, set())
-    ordered(open_, block)
+    ordered(writes, block)
     return block.lines
 
 
-def _step(method: FirmwareStep, prefix: str, first: _Path, then: _Path) -> list[str]:
-    """The step of both paths: what they share stands before and behind the branch."""
-    before = _shared(first.declared, then.declared)
-    inside = _declared([*first.declared[before:], *then.declared[before:]])
-    after = [
-        statement
-        for statement in _statements(first.written)
-        if statement in _statements(then.written) and _stands_alone(statement, inside)
-    ]
-    branches = []
-    for path in (first, then):
-        own = path.declared[before:]
-        written = [part for part in _statements(path.written) if part not in after]
-        branches.append([*own, *_gap(own), *(line for part in written for line in part)])
-    both = [line[4:] for line in first.declared[:before]]
+def _step(method: FirmwareStep, prefix: str, first: Path, then: Path) -> list[str]:
+    both, branches, after = merged(first, then)
     name = f"{prefix}_{method.code}"
     arguments = [
         f"const {name}_gains_t *gains",
@@ -223,7 +222,7 @@ def _step(method: FirmwareStep, prefix: str, first: _Path, then: _Path) -> list[
         "    } else {",
         *branches[1],
         "    }",
-        *(line[4:] for statement in after for line in statement),
+        *after,
     ]
     names = set(re.findall(r"\w+", " ".join([*both, *body])))
     return [
@@ -231,14 +230,35 @@ def _step(method: FirmwareStep, prefix: str, first: _Path, then: _Path) -> list[
         *folded(f"static inline void {name}_step(", ", ".join(arguments), ")", ""),
         "{",
         *both,
-        *_gap(both),
+        *gap(both),
         *(f"    (void){n};" for n in ("v", "i", *method.further) if n not in names),
         *body,
         "}",
     ]
 
 
-def _statements(lines: Sequence[str]) -> list[list[str]]:
+def merged(first: Path, then: Path) -> tuple[list[str], tuple[list[str], list[str]], list[str]]:
+    """Both paths of a step: what they share before the branch, the branches, what they share
+    behind them.
+    """
+    before = _shared(first.declared, then.declared)
+    inside = _declared([*first.declared[before:], *then.declared[before:]])
+    after = [
+        statement
+        for statement in statements(first.written)
+        if statement in statements(then.written) and _stands_alone(statement, inside)
+    ]
+
+    def branch(path: Path) -> list[str]:
+        own = path.declared[before:]
+        written = [part for part in statements(path.written) if part not in after]
+        return [*own, *gap(own), *(line for part in written for line in part)]
+
+    both = [line[4:] for line in first.declared[:before]]
+    return both, (branch(first), branch(then)), [line[4:] for part in after for line in part]
+
+
+def statements(lines: Sequence[str]) -> list[list[str]]:
     """Lines of each statement, also of what opens or closes a block."""
     found: list[list[str]] = [[]]
     for line in lines:
@@ -266,7 +286,8 @@ def _stands_alone(statement: Sequence[str], inside: set[str]) -> bool:
     return "observer->" not in value and not inside & set(re.findall(r"\w+", value))
 
 
-def _gap(lines: Sequence[str]) -> list[str]:
+def gap(lines: Sequence[str]) -> list[str]:
+    """The empty line behind declarations."""
     return [""] if lines else []
 
 

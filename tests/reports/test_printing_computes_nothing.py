@@ -59,6 +59,8 @@ MODELS = {
     "output.stored_proof": "proves again what is read back",
     "six_step.float32_model": "control of a six-step drive in single precision",
     "observers.float32_model": "observers of position and speed, and trackers, in single precision",
+    "steps.integer_reader": "steps in integers on numbers that know their text and range",
+    "steps.integer_text": "the observers in integers on numbers that know their text and range",
     "start_up.tried": "the state machine of a start in single precision",
     "waveforms.float32_model": "phase currents in single precision",
 }

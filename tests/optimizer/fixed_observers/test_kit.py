@@ -12,10 +12,10 @@ from dqforge.optimizer.fixed_observers.kit import (
     ONE,
     TOP,
     common_scale,
-    odd_value_of,
+    odd_polynomial,
+    polynomial,
     quotient,
     sine_of_angle,
-    value_of,
 )
 
 NUMBERS = Integers()
@@ -68,8 +68,8 @@ def test_polynomials_hold_their_values() -> None:
     square = (codes * codes + 2**30) >> 31
     for row, coefficients in zip(made.rows, rows, strict=True):
         exact = sum(c * x ** (2 * k) for k, c in enumerate(coefficients))
-        assert value_of(NUMBERS, row, square) * 2.0**-made.shift == pytest.approx(exact, abs=1e-8)
-        odd = odd_value_of(NUMBERS, row, square, codes) * 2.0**-made.shift
+        assert polynomial(NUMBERS, row, square) * 2.0**-made.shift == pytest.approx(exact, abs=1e-8)
+        odd = odd_polynomial(NUMBERS, row, square, codes) * 2.0**-made.shift
         assert odd == pytest.approx(x * exact, abs=1e-8)
 
 

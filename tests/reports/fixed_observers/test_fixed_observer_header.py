@@ -167,7 +167,7 @@ def test_a_run_emits_both_formats_and_finds_a_changed_sign(tmp_path: Path) -> No
     header = tmp_path / "bench001_observer_q31.h"
     text = header.read_text()
     assert "omega - bench001" not in text
-    changed = text.replace("clipped_core(observer->omega + ", "clipped_core(observer->omega - ")
+    changed = text.replace("clipped_q31(observer->omega + ", "clipped_q31(observer->omega - ")
     assert changed != text
     header.write_text(changed)
     with pytest.raises(VerificationError, match="does not give the results of its test vectors"):
