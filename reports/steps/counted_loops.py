@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from dqforge.reports.steps.symbols import Condition, Expression, expression, folded, joined
 
-if TYPE_CHECKING:
-    from dqforge.reports.steps.step_reader import StepReader
+
+class Writer(Protocol):
+    """What writes a step: the block that its statements go to, and what notes their members."""
+
+    block: Any
+
+    def take(self, parts: Sequence[Expression]) -> None:
+        """Count the members of records in expressions as needed."""
 
 
 class Index(Expression):
@@ -37,7 +43,7 @@ def item(table: Sequence[Any], place: Any) -> Any:
 
 
 def filled(
-    reader: StepReader, name: str, count: int, of: Callable[[Any], Any]
+    reader: Writer, name: str, count: int, of: Callable[[Any], Any]
 ) -> tuple[Expression, ...]:
     """An array that a loop fills; ``of`` has the number of a place for its argument."""
     reader.block.take(name)
@@ -47,7 +53,7 @@ def filled(
 
 
 def summed(
-    reader: StepReader, name: str, first: Any, count: int, of: Callable[[Any], Any]
+    reader: Writer, name: str, first: Any, count: int, of: Callable[[Any], Any]
 ) -> Expression:
     """A variable to which a loop adds, one number after the other."""
     begin = expression(first)
@@ -60,7 +66,7 @@ def summed(
 
 
 def _loop(
-    reader: StepReader,
+    reader: Writer,
     count: int,
     of: Callable[[Any], Any],
     assigned: Callable[[str, Expression], tuple[str, str]],
@@ -79,7 +85,7 @@ def _loop(
     outer.work([head, *inner.lines, f"{outer.indent}}}"])
 
 
-def reached(reader: StepReader, name: str, conditions: Sequence[Condition]) -> Index:
+def reached(reader: Writer, name: str, conditions: Sequence[Condition]) -> Index:
     """How many conditions hold, of which each one implies those before it."""
     block = reader.block
     block.take(name)
