@@ -87,9 +87,9 @@ def test_a_step_costs_what_its_instructions_are(bench: EstimatorComparison) -> N
     if bench.uncounted:
         pytest.skip(bench.uncounted)
     flux, emf = bench.estimator("flux"), bench.estimator("extended-emf")
-    assert flux.instructions == pytest.approx(183, rel=0.1)
-    assert emf.instructions == pytest.approx(258, rel=0.1)
-    assert (flux.flash, emf.flash) == pytest.approx((1448, 1728), rel=0.05)
+    assert flux.instructions == pytest.approx(170, rel=0.1)
+    assert emf.instructions == pytest.approx(241, rel=0.1)
+    assert (flux.flash, emf.flash) == pytest.approx((1344, 1612), rel=0.05)
     assert flux.cycles is not None
     assert flux.instructions is not None
     assert flux.instructions < flux.cycles[0] < flux.cycles[1]
