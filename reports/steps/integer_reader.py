@@ -30,12 +30,11 @@ from dqforge.reports.steps.integers import CODES, INT32, INT64, UINT32, WORD, Nu
 from dqforge.reports.steps.observer_text import gap
 from dqforge.reports.steps.record_text import c_name, comment, said, sentence, struct
 from dqforge.reports.steps.step_reader import Block
+from dqforge.reports.steps.symbols import WIDTH as LINE_WIDTH
 from dqforge.reports.steps.symbols import folded
 
 _T = TypeVar("_T")
 _P = ParamSpec("_P")
-
-_WIDTH = 110
 
 # Members of the vectors that every header in fixed point declares.
 VECTORS = {"alphabeta": ("alpha", "beta"), "dq": ("d", "q"), "rotation": ("cosine", "sine")}
@@ -97,7 +96,7 @@ class Lines(Block):
 
     def add(self, begin: str, text: str, meaning: str = "") -> None:
         """A statement, with a comment behind or above it."""
-        found = _opened(text) if len(f"{self.indent}{begin}{text};") > _WIDTH else None
+        found = _opened(text) if len(f"{self.indent}{begin}{text};") > LINE_WIDTH else None
         if found is None:
             Block.add(self, begin, text, meaning)
             return
@@ -107,7 +106,7 @@ class Lines(Block):
         self.lines.append(f"{self.indent}{begin}{head}")
         further, end = f"{self.indent}    ", ");" if close == ")" else ""
         line = f"{further}{', '.join(parts)}{end}"
-        if end and len(line) <= _WIDTH:
+        if end and len(line) <= LINE_WIDTH:
             self.lines.append(line)
             return
         for part in parts[:-1]:

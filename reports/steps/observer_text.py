@@ -30,7 +30,6 @@ from dqforge.reports.steps.step_reader import (
     assignments,
     ordered,
     vector,
-    vector_of,
 )
 from dqforge.reports.steps.symbols import Expression, expression, folded
 
@@ -94,9 +93,11 @@ def _first(method: FirmwareStep) -> ObserverState:
 
 def _kinds(method: FirmwareStep) -> list[type[Any]]:
     """Types of the vectors of the state."""
-    return [
-        type(pair) if hasattr(pair, "_fields") else AlphaBeta for pair in _first(method).vectors
-    ]
+    return [_kind(pair) for pair in _first(method).vectors]
+
+
+def _kind(pair: Any) -> type[Any]:
+    return type(pair) if hasattr(pair, "_fields") else AlphaBeta
 
 
 def _state_members(method: FirmwareStep, prefix: str) -> list[tuple[str, str]]:
@@ -182,9 +183,9 @@ def _written(
     for (n, _), pair in zip(members.vectors, after.vectors, strict=True):
         place, parts = f"observer->{n}", list(map(expression, pair))
         reader.take(parts)
-        kind = type(pair) if hasattr(pair, "_fields") else AlphaBeta
+        kind = _kind(pair)
         before = vector(kind, place, state=True)
-        open_ += assignments(place, vector_of(kind, parts), parts, before)
+        open_ += assignments(place, kind(*parts), parts, before)
     for n, value in zip(names, (*after.scalars, after.theta_e, after.omega_e), strict=True):
         part = expression(value)
         reader.take([part])

@@ -688,11 +688,6 @@ def vector(kind: type[Any], name: str, *, state: bool = False, mark: str = "") -
     )
 
 
-def vector_of(kind: type[Any], parts: Sequence[Expression]) -> Any:
-    """A vector of numbers."""
-    return kind(*parts)
-
-
 def members_at(address: str) -> str:
     """What the members of a record begin with."""
     return f"{address[1:]}." if address.startswith("&") else f"{address}->"
