@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
     from dqforge.machines.dq_machines.synchronous import LinearMachine
     from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError, VerificationError
-    from dqforge.machines.flux_map_files.files import make_flux_map, read_flux_map
+    from dqforge.machines.flux_maps.map_files import make_flux_map, read_flux_map
     from dqforge.machines.phase_machines.phase_machine import PhaseMachine
     from dqforge.reports.session.drives import (
         Characteristics,
@@ -118,7 +118,7 @@ _HOMES = {
         "FluxMap",
         "SaturatedMachine",
     ),
-    "machines.flux_map_files.files": (
+    "machines.flux_maps.map_files": (
         "make_flux_map",
         "read_flux_map",
     ),

@@ -15,7 +15,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import TRACKER_NAMES, LoadedByName
-from dqforge.machines.plants.drive_motion import ComplexArray
+from dqforge.machines.plants.scenario import ComplexArray
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import ObserverState, StateMembers

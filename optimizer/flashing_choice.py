@@ -25,7 +25,7 @@ from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.names import CurrentFrame, Topology
 from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine, PhaseMachine, derivative
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.topology import TOPOLOGIES, leg_signs
+from dqforge.machines.topologies import TOPOLOGIES, leg_signs
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.losses.loss_map import budget_options

@@ -10,7 +10,6 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.phase_machines.frame_choice import tables_obstacle
 from dqforge.machines.phase_machines.frame_transforms import (
     CLARKE,
     amplitude_factor,
@@ -22,6 +21,7 @@ from dqforge.machines.phase_machines.frame_transforms import (
 )
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine, grid
 from dqforge.machines.records import dataclass
+from dqforge.machines.topologies import tables_obstacle
 from dqforge.machines.transforms import POWER_INVARIANT
 from dqforge.optimizer.curves.single_precision import (
     MultiplyAdd,

@@ -45,7 +45,7 @@ from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.transforms import Reals
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.estimators import Tracker, TrackerLoop

@@ -18,7 +18,7 @@ from dqforge.machines.modulation.dead_time import (
 from dqforge.machines.modulation.registry import INSCRIBED, SIX_STEP
 from dqforge.machines.names import OvermodulationName
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.linear_range import fundamental_share
+from dqforge.machines.topologies import fundamental_share
 from dqforge.optimizer.operating_points.characteristics import (
     Characteristics,
     characteristics,

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from dqforge.machines.names import Topology
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.main_header import header_files

@@ -15,7 +15,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.names import ObserverMethodName
-from dqforge.machines.plants.drive_motion import DriveMotion, drive_motion
+from dqforge.machines.plants.scenario import DriveMotion, drive_motion
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import FixedObserverFit, fit_observer
 from dqforge.optimizer.fixed_observers.kit import observe_codes

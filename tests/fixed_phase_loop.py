@@ -11,7 +11,7 @@ from phase_drives import T_S
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.transforms import Pair, Triple, clarke_matrix
 from dqforge.optimizer.fixed_control.arithmetic import Integers
 from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl

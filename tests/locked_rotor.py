@@ -14,7 +14,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
-from dqforge.machines.plants.drive_motion import ComplexArray
+from dqforge.machines.plants.scenario import ComplexArray
 from dqforge.optimizer.estimators import Tracker
 from dqforge.optimizer.observers.sampled_machine import exact_entries
 from dqforge.optimizer.steps.step_arithmetic import EXACT

@@ -10,7 +10,7 @@ import numpy as np
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
-from dqforge.machines.plants.drive_motion import plants
+from dqforge.machines.plants.scenario import plants
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.loops.plants import current_loop, current_step
 from dqforge.optimizer.observers.parts import steady_observer

@@ -25,7 +25,7 @@ from phase_drives import near_sinusoidal, trapezoidal
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.sections.chosen_together import SPREAD
+from dqforge.machines.design.sections.observer import SPREAD
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import Core, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine

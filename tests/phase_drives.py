@@ -10,7 +10,7 @@ import numpy as np
 
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.phase_control.phase_controller import (
     AxisGains,
     HarmonicGains,

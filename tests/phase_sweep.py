@@ -18,7 +18,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.errors import DqforgeError
 from dqforge.machines.names import Topology
 from dqforge.machines.plants.scenario import InverterModel, Scenario, constant
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.loops.loop_gains import tune_current_loop
 from dqforge.optimizer.loops.robustness import drive_box

@@ -12,7 +12,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import Topology
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 
 # kp and ki T_s of alpha-beta and of zero, R, L_ab, L_0, T_s; behind them the shape.
 NODES = 360

@@ -16,8 +16,7 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.machines.topologies.regions import link_demand
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES, link_demand
 
 # Equal phases with mirrored half waves, equal phases with even orders, and phases that differ.
 BASE = "paper002-phase-waveforms"

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine, copper_loss
-from dqforge.machines.losses.constant_device import bridge_load, required_device, thermal_balance
+from dqforge.machines.losses.machine_budget import bridge_load, required_device, thermal_balance
 from dqforge.machines.modulation.modulators import in_linear_range
 from dqforge.machines.names import ModulationName
 

@@ -16,7 +16,7 @@ from dqforge.machines.phase_machines.phase_machine import (
 from dqforge.machines.plants.scenario import (
     Profile,
 )
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.reports.simulation.plant_input import Drive
 
 T_S = 1e-4

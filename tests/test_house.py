@@ -16,8 +16,8 @@ from house import FLOORS, ROOT, Imports, imports, modules
 LARGEST_ROOM = 15
 # Kept small by numbers; contributing.md says what each is for.
 MOST_LINES = 800
-MOST_SERVANTS = 108
-LEAST_CODE = 0.621
+MOST_SERVANTS = 98
+LEAST_CODE = 0.623
 # What several rooms may call a part of theirs: the room says of what.
 # fmt: off
 PARTS = {

@@ -19,8 +19,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import numerical_errors, on_design
-from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError
-from dqforge.machines.places import leading_path
+from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError, leading_path
 from dqforge.optimizer.solution import solve
 from dqforge.reports.run import run_design
 

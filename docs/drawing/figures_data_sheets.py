@@ -12,8 +12,8 @@ from page_text import DOCS, written_file
 
 from dqforge import Design, operating_map
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.data_sheet.judged import design_text
 from dqforge.machines.design.catalogue import load_text
+from dqforge.machines.design.sheet_judged import design_text
 from dqforge.reports.pages.figures_style import (
     BLUE,
     FAINT,

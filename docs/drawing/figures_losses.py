@@ -13,7 +13,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import LoadPoint, LossSettings
 from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.losses.constant_device import bridge_load
+from dqforge.machines.losses.machine_budget import bridge_load
 from dqforge.machines.modulation.modulators import linear_limit, period_waveforms
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.losses.drive_comparison import Alternatives

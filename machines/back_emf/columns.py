@@ -24,8 +24,7 @@ from dqforge.machines.back_emf.harmonics import (
     pole_pairs_of,
 )
 from dqforge.machines.errors import InputError
-from dqforge.machines.files.named_arrays import NamedArray
-from dqforge.machines.files.text_formats import decoded_text
+from dqforge.machines.files.text_formats import NamedArray, decoded_text
 from dqforge.machines.files.text_table import Progress, TextTable, read_table
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
@@ -625,7 +624,7 @@ def _matlab(content: bytes, source: str) -> TextTable:
 
 def _arrays(content: bytes, source: str) -> list[NamedArray]:
     """Arrays of a MATLAB file of any version, of a bounded size."""
-    from dqforge.machines.files.named_arrays import arrays_of_hdf5, arrays_of_mat4, arrays_of_mat5
+    from dqforge.machines.files.text_formats import arrays_of_hdf5, arrays_of_mat4, arrays_of_mat5
 
     if any(content[place : place + 8] == b"\x89HDF\r\n\x1a\n" for place in (0, 512, 1024, 2048)):
         return arrays_of_hdf5(content, source)

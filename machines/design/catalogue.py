@@ -15,7 +15,7 @@ from typing import NoReturn
 from dqforge.machines.design import design as datasheet
 from dqforge.machines.design.design import Design, InputValue, Reading
 from dqforge.machines.design.numerical import located
-from dqforge.machines.design.plausibility import implausibilities
+from dqforge.machines.design.plausibility import BlockSections, check_six_step, implausibilities
 from dqforge.machines.design.schema import DesignFile
 from dqforge.machines.design.sections.application import check_application
 from dqforge.machines.design.sections.control import (
@@ -37,7 +37,7 @@ from dqforge.machines.design.sections.losses import (
     read_machine_loss,
     read_winding_heat,
 )
-from dqforge.machines.design.sections.machine.model import check_halves, check_machine, read_machine
+from dqforge.machines.design.sections.machine import check_halves, check_machine, read_machine
 from dqforge.machines.design.sections.modulation_choice import read_choice
 from dqforge.machines.design.sections.operation import (
     check_operation,
@@ -50,7 +50,6 @@ from dqforge.machines.design.sections.phase_control import (
 )
 from dqforge.machines.design.sections.references import check_references
 from dqforge.machines.design.sections.simulation import read_scenario
-from dqforge.machines.design.sections.six_step_checks import BlockSections, check_six_step
 from dqforge.machines.design.sections.start_up import check_start_up
 from dqforge.machines.design.sections.topology import check_topology
 from dqforge.machines.design.sections.waveform import check_waveform, read_waveform
@@ -66,7 +65,15 @@ from dqforge.machines.entries.former_keys import (
 )
 from dqforge.machines.entries.kinds import Section, quantities
 from dqforge.machines.entries.rules import si_of
-from dqforge.machines.errors import InputError, NoSolutionError, shown
+from dqforge.machines.errors import (
+    InputError,
+    KeyPath,
+    NoSolutionError,
+    Places,
+    Position,
+    dotted,
+    shown,
+)
 from dqforge.machines.files.library_files import (
     DESIGNS,
     MOTORS,
@@ -84,7 +91,6 @@ from dqforge.machines.files.positioned_yaml import (
     read_bytes,
     written,
 )
-from dqforge.machines.places import KeyPath, Places, Position, dotted
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity, kind_said
 

@@ -22,19 +22,16 @@ from dqforge.machines.design.settings import (
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.rules import Quantity
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, KeyPath, Places, dotted
 from dqforge.machines.files.input_files import MEGABYTE, read_regular_file
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.flux_maps.evidence import FluxEvidence
 from dqforge.machines.losses.machine_budget import MachineLoss, WindingHeat
 from dqforge.machines.names import Strategy, Topology
 from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine
-from dqforge.machines.places import KeyPath, Places, dotted
 from dqforge.machines.plants.scenario import Scenario
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.linear_range import amplitude_limit
-from dqforge.machines.topologies.regions import sine_share
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES, amplitude_limit, sine_share
 from dqforge.machines.units.quantities import format_quantity
 
 

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
-from dqforge.machines.errors import DqforgeError, NoSolutionError
-from dqforge.machines.places import Places, about
+from dqforge.machines.errors import DqforgeError, NoSolutionError, Places, about
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design

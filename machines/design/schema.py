@@ -17,10 +17,10 @@ from dqforge.machines.design.sections.field_weakening import WeakeningSection
 from dqforge.machines.design.sections.fit import FitSection
 from dqforge.machines.design.sections.inverter import InverterSection
 from dqforge.machines.design.sections.losses import LossSection
-from dqforge.machines.design.sections.machine.schema import MachineSection
+from dqforge.machines.design.sections.machine_schema import MachineSection
 from dqforge.machines.design.sections.modulation_choice import ChoiceSection
 from dqforge.machines.design.sections.operation import OperationSection
-from dqforge.machines.design.sections.simulation_schema import SimulationSection
+from dqforge.machines.design.sections.simulation import SimulationSection
 from dqforge.machines.design.sections.waveform import WaveformSection
 from dqforge.machines.entries.former_keys import deprecated_properties
 from dqforge.machines.entries.kinds import (

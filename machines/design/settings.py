@@ -11,6 +11,7 @@ from pydantic import BaseModel, Field, ValidatorFunctionWrapHandler, WrapValidat
 
 from dqforge.machines.entries.kinds import Listing, Section, quantities
 from dqforge.machines.entries.rules import Quantity, QuantityRule
+from dqforge.machines.errors import dotted
 from dqforge.machines.losses.machine_budget import Mission
 from dqforge.machines.modulation.registry import HEXAGON, MODULATORS, SIX_STEP
 from dqforge.machines.names import (
@@ -42,7 +43,6 @@ from dqforge.machines.names import (
     Strategy,
     WaveformForm,
 )
-from dqforge.machines.places import dotted
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 

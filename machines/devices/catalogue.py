@@ -25,10 +25,9 @@ from dqforge.machines.devices.thermal_network import FosterNetwork
 from dqforge.machines.entries.former_keys import read_model
 from dqforge.machines.entries.kinds import quantities
 from dqforge.machines.entries.rules import Quantity
-from dqforge.machines.errors import InputError, shown
+from dqforge.machines.errors import InputError, KeyPath, dotted, shown
 from dqforge.machines.files.library_files import LibraryFiles
 from dqforge.machines.files.positioned_yaml import YamlDocument, parse_yaml
-from dqforge.machines.places import KeyPath, dotted
 from dqforge.machines.records import dataclass
 
 _FILES = LibraryFiles("device", "devices")

@@ -15,10 +15,9 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from dqforge.machines.entries.rules import EntryError, not_one_of, spoken, unknown_key
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, KeyPath, Position, dotted
 from dqforge.machines.files.positioned_yaml import YamlDocument, YamlValue
 from dqforge.machines.names import FORMAT_VERSION
-from dqforge.machines.places import KeyPath, Position, dotted
 
 _MARK = "former"
 

@@ -35,8 +35,8 @@ from dqforge.machines.entries.rules import (
     spoken,
     unknown_key,
 )
+from dqforge.machines.errors import KeyPath
 from dqforge.machines.names import Firmware, NumberFormat, QFormats
-from dqforge.machines.places import KeyPath
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.registry import DIMENSIONS
 

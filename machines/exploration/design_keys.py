@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from dqforge.machines.design.schema import DesignFile
-from dqforge.machines.design.sections.machine.model import FLUX_KEYS
+from dqforge.machines.design.sections.machine import FLUX_KEYS
 from dqforge.machines.entries.former_keys import SYNONYMS, present_path
 from dqforge.machines.entries.kinds import Between
 from dqforge.machines.entries.rules import (
@@ -27,10 +27,9 @@ from dqforge.machines.entries.rules import (
     spoken,
     unknown_key,
 )
-from dqforge.machines.errors import InputError, close_matches, shown
+from dqforge.machines.errors import InputError, KeyPath, close_matches, dotted, shown
 from dqforge.machines.exploration.study import Draw, StudyFile, Tolerance
 from dqforge.machines.files.positioned_yaml import YamlDocument, YamlValue
-from dqforge.machines.places import KeyPath, dotted
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import read_quantity
 from dqforge.machines.units.registry import DIMENSIONS

@@ -29,7 +29,7 @@ from dqforge.machines.design.schema import DesignFile
 from dqforge.machines.entries.former_keys import text_with_present_names
 from dqforge.machines.entries.kinds import Between, Section
 from dqforge.machines.entries.rules import Quantity, not_one_of, spoken
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, KeyPath, Places, dotted
 from dqforge.machines.exploration.design_keys import (
     DesignKey,
     complaint,
@@ -41,7 +41,6 @@ from dqforge.machines.exploration.design_keys import (
 )
 from dqforge.machines.exploration.study import Axis, Spacing, Study
 from dqforge.machines.files.positioned_yaml import YamlDocument, YamlValue, edited
-from dqforge.machines.places import KeyPath, Places, dotted
 from dqforge.machines.records import dataclass
 
 MOST_STEPS = 100_000

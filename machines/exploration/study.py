@@ -14,8 +14,8 @@ from pydantic import Field, WithJsonSchema
 
 from dqforge.machines.design.schema import named_schema
 from dqforge.machines.entries.kinds import About, FileName, Listing, Name, Section
+from dqforge.machines.errors import Places
 from dqforge.machines.files.positioned_yaml import YamlValue
-from dqforge.machines.places import Places
 from dqforge.machines.records import dataclass
 
 DistributionKind = Literal["normal", "uniform", "between"]

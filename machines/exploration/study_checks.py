@@ -14,7 +14,7 @@ from dqforge.machines.design.design import MAX_FILE_BYTES
 from dqforge.machines.devices import catalogue as devices
 from dqforge.machines.entries.former_keys import read_model
 from dqforge.machines.entries.rules import not_one_of, spoken
-from dqforge.machines.errors import InputError, close_matches
+from dqforge.machines.errors import InputError, KeyPath, Places, close_matches
 from dqforge.machines.exploration.design_keys import (
     DesignKey,
     complaint,
@@ -50,7 +50,6 @@ from dqforge.machines.files.positioned_yaml import (
     read_bytes,
 )
 from dqforge.machines.names import ModulationName
-from dqforge.machines.places import KeyPath, Places
 from dqforge.machines.units.registry import DIMENSIONS
 
 

@@ -19,9 +19,18 @@ from typing import NamedTuple, NoReturn
 
 import yaml
 
-from dqforge.machines.errors import InputError, close_matches, shown
+from dqforge.machines.errors import (
+    InputError,
+    KeyPath,
+    Position,
+    behind_option,
+    close_matches,
+    dotted,
+    nearest,
+    option_at,
+    shown,
+)
 from dqforge.machines.files.input_files import read_regular_file
-from dqforge.machines.places import KeyPath, Position, behind_option, dotted, nearest, option_at
 from dqforge.machines.records import dataclass
 
 MAX_BYTES = 1 << 20

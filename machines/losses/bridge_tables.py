@@ -9,7 +9,7 @@ import numpy as np
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.devices.inverter import Curve, DeviceModel, EnergyTable, Family, Inverter
 from dqforge.machines.devices.thermal_network import CauerNetwork, ThermalNetwork
-from dqforge.machines.losses.constant_device import required_device
+from dqforge.machines.losses.machine_budget import required_device
 from dqforge.machines.modulation.modulators import PhaseWaveforms, sector_waveforms
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.modulation.ripple import ripple_squares

@@ -7,10 +7,9 @@ import math
 import numpy as np
 
 from dqforge.machines.names import Topology
-from dqforge.machines.phase_machines.frame_choice import flux_axes
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.neutral_ripple import neutral_ripple
+from dqforge.machines.topologies import flux_axes, neutral_ripple
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,8 +31,7 @@ from dqforge.machines.phase_machines.phase_machine import (
     derivative,
 )
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.duties import duty_cycles
-from dqforge.machines.topologies.topology import TOPOLOGIES, leg_signs
+from dqforge.machines.topologies import TOPOLOGIES, duty_cycles, leg_signs
 
 _STANDSTILL = 1e-9  # Electrical speed in rad/s below which the iron loses nothing.
 

@@ -7,19 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.design.sections.chosen_together import SPEED_GAIN
+from dqforge.machines.design.sections.observer import SPEED_GAIN
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import DqforgeError
 from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.control_design.measured_speed_loop import held_by_corners, slower_advice
-from dqforge.optimizer.observed_drive.design_drive import (
-    observed_drive,
-    position_estimator,
-    top_speed,
-)
-from dqforge.optimizer.observed_drive.speed_range import SpeedPi, corner_box, worst_corner
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -43,6 +36,8 @@ def remedies(design: Design, gains: GainSet, found: CornerJudgement) -> list[str
         gains: Its gains.
         found: Where they hold.
     """
+    from dqforge.optimizer.control_design.measured_speed_loop import held_by_corners, slower_advice
+
     ways = []
     held, failing = found.binding, found.failing
     if held.any:
@@ -72,6 +67,13 @@ def remedies(design: Design, gains: GainSet, found: CornerJudgement) -> list[str
 
 def _narrower(design: Design, gains: GainSet) -> float:
     """Largest share of all tolerances at which the loop holds, 0 without one."""
+    from dqforge.optimizer.observed_drive.design_drive import (
+        observed_drive,
+        position_estimator,
+        top_speed,
+    )
+    from dqforge.optimizer.observed_drive.speed_range import SpeedPi, corner_box, worst_corner
+
     box, settings, speed = corner_box(design), design.control.speed_loop, gains.speed
     assert settings is not None
     assert speed is not None

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.sections.chosen_together import (
+from dqforge.machines.design.sections.observer import (
     COMPENSATED,
     SPEED_GAIN,
     SPEED_GAIN_COMPENSATED,
@@ -28,7 +28,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.losses.machine_budget import COPPER_COEFFICIENT
 from dqforge.machines.names import SPEED_OBSERVER, ObserverMethodName, StartUpMethodName
-from dqforge.machines.plants.drive_motion import Plants, plants, steady_voltage
+from dqforge.machines.plants.scenario import Plants, plants, steady_voltage
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.control_design.measured_speed_loop import judge_observed

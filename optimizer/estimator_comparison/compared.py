@@ -16,7 +16,7 @@ from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import SIX_STEP_METHODS, ObserverMethodName, StartUpMethodName
 from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
-from dqforge.machines.plants.drive_motion import ComplexArray
+from dqforge.machines.plants.scenario import ComplexArray
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.measured_speed_loop import judge_observed
 from dqforge.optimizer.estimator_comparison.candidate import (

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import BoolArray, FloatArray, IndexArray
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, dotted
 from dqforge.machines.exploration.design_keys import DesignKey, design_key
 from dqforge.machines.exploration.row_designs import (
     Recent,
@@ -27,7 +27,6 @@ from dqforge.machines.exploration.row_designs import (
 from dqforge.machines.exploration.study import Axis, Draw, Study, Tolerance
 from dqforge.machines.exploration.study_checks import grid_rows
 from dqforge.machines.files.positioned_yaml import YamlValue
-from dqforge.machines.places import dotted
 from dqforge.machines.records import dataclass
 
 RowState = Literal["ok", "limit", "no-solution", "refused", "crashed"]

@@ -9,9 +9,8 @@ from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Protocol
 
 from dqforge.machines.design.numerical import numerical_errors
-from dqforge.machines.errors import InputError, NoSolutionError, shown
+from dqforge.machines.errors import InputError, NoSolutionError, about, shown
 from dqforge.machines.names import Firmware
-from dqforge.machines.places import about
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import (
     Configuration,

@@ -10,7 +10,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.regions import largest_phase_voltage
+from dqforge.machines.topologies import largest_phase_voltage
 from dqforge.machines.transforms import Pair, Triple, clarke_matrix
 from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, Reach
 from dqforge.optimizer.fixed_control.design import (

@@ -10,7 +10,7 @@ import math
 from typing import Any, Generic
 
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.transforms import N, Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.fixed_control.arithmetic import (
     Arithmetic,

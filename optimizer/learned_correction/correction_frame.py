@@ -26,7 +26,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.machines.plants.drive_motion import ComplexArray, Plants, steady_voltage
+from dqforge.machines.plants.scenario import ComplexArray, Plants, steady_voltage
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.methods.flux import flux_of_voltage

@@ -40,7 +40,7 @@ from dqforge.machines.modulation.dead_time import dead_time_factor, low_harmonic
 from dqforge.machines.modulation.ripple import inverse_inductance
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.linear_range import fundamental_share, overmodulation_of
+from dqforge.machines.topologies import fundamental_share, overmodulation_of
 
 _VOLTAGE_ROUNDING = 1e-6  # Excess over the linear range that solvers of operating points leave.
 

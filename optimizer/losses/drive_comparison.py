@@ -36,7 +36,7 @@ from dqforge.machines.losses.machine_budget import (
 from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.linear_range import amplitude_limit
+from dqforge.machines.topologies import amplitude_limit
 from dqforge.optimizer.losses.drive_budget import (
     PARTS,
     BudgetOptions,

@@ -22,22 +22,18 @@ from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.dq_machines.synchronous import Machine, copper_loss
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.losses.bridge_tables import energy_factors
-from dqforge.machines.losses.constant_device import (
+from dqforge.machines.losses.machine_budget import (
     bridge_load,
     junction_temperature,
+    machine_budget,
     required_device,
     resistance_factor,
     thermal_gain,
 )
-from dqforge.machines.losses.machine_budget import machine_budget
 from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.names import ModulationName, Strategy
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.linear_range import (
-    amplitude_fits,
-    amplitude_limit,
-    fundamental_share,
-)
+from dqforge.machines.topologies import amplitude_fits, amplitude_limit, fundamental_share
 from dqforge.optimizer.losses.drive_budget import (
     BudgetOptions,
     DriveBudget,

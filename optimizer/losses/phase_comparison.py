@@ -36,8 +36,7 @@ from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName, OpenPhase, Topology
 from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine, PhaseMachine, grid
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.regions import link_demand, sine_share
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES, link_demand, sine_share
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, DriveBudget, known_bridge
 from dqforge.optimizer.losses.drive_comparison import (
     Alternatives,

@@ -25,7 +25,7 @@ from dqforge.machines.losses.machine_budget import Mission
 from dqforge.machines.losses.phase_terminals import phase_terminals
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.losses.drive_budget import PARTS, BudgetOptions, known_bridge
 from dqforge.optimizer.losses.drive_comparison import (
     Alternatives,

@@ -12,7 +12,7 @@ import numpy as np
 from dqforge.machines.design.settings import filter_share
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.names import OBSERVER_KEYS
-from dqforge.machines.plants.drive_motion import plants
+from dqforge.machines.plants.scenario import plants
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.pi_methods import largest_factor
 from dqforge.optimizer.observed_drive.drive_model import (

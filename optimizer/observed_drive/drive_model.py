@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.plants.drive_motion import ComplexArray, plants, steady_voltage
+from dqforge.machines.plants.scenario import ComplexArray, plants, steady_voltage
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.parts import ObserverState, steady_observer, vector_count
 from dqforge.optimizer.steps.step_arithmetic import EXACT, Pair

@@ -14,7 +14,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.plants.drive_motion import ComplexArray, Plants
+from dqforge.machines.plants.scenario import ComplexArray, Plants
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.parts import (
     LARGEST_TURN,

@@ -19,7 +19,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import Deviation, ObserverSettings, both_sides
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
-from dqforge.machines.plants.drive_motion import ComplexArray, DriveMotion, Plants, steady_voltage
+from dqforge.machines.plants.scenario import ComplexArray, DriveMotion, Plants, steady_voltage
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.reduced_order import Training, TrainingBox

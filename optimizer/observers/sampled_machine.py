@@ -31,7 +31,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, linearised
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.plants.drive_motion import next_flux, plants
+from dqforge.machines.plants.scenario import next_flux, plants
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Dq, Member, Pair
@@ -186,7 +186,7 @@ def sampled_machine(machine: Machine, t_s: float, omega_max: float | None = None
 # with sensors that err.
 #
 # The drive is controlled with its true angle, so that all observers see the same currents and
-# voltages. Between two samples it moves as `dqforge.machines.plants.drive_motion` says; unlike
+# voltages. Between two samples it moves as `dqforge.machines.plants.scenario` says; unlike
 # there, noise acts on the machine itself besides on what is measured, as a Kalman filter assumes.
 
 _GAIN = 0.3  # Share of a current error that the controller of the trials removes in one period.

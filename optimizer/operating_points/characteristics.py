@@ -19,12 +19,12 @@ from dqforge.machines.losses.machine_budget import NO_EXTRA_LOSS, MachineLoss
 from dqforge.machines.modulation.dead_time import LowHarmonics, low_harmonics
 from dqforge.machines.names import ModulationName, OvermodulationName, Topology
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.linear_range import (
+from dqforge.machines.topologies import (
+    TOPOLOGIES,
     amplitude_limit,
     contradiction,
     overmodulation_of,
 )
-from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.operating_points.ends_of_data import least_flux_current, make_limits
 from dqforge.optimizer.operating_points.mtpa_locus import (
     Active,

@@ -26,18 +26,19 @@ from dqforge.machines.dq_machines.synchronous import (
     torque_from_flux,
 )
 from dqforge.machines.errors import InputError
-from dqforge.machines.losses.constant_device import (
+from dqforge.machines.losses.machine_budget import (
+    NO_EXTRA_LOSS,
     REFERENCE_TEMPERATURE,
+    MachineLoss,
     bridge_load,
     required_device,
     resistance_factor,
     thermal_balance,
 )
-from dqforge.machines.losses.machine_budget import NO_EXTRA_LOSS, MachineLoss
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.linear_range import amplitude_fits
+from dqforge.machines.topologies import amplitude_fits
 from dqforge.optimizer.operating_points.ends_of_data import hold_by_data
 from dqforge.optimizer.operating_points.mtpa_locus import (
     Active,

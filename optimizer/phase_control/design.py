@@ -12,16 +12,17 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ControlSettings, CurrentLoopSettings
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import CurrentFrame, Topology
-from dqforge.machines.phase_machines.frame_choice import (
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine
+from dqforge.machines.records import dataclass
+from dqforge.machines.topologies import (
+    TOPOLOGIES,
+    VOLTAGE_ROWS,
     controlled_frame,
     frame_obstacle,
     uses_zero_sequence,
+    voltage_bounds,
     zero_sequence_inductance,
 )
-from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine
-from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.regions import VOLTAGE_ROWS, voltage_bounds
-from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.loops.loop_gains import LoopGains, analyse_current_loop, tune_current_loop
 from dqforge.optimizer.loops.robustness import DriveBox

@@ -23,7 +23,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import CurrentFrame
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.transforms import POWER_INVARIANT, clarke_matrix
 from dqforge.optimizer.loops.robustness import BoxPoints, DriveBox, Worst
 from dqforge.optimizer.phase_control.phase_controller import HarmonicGains, PhaseControl, PhaseShape

@@ -15,7 +15,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.phase_control.phase_controller import (
     PHASES,

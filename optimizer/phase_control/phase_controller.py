@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
-from dqforge.machines.phase_machines.frame_choice import uses_zero_sequence
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.regions import VOLTAGE_ROWS, voltage_bounds
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES, VOLTAGE_ROWS, uses_zero_sequence, voltage_bounds
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.linear_programme import least_cost
 

@@ -20,7 +20,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import Machine, linearised
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.plants.drive_motion import next_flux, plants
+from dqforge.machines.plants.scenario import next_flux, plants
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals, park
 from dqforge.optimizer.estimators import Tracker, TrackerLoop, TunedTracker

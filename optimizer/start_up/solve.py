@@ -15,9 +15,9 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import StartUpMethodName
-from dqforge.machines.phase_machines.frame_choice import controlled_frame
 from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.machines.records import dataclass
+from dqforge.machines.topologies import controlled_frame
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.estimators import TunedTracker, solve_tracker, tune_tracker
 from dqforge.optimizer.observers.conditions import lost_voltage

@@ -26,11 +26,10 @@ from dqforge.machines.design.settings import (
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
-from dqforge.machines.errors import InputError, close_matches, shown
+from dqforge.machines.errors import InputError, KeyPath, close_matches, shown
 from dqforge.machines.exploration.study import Bound, Study
 from dqforge.machines.names import ModulationName
 from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine
-from dqforge.machines.places import KeyPath
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import PARTS, BudgetOptions, DriveBudget
 from dqforge.optimizer.losses.drive_comparison import Alternatives, compare_drives

@@ -27,8 +27,7 @@ from dqforge.machines.phase_machines.phase_machine import (
     shift_of,
 )
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.regions import sine_share
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES, sine_share
 from dqforge.optimizer.operating_points.characteristics import limit_speed
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.waveforms.confirmation import Confirmation, confirm_waveforms

@@ -22,8 +22,7 @@ from dqforge.machines.phase_machines.phase_machine import (
     shift_of,
 )
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.regions import VOLTAGE_ROWS, link_demand, voltage_bounds
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES, VOLTAGE_ROWS, link_demand, voltage_bounds
 from dqforge.machines.transforms import DOUBLES, park_inverse
 
 OpenPhase = Literal["a", "b", "c"]
@@ -40,7 +39,7 @@ class WaveformLimits:
 
     Args:
         v_dc: DC-link voltage in V.
-        topology: Its voltages are those of `dqforge.machines.topologies.regions`, a neutral current
+        topology: Its voltages are those of `dqforge.machines.topologies`, a neutral current
             flows where it has a neutral; on ``split-capacitor`` one without a mean.
             ``diode-neutral``: one flows only against all three back-EMFs, which is an inner
             approximation and may cost more than three-wire; elsewhere as three-wire.

@@ -16,7 +16,7 @@ from dqforge.machines.names import WaveformForm
 from dqforge.machines.phase_machines.frame_transforms import resampled
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.curves.single_precision import (
     MultiplyAdd,
     SingleArray,

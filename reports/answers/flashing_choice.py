@@ -16,7 +16,7 @@ from dqforge.machines.design.settings import WaveformSettings
 from dqforge.machines.errors import InputError, NoSolutionError, VerificationError
 from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.machines.plants.scenario import CurrentSensor, Encoder, PlantErrors, Scenario, constant
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.flashing_choice import (
     BACK_EMF,
     DEVIATIONS,

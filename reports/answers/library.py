@@ -122,7 +122,7 @@ def _written(name: str, path: Path, following: str, files: Files) -> Answer:
 
 
 def _refuse_two_ways(asked: NewRequest) -> None:
-    from dqforge.machines.data_sheet.sheet_values import BY_KEY
+    from dqforge.machines.design.sheet_values import BY_KEY
 
     given = [BY_KEY[key].flag for key in asked.sheet or ()]
     given += [
@@ -145,9 +145,9 @@ def _refuse_two_ways(asked: NewRequest) -> None:
 
 def _answer_new_of(asked: NewRequest, path: Path) -> Answer:
     """The design of a data sheet, and what `dqforge check` says of it."""
-    from dqforge.machines.data_sheet.judged import checked_text
-    from dqforge.machines.data_sheet.sheet_values import FLUX_AXES, FLUX_MAP
     from dqforge.machines.design.catalogue import load_text
+    from dqforge.machines.design.sheet_judged import checked_text
+    from dqforge.machines.design.sheet_values import FLUX_AXES, FLUX_MAP
     from dqforge.reports.answers.check import answer_check
 
     sheet, found = dict(asked.sheet or {}), asked.flux_map

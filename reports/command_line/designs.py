@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dqforge.machines.data_sheet.sheet_values import (
+from dqforge.machines.design.sheet_values import (
     SheetValue,
     as_command,
     missing,
@@ -117,7 +117,7 @@ def asked_sheet(folder: Path, given: Mapping[str, str], *, asking: bool) -> dict
     """
     if not asking or (given and not missing(given)) or not _is_terminal():
         return dict(given)
-    from dqforge.machines.data_sheet.judged import read_alone, remarks_so_far
+    from dqforge.machines.design.sheet_judged import read_alone, remarks_so_far
 
     new_file(folder, NEW_DESIGN)
     for key, text in given.items():
@@ -209,7 +209,7 @@ class Dialogue:
 
     def _default(self, value: SheetValue) -> str:
         """What is taken where a value is left out."""
-        from dqforge.machines.data_sheet.judged import DEFAULT_NAME, frequency_for
+        from dqforge.machines.design.sheet_judged import DEFAULT_NAME, frequency_for
 
         if value.key == "inverter.switching_frequency":
             return frequency_for(self.values)[0]
@@ -229,7 +229,7 @@ class Dialogue:
 
     def _accepted(self, value: SheetValue, text: str) -> str:
         """The text, with its convention; empty where it is refused, or taken back."""
-        from dqforge.machines.data_sheet.judged import read_alone, remarks_so_far
+        from dqforge.machines.design.sheet_judged import read_alone, remarks_so_far
 
         try:
             text = self._with_kind(value, text)
@@ -251,7 +251,7 @@ class Dialogue:
 
         Raises `InputError` where it is no value of its key with any convention.
         """
-        from dqforge.machines.data_sheet.judged import read_alone
+        from dqforge.machines.design.sheet_judged import read_alone
 
         if not value.kinds:
             return text

@@ -20,7 +20,7 @@ import typer
 from typer import Argument, Exit, Option, echo
 
 from dqforge import __version__
-from dqforge.machines.data_sheet.sheet_values import SHEET_VALUES, SheetValue
+from dqforge.machines.design.sheet_values import SHEET_VALUES, SheetValue
 from dqforge.machines.errors import DqforgeError
 from dqforge.machines.files.input_files import line_of
 from dqforge.machines.files.library_files import STUDIES, design_names

@@ -25,7 +25,7 @@ from dqforge.machines.modulation.registry import (
 )
 from dqforge.machines.names import ModulationName, OvermodulationName
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.linear_range import fundamental_share
+from dqforge.machines.topologies import fundamental_share
 from dqforge.machines.transforms import Pair
 from dqforge.optimizer.current_reference.forms import FixedReference, FloatReference
 from dqforge.optimizer.curves.single_precision import SingleArray

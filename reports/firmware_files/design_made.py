@@ -7,9 +7,8 @@ from pathlib import Path
 
 from dqforge.machines.design.catalogue import load_text, overridden, read_override
 from dqforge.machines.design.numerical import numerical_errors
-from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.errors import InputError, NoSolutionError, leading_path
 from dqforge.machines.files.positioned_yaml import parse_yaml
-from dqforge.machines.places import leading_path
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import Configuration, Origin, PiGains
 from dqforge.optimizer.firmware.solve import profile_of

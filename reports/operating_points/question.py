@@ -16,7 +16,7 @@ from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.linear_range import contradiction
+from dqforge.machines.topologies import contradiction
 from dqforge.machines.units.quantities import parse_option
 from dqforge.optimizer.operating_points.characteristics import (
     LimitedDrive,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.fixed_control.transforms import IDLE, FixedControl
 from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
 from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl

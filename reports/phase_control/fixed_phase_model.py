@@ -11,7 +11,7 @@ import numpy as np
 
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.transforms import Pair, Triple
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_control.transforms import IDLE, SpeedState, speed_loop

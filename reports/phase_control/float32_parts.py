@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.reports.c_code.harness import SINGLE

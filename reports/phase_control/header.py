@@ -14,7 +14,7 @@ from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import CurrentFrame, Feedforward, ModulationName
 from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.reports.c_code.harness import single_from, title
 from dqforge.reports.c_code.numbers import float_literal

@@ -26,7 +26,7 @@ from dqforge.machines.phase_machines.phase_machine import (
 )
 from dqforge.machines.plants.scenario import ControlMode, Profile, Scenario
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.fixed_control.transforms import IDLE, FixedControl, FixedPi
 from dqforge.optimizer.loops.integer_gains import FixedGain

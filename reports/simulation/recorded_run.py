@@ -17,7 +17,7 @@ from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.names import NumberFormat, Topology
 from dqforge.machines.plants.scenario import Scenario
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
 from dqforge.optimizer.estimators import TRACKERS
 from dqforge.reports.observers.tracker_header import REDUCED_ORDER

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from functools import partial
 
 from dqforge.machines.names import NumberFormat
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.capability import Capability, Draw, Outcome, ReportPart

@@ -14,7 +14,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.from_machine import make_design
+from dqforge.machines.design.from_machine import RandomDrive, make_design, random_drives
 from dqforge.machines.design.settings import ObserverSettings, StartUpSettings
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.errors import NoSolutionError, VerificationError
@@ -27,7 +27,6 @@ from dqforge.machines.plants.scenario import (
     Scenario,
     constant,
 )
-from dqforge.machines.random_drives import RandomDrive, random_drives
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.methods.flux import design as flux_gains
 from dqforge.optimizer.observers.methods.registry import METHODS

@@ -10,7 +10,7 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.solution import Solution
 from dqforge.optimizer.waveforms.comparison import RuleCurrents, WaveformComparison
 from dqforge.optimizer.waveforms.confirmation import Confirmation

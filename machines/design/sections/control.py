@@ -1,31 +1,28 @@
-"""The section ``control``: what may be written, what is made of it, and
-what is checked across it.
+"""The section ``control`` with its loops and its bases of per-unit gains: what may be written,
+what is made of it, and what is checked across it.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Annotated, get_args
 
 from pydantic import Field
 
 from dqforge.machines.design.design import ROUNDING_OF_DATA, Reading
-from dqforge.machines.design.sections.chosen_together import chosen_together
-from dqforge.machines.design.sections.control_loops import (
-    CurrentLoopSection,
-    SpeedLoopSection,
-    check_method,
-    check_schedule,
-)
 from dqforge.machines.design.sections.export import ExportSection
 from dqforge.machines.design.sections.firmware import AnyFirmware, read_firmware
-from dqforge.machines.design.sections.observer import ObserverSection, check_observer
-from dqforge.machines.design.sections.per_unit import PerUnitSection, read_bases
-from dqforge.machines.design.sections.references import ReferencesSection, read_references
-from dqforge.machines.design.sections.six_step import SixStepSection, read_six_step
-from dqforge.machines.design.sections.speed_measurement import (
+from dqforge.machines.design.sections.observer import (
+    ObserverSection,
+    SixStepSection,
+    SpeedMeasurementSection,
     check_measurement,
+    check_observer,
+    chosen_together,
     read_measurement,
+    read_six_step,
 )
+from dqforge.machines.design.sections.references import ReferencesSection, read_references
 from dqforge.machines.design.sections.start_up import StartUpSection, read_start_up
 from dqforge.machines.design.sections.tolerances import TolerancesSection, read_tolerances
 from dqforge.machines.design.settings import (
@@ -33,23 +30,45 @@ from dqforge.machines.design.settings import (
     CurrentLoopSettings,
     GainWish,
     ObserverSettings,
+    PerUnitBases,
     SpeedLoopSettings,
     StartUpSettings,
     settings_from,
 )
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
+from dqforge.machines.entries.former_keys import former
 from dqforge.machines.entries.kinds import (
+    Bandwidth,
+    Current,
+    CurrentGain,
+    CurrentIntegralGain,
+    FilterTime,
+    GainFormats,
+    PhaseCurrent,
+    PhaseMargin,
     Rate,
     Section,
+    Speed,
+    SpeedGain,
+    SpeedIntegralGain,
+    Torque,
+    Voltage,
 )
-from dqforge.machines.entries.rules import si_of
+from dqforge.machines.entries.rules import Quantity, QuantityRule, si_of
+from dqforge.machines.errors import KeyPath, about
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import (
     SINGLE_OBSERVERS,
     SPEED_OBSERVER,
+    AxisGainRule,
+    CurrentFrame,
+    CurrentLoopMethod,
+    Feedforward,
+    SpeedLoopMethod,
+    VendorMethod,
 )
-from dqforge.machines.places import about
+from dqforge.machines.topologies import largest_phase_voltage
 from dqforge.machines.units.quantities import format_quantity
 
 
@@ -58,6 +77,191 @@ class StartUpWithObserverSection(StartUpSection):
 
     observer: ObserverSection | None = Field(
         default=None, description="estimator from standstill on, for saliency"
+    )
+
+
+_CURRENT = CurrentLoopSettings()
+
+
+_SPEED = SpeedLoopSettings()
+
+
+ComparatorBand = Annotated[Quantity, QuantityRule("voltage", 0.0, 2e4)]
+
+
+class CurrentLoopSection(Section):
+    """PI current controllers of both axes."""
+
+    method: CurrentLoopMethod = Field(
+        default=_CURRENT.method, description="how the gains are found"
+    )
+    bandwidth: Bandwidth | None = Field(
+        default=None,
+        description="for bandwidth and damping (there the natural frequency): in Hz or rad/s",
+    )
+    damping: float = Field(
+        default=_CURRENT.damping, gt=0.0, le=10.0, description="damping ratio, for damping"
+    )
+    spread: float = Field(
+        default=_CURRENT.spread, gt=1.0, le=100.0, description="a of the symmetrical optimum"
+    )
+    kp: CurrentGain | None = Field(default=None, description="for given: proportional gain (V/A)")
+    ki: CurrentIntegralGain | None = Field(
+        default=None, description="for given: integral gain (V/(A s))"
+    )
+    min_phase_margin: PhaseMargin | None = Field(
+        default=None,
+        json_schema_extra=former("phase_margin_min"),
+        description="least phase margin (rad; write deg); default 30 deg",
+    )
+    q_formats: GainFormats | None = Field(
+        default=None,
+        description=(
+            "fractional bits of the per-unit integers kp and ki t_s, such as [10, 15], or auto"
+        ),
+    )
+    max_sensitivity: float = Field(
+        default=_CURRENT.max_sensitivity,
+        ge=1.05,
+        le=4.0,
+        description="for optimised: largest M_s within the tolerances",
+    )
+    schedule: bool = Field(
+        default=_CURRENT.schedule,
+        description="gains over the current, for machines that saturate: a header of its own",
+    )
+    frame: CurrentFrame | None = Field(
+        default=_CURRENT.frame,
+        description=(
+            "for machines of model: waveform: dq (sinusoidal references), dqx, dqy, or table "
+            "(references over the angle); default: what the machine asks for"
+        ),
+    )
+    feedforward: Feedforward = Field(
+        default=_CURRENT.feedforward,
+        description=(
+            "for machines of model: waveform, what is added to the PI: references (their whole "
+            "voltage), emf, measured (back-EMF, and coupling of measured currents) or none"
+        ),
+    )
+    axis_gains: AxisGainRule = Field(
+        default=_CURRENT.axis_gains,
+        description=(
+            "for machines of model: waveform: own gains for the zero-sequence axis, or one set"
+        ),
+    )
+    harmonic_integrators: bool = Field(
+        default=_CURRENT.harmonic_integrators,
+        description=(
+            "for machines of model: waveform: integrators that turn with the harmonics of dead "
+            "time and back-EMF"
+        ),
+    )
+    limited_waveforms: bool = Field(
+        default=_CURRENT.limited_waveforms,
+        description=(
+            "for machines of model: waveform, frame table: currents over torque, speed and angle "
+            "where the link limits them, instead of less torque"
+        ),
+    )
+    band: Current | None = Field(
+        default=None,
+        description=(
+            "for hysteresis, circle and look-up-table: half of the tolerance band, the radius of "
+            "the circle (A); default v_dc/(8 L f_sw)"
+        ),
+    )
+    outer_band: Current | None = Field(
+        default=None,
+        description="for look-up-table: error that it takes for a transient (A); default 2 band",
+    )
+    carrier: Rate | None = Field(
+        default=None,
+        description="for ramp-comparison: frequency of the triangle (Hz); default f_sw",
+    )
+    comparator_band: ComparatorBand | None = Field(
+        default=None,
+        description="for ramp-comparison: hysteresis of its comparators (V); default 0",
+    )
+    sampling: Rate | None = Field(
+        default=None,
+        description=(
+            "for look-up-table, circle, predictive and trajectory: sampling of the currents (Hz); "
+            "default 10 f_sw, of trajectory 2 f_sw"
+        ),
+    )
+    pulses: Annotated[int, Field(ge=3, le=25)] | None = Field(
+        default=None,
+        description="for trajectory: most pulses of a leg per electrical period, odd; default 15",
+    )
+
+
+class SpeedLoopSection(Section):
+    """PI speed controller that commands torque."""
+
+    method: SpeedLoopMethod = Field(default=_SPEED.method, description="how the gains are found")
+    ratio: int = Field(
+        default=_SPEED.ratio, ge=1, le=100_000, description="current samples per speed sample"
+    )
+    bandwidth: Bandwidth | None = Field(
+        default=None,
+        description="for bandwidth and damping (there the natural frequency): in Hz or rad/s",
+    )
+    damping: float = Field(
+        default=_SPEED.damping, gt=0.0, le=10.0, description="damping ratio, for damping"
+    )
+    spread: float = Field(
+        default=_SPEED.spread, gt=1.0, le=100.0, description="a of the symmetrical optimum"
+    )
+    filter_time: FilterTime | None = Field(
+        default=None, description="first-order filter on the speed (s); default 0"
+    )
+    kp: SpeedGain | None = Field(
+        default=None, description="for given: proportional gain (N m s/rad)"
+    )
+    ki: SpeedIntegralGain | None = Field(
+        default=None, description="for given: integral gain (N m/rad)"
+    )
+    min_phase_margin: PhaseMargin | None = Field(
+        default=None,
+        json_schema_extra=former("phase_margin_min"),
+        description="least phase margin (rad; write deg); default 30 deg",
+    )
+    q_formats: GainFormats | None = Field(
+        default=None,
+        description=(
+            "fractional bits of the per-unit integers kp and ki t_s, such as [10, 10], or auto"
+        ),
+    )
+    max_sensitivity: float = Field(
+        default=_SPEED.max_sensitivity,
+        ge=1.05,
+        le=4.0,
+        description="for optimised: largest M_s within the tolerances",
+    )
+    measurement: SpeedMeasurementSection | None = Field(
+        default=None,
+        description="how the speed is measured; default: taken as exact, without delay",
+    )
+
+
+class PerUnitSection(Section):
+    """Bases of the per-unit gains."""
+
+    current: PhaseCurrent | None = Field(
+        default=None, description="base current (A); default the current limit"
+    )
+    voltage: Voltage | None = Field(
+        default=None,
+        description="base voltage (V, peak of phase); default v_dc/sqrt(3); "
+        "machines of model: waveform: the largest voltage of a phase",
+    )
+    speed: Speed | None = Field(
+        default=None,
+        description="base mechanical speed (rad/s; write rpm); default the largest speed",
+    )
+    torque: Torque | None = Field(
+        default=None, description="base torque (N m); default 3/2 p psi_pm times the base current"
     )
 
 
@@ -281,3 +485,174 @@ def read_gain_wish(
             ("control", "gains"),
         )
     return "none"
+
+
+# The sections ``control.current_loop`` and ``control.speed_loop``: what may be written, and which
+# keys a method needs.
+
+_EXAMPLES: dict[tuple[str | int, str], str] = {
+    ("current_loop", "bandwidth"): "500 Hz",
+    ("current_loop", "kp"): "1.1 V/A",
+    ("current_loop", "ki"): "32 V/(A s)",
+    ("speed_loop", "bandwidth"): "20 Hz",
+    ("speed_loop", "kp"): "0.1 N m s/rad",
+    ("speed_loop", "ki"): "6 N m/rad",
+}
+
+
+def _needed(loop: CurrentLoopSection | SpeedLoopSection) -> tuple[str, ...]:
+    """The keys that a method cannot do without.
+
+    TI makes the gains of the speed loop of the bandwidth of the current loop.
+    """
+    if loop.method == "given":
+        return ("kp", "ki")
+    if loop.method == "ti" and isinstance(loop, SpeedLoopSection):
+        return ()
+    named = ("bandwidth", "damping", *get_args(VendorMethod))
+    return ("bandwidth",) if loop.method in named else ()
+
+
+def check_method(
+    loop: CurrentLoopSection | SpeedLoopSection, path: KeyPath, document: YamlDocument
+) -> None:
+    """Check that a loop has the keys that its method needs, and no other.
+
+    Raises `InputError` with a position.
+    """
+    needed = _needed(loop)
+    where = ".".join(map(str, path))
+    for key in needed:
+        if getattr(loop, key) is None:
+            example = _EXAMPLES[path[-1], key]
+            raise document.error(
+                f"{where}: the method '{loop.method}' needs the key '{key}'; write {key}: "
+                f"{example}",
+                (*path, "method"),
+            )
+    if loop.method == "ramp-comparison":
+        return
+    for key in ("bandwidth", "kp", "ki"):
+        if getattr(loop, key) is not None and key not in needed:
+            method = "bandwidth" if key == "bandwidth" else "given"
+            raise document.error(
+                f"{where}: the method '{loop.method}' does not use '{key}'; write method: "
+                f"{method}, or remove the key",
+                (*path, key),
+                key=True,
+            )
+    if "max_sensitivity" in loop.model_fields_set and loop.method != "optimised":
+        raise document.error(
+            f"{where}: the method '{loop.method}' does not use 'max_sensitivity'; write method: "
+            "optimised, or remove the key",
+            (*path, "max_sensitivity"),
+            key=True,
+        )
+
+
+def check_schedule(loop: CurrentLoopSection, machine: Machine, document: YamlDocument) -> None:
+    """Check that gains over the current can be had.
+
+    Raises `InputError` with a position.
+    """
+    path = ("control", "current_loop", "schedule")
+    if not loop.schedule:
+        return
+    if isinstance(machine, LinearMachine):
+        message = (
+            "control.current_loop.schedule: the machine's inductances are constant, so are the "
+            "gains; remove it"
+        )
+        raise document.error(message, path)
+    if loop.method in get_args(VendorMethod):
+        message = (
+            f"control.current_loop.schedule: the gains by '{loop.method}' are constant in that "
+            "firmware; write another method, or schedule: false"
+        )
+        raise document.error(message, path)
+    if loop.method == "given":
+        message = (
+            "control.current_loop.schedule: given gains are constant; write another method, or "
+            "schedule: false"
+        )
+        raise document.error(message, path)
+
+
+# The section ``control.per_unit``: bases of per-unit gains, given or found.
+
+
+def read_bases(
+    section: PerUnitSection,
+    machine: Machine,
+    inverter: Inverter,
+    i_max: float,
+    rated_speed: float | None,
+    reading: Reading,
+    *,
+    any_back_emf: bool,
+) -> PerUnitBases:
+    """Bases of the per-unit gains; what the file leaves open is stated among the assumptions.
+
+    ``i_max`` in A (peak) is the current limit of the drive, ``rated_speed`` in rad/s (mechanical)
+    that of the machine, if known. ``any_back_emf`` says whether the machine is one of model:
+    waveform, whose controller makes voltages of any shape.
+    """
+    current = (
+        i_max
+        if section.current is None
+        else reading.peak(section.current, "control.per_unit.current")
+    )
+    voltage, voltage_from = (
+        _base_voltage(inverter, any_back_emf)
+        if section.voltage is None
+        else (section.voltage.si, "")
+    )
+    speed, speed_from = (
+        _base_speed(machine, inverter, rated_speed, reading)
+        if section.speed is None
+        else (section.speed.si, "")
+    )
+    torque = (
+        (machine.torque_per_ampere * current or 1.0)
+        if section.torque is None
+        else section.torque.si
+    )
+    torque_from = (
+        "3/2 p psi_pm times the base current" if machine.psi_pm else "1 N m, there are no magnets"
+    )
+    for name, value, unit, source, entry in (
+        ("current", current, "A", "the current limit", section.current),
+        ("voltage", voltage, "V", voltage_from, section.voltage),
+        ("speed", speed, "rpm", speed_from, section.speed),
+        ("torque", torque, "N m", torque_from, section.torque),
+    ):
+        if entry is None:
+            reading.remarks.append(
+                f"control.per_unit.{name} is {format_quantity(value, unit)}: {source}"
+            )
+    return PerUnitBases(current=current, voltage=voltage, speed=speed, torque=torque)
+
+
+def _base_voltage(inverter: Inverter, any_back_emf: bool) -> tuple[float, str]:
+    """Base voltage in V that the file leaves open, and where it comes from."""
+    if any_back_emf:
+        needed = largest_phase_voltage(inverter.topology, inverter.v_dc)
+        return needed, f"the largest voltage of a phase, {inverter.topology}"
+    return inverter.v_dc / math.sqrt(3.0), "v_dc/sqrt(3)"
+
+
+def _base_speed(
+    machine: Machine, inverter: Inverter, rated_speed: float | None, reading: Reading
+) -> tuple[float, str]:
+    """Base speed in rad/s that the file leaves open, and where it comes from."""
+    if machine.omega_m_max is not None:
+        return machine.omega_m_max, "machine.max_speed"
+    if rated_speed is not None:
+        return rated_speed, "machine.rated.speed"
+    if machine.psi_pm == 0.0:
+        message = (
+            "machine: nothing tells the speed range of this machine; write max_speed: 3000 rpm"
+        )
+        raise reading.document.error(message, ("machine",), key=True)
+    omega_m = inverter.v_dc / math.sqrt(3.0) / (machine.pole_pairs * machine.psi_pm)
+    return omega_m, "where the back-EMF reaches v_dc/sqrt(3)"

@@ -9,9 +9,9 @@ from dqforge.machines.design.sections.export import ExportSection
 from dqforge.machines.design.sections.inverter import InverterSection
 from dqforge.machines.design.sections.operation import OperationSection
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
+from dqforge.machines.errors import KeyPath
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import FeedbackMethod
-from dqforge.machines.places import KeyPath
 from dqforge.machines.records import dataclass
 
 _PATH = ("control", "current_loop")

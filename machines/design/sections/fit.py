@@ -22,6 +22,7 @@ from dqforge.machines.entries.kinds import (
     Torque,
 )
 from dqforge.machines.entries.rules import Quantity
+from dqforge.machines.errors import about
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import (
     BreakpointMode,
@@ -30,7 +31,6 @@ from dqforge.machines.names import (
     FitMethod,
     NumberFormat,
 )
-from dqforge.machines.places import about
 from dqforge.machines.units.quantities import format_quantity
 
 _FIT = FitSettings()

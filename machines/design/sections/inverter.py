@@ -1,18 +1,16 @@
-"""The switch of a design: constants in the design file, or tables from a file or
-the library made constants.
+"""The section ``inverter``: the switch, constants or tables from a file or the library, and the
+current measurement.
 """
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import Field
 
 from dqforge.machines.design.design import Reading
-from dqforge.machines.design.sections.current_sensing import (
-    CurrentSensingSection,
-    check_current_sensing,
-    read_current_sensing,
-)
-from dqforge.machines.devices.inverter import DeviceModel, Inverter, SwitchDevice
+from dqforge.machines.design.settings import settings_from
+from dqforge.machines.devices.inverter import CurrentSensing, DeviceModel, Inverter, SwitchDevice
 from dqforge.machines.devices.sections import DeviceEntry, DeviceReference, DeviceSection
 from dqforge.machines.entries.kinds import (
     Capacitance,
@@ -25,12 +23,37 @@ from dqforge.machines.entries.kinds import (
     Temperature,
     Voltage,
 )
-from dqforge.machines.entries.rules import si_of
-from dqforge.machines.errors import InputError
+from dqforge.machines.entries.rules import Quantity, QuantityRule, si_of
+from dqforge.machines.errors import InputError, KeyPath, about
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import Topology
-from dqforge.machines.places import KeyPath, about
 from dqforge.machines.units.quantities import format_quantity
+
+ShuntResistance = Annotated[Quantity, QuantityRule("resistance", 1e-6, 100.0)]
+
+
+AmplifierGain = Annotated[Quantity, QuantityRule("number", 1e-3, 1e4)]
+
+
+ConverterVoltage = Annotated[Quantity, QuantityRule("voltage", 0.1, 20.0)]
+
+
+ConverterBits = Annotated[int, Field(ge=6, le=32)]
+
+
+class CurrentSensingSection(Section):
+    """How the phase currents are measured; firmware that counts in integers needs it."""
+
+    shunt: ShuntResistance = Field(
+        description="shunt (Ohm); of a current sensor its volts per ampere, in Ohm as well"
+    )
+    gain: AmplifierGain = Field(description="gain of the amplifier behind it")
+    reference: ConverterVoltage = Field(description="reference voltage of the converter (V)")
+    bits: ConverterBits = Field(default=12, description="bits of the converter")
+    offset: ConverterVoltage | None = Field(
+        default=None,
+        description="voltage at the converter without current (V); default half the reference",
+    )
 
 
 class InverterSection(Section):
@@ -288,3 +311,23 @@ def read_inverter(section: InverterSection, machine_limit: float, reading: Readi
 
 
 DEFAULT_COOLANT = 25.0
+
+
+# The current measurement of the inverter in a design file.
+
+
+def check_current_sensing(section: CurrentSensingSection | None, document: YamlDocument) -> None:
+    """Check the offset against the reference; raises `InputError` with a position."""
+    if section is None or section.offset is None:
+        return
+    if section.offset.si >= section.reference.si:
+        raise document.error(
+            f"inverter.current_sensing.offset {section.offset.text} is not below the reference "
+            f"{section.reference.text}; without current the converter must be within its range",
+            ("inverter", "current_sensing", "offset"),
+        )
+
+
+def read_current_sensing(section: CurrentSensingSection | None) -> CurrentSensing | None:
+    """The measurement in SI units, None where the file says nothing of it."""
+    return None if section is None else settings_from(CurrentSensing, section)

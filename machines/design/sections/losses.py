@@ -9,7 +9,7 @@ from typing import Annotated
 from pydantic import Field
 
 from dqforge.machines.design.design import ROUNDING_OF_DATA, Reading
-from dqforge.machines.design.sections.machine.schema import MachineSection
+from dqforge.machines.design.sections.machine_schema import MachineSection
 from dqforge.machines.design.settings import (
     LoadPoint,
     LossSettings,

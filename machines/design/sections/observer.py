@@ -1,27 +1,47 @@
-"""The section ``control.observer``: what may be written, and which keys a method takes."""
+"""The sections that say what knows the position and the speed: ``control.observer``,
+``control.speed_loop.measurement`` and ``control.six_step``, with what observer and loop leave
+to each other.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Any
 
-from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
+from pydantic import BeforeValidator, Field, ValidatorFunctionWrapHandler, WrapValidator
 
-from dqforge.machines.design.settings import SPEED_ERROR
+from dqforge.machines.design.design import Reading
+from dqforge.machines.design.settings import (
+    SPEED_ERROR,
+    ObserverSettings,
+    SixStepSettings,
+    SpeedLoopSettings,
+    SpeedMeasurementSettings,
+    Tolerances,
+    settings_from,
+)
+from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.entries.kinds import (
     Bandwidth,
+    Drop,
+    FilterTime,
+    PhaseCurrent,
+    PointSpeed,
     SampleInterval,
     Section,
 )
-from dqforge.machines.entries.rules import Quantity, QuantityRule
+from dqforge.machines.entries.rules import Quantity, QuantityRule, not_truth, si_of
+from dqforge.machines.errors import KeyPath
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import (
     OBSERVER_KEYS,
+    SIX_STEP_METHODS,
     SPEED_OBSERVER,
     InjectionWave,
     ObserverMethodName,
     ObserverTuningName,
+    SpeedMeasurementName,
 )
-from dqforge.machines.places import KeyPath
 
 
 def _known(value: Any, words: ValidatorFunctionWrapHandler) -> Any:
@@ -156,3 +176,191 @@ def check_observer(
                 (*path, key),
                 key=True,
             )
+
+
+# Speed loop and position observer of a design that leaves the spread of the loop open.
+
+SPREAD = 4.0  # Spread of a speed loop that counts the lag of its observer: about 60 degrees.
+
+# Share of the speed in the correction of the flux: with the whole dead time, and where what is left
+# of it is small.
+SPEED_GAIN, SPEED_GAIN_COMPENSATED = 1.0, 0.5
+COMPENSATED = 0.1  # Largest share of the dead time that counts as small.
+
+
+def chosen_together(
+    loop: SpeedLoopSettings,
+    observer: ObserverSettings,
+    inverter: Inverter,
+    tolerances: Tolerances | None,
+    reading: Reading,
+) -> tuple[SpeedLoopSettings, ObserverSettings]:
+    """Settings of both, with what is assumed said in the remarks of the reading.
+
+    Args:
+        loop, observer: As they were read.
+        inverter: With its dead time.
+        tolerances: What the compensation of the dead time leaves, None where the design names none.
+        reading: Takes the remarks.
+    """
+    reading.remarks.append(
+        f"control.speed_loop.spread is taken as {SPREAD:g}, and the observer's lag as one of the "
+        "loop's delays, because the loop runs on a position observer"
+    )
+    loop = replace(loop, spread=SPREAD, counts_observer=True)
+    if observer.method != "flux" or observer.speed_gain is not None or observer.tuning != "named":
+        return loop, observer
+    small = _compensated(inverter, tolerances)
+    gain = SPEED_GAIN_COMPENSATED if small else SPEED_GAIN
+    reading.remarks.append(
+        f"control.observer.speed_gain is taken as {gain:g}, because the speed loop runs on the "
+        f"observer{' and little is left of the dead time' if small else ''}"
+    )
+    return loop, replace(observer, speed_gain=gain)
+
+
+def _compensated(inverter: Inverter, tolerances: Tolerances | None) -> bool:
+    """Whether the design says that at most a tenth of the dead time is left."""
+    if inverter.dead_time == 0.0:
+        return True
+    if tolerances is None:
+        return False
+    left = max(abs(value) for value in tolerances.limits("dead_time"))
+    return 0.0 < left <= COMPENSATED * inverter.dead_time
+
+
+# The section ``control.speed_loop.measurement``: the speed from the edges of an encoder.
+
+_PATH = ("control", "speed_loop", "measurement")
+
+
+_SHARE = 0.1  # of the largest speed, from which the loop holds where nothing is said
+
+
+TimerClock = Annotated[Quantity, QuantityRule("frequency", 1e3, 1e9)]
+
+
+Whole = Annotated[int, BeforeValidator(not_truth)]
+
+
+class SpeedMeasurementSection(Section):
+    """How the speed comes from the edges of an encoder."""
+
+    method: SpeedMeasurementName = Field(
+        default="mixed",
+        description=(
+            "counts: edges in a speed period; capture: time between two edges; mixed: edges over "
+            "the time that they took"
+        ),
+    )
+    lines: Whole = Field(ge=1, le=1_000_000, description="of the encoder, per revolution")
+    edges: Whole = Field(
+        default=1,
+        ge=1,
+        le=4,
+        description="captured of each line: 1, 2 or 4; counts always takes all four",
+    )
+    clock: TimerClock | None = Field(
+        default=None, description="for capture and mixed: frequency of the timer (Hz)"
+    )
+    counter_bits: Whole = Field(
+        default=16, ge=8, le=32, description="for capture and mixed: bits of the timer"
+    )
+    lowest: PointSpeed | None = Field(
+        default=None,
+        description=(
+            "mechanical speed from which the loop must hold (rad/s; write rpm); default a tenth "
+            "of the largest"
+        ),
+    )
+
+
+def check_measurement(
+    section: SpeedMeasurementSection | None, observed: bool, document: YamlDocument
+) -> None:
+    """Check what the keys need of each other.
+
+    ``observed`` says that an observer makes the speed. Raises `InputError` with a position.
+    """
+    if section is None:
+        return
+    where = ".".join(_PATH)
+    if observed:
+        message = (
+            f"{where} is of an encoder, but control.observer makes the speed; remove one of them"
+        )
+        raise document.error(message, _PATH, key=True)
+    if section.edges == 3:
+        raise document.error(f"{where}.edges must be 1, 2 or 4", (*_PATH, "edges"))
+    timed = section.method != "counts"
+    if timed and section.clock is None:
+        message = (
+            f"{where}: the method '{section.method}' needs the key 'clock'; write clock: 10 MHz"
+        )
+        raise document.error(message, _PATH, key=True)
+    for key in ("clock", "counter_bits", "edges"):
+        if not timed and key in section.model_fields_set:
+            message = f"{where}: the method 'counts' does not use '{key}'; remove it"
+            raise document.error(message, (*_PATH, key), key=True)
+    if section.lowest is not None and section.lowest.si <= 0.0:
+        raise document.error(f"{where}.lowest must be above 0 rpm", (*_PATH, "lowest"))
+
+
+def read_measurement(
+    section: SpeedMeasurementSection | None, omega_max: float
+) -> SpeedMeasurementSettings | None:
+    """What the section asks for, in SI units; ``omega_max`` in rad/s is the largest speed."""
+    if section is None:
+        return None
+    lowest, clock = si_of(section.lowest), si_of(section.clock)
+    return SpeedMeasurementSettings(
+        section.method,
+        section.lines,
+        0.0 if clock is None else clock,
+        section.counter_bits,
+        4 if section.method == "counts" else section.edges,
+        _SHARE * omega_max if lowest is None else lowest,
+    )
+
+
+# The section ``control.six_step``: a drive whose blocks of 120 degrees are commutated by the
+# voltage of the phase that floats.
+
+_SETTINGS = SixStepSettings()
+
+
+class SixStepSection(Section):
+    """Six-step drive; only with the observers zero-crossing and emf-integration."""
+
+    voltage_offset: Drop | None = Field(
+        default=None,
+        description="of the measured voltage of the floating phase (V); default 0.2 % of v_dc",
+    )
+    voltage_noise: Drop | None = Field(
+        default=None,
+        description="of that voltage, standard deviation (V); default one step of its converter",
+    )
+    voltage_bits: Annotated[int, Field(ge=8, le=16)] = Field(
+        default=_SETTINGS.voltage_bits, description="of its converter, over 1.25 v_dc"
+    )
+    filter_time: FilterTime | None = Field(
+        default=None, description="first-order filter on that voltage (s); default 0"
+    )
+    start_current: PhaseCurrent | None = Field(
+        default=None, description="of alignment and forced start; default half of the limit"
+    )
+    align_time: FilterTime | None = Field(
+        default=None, description="whole time of the alignment (s); default by the inertia"
+    )
+
+
+def read_six_step(section: SixStepSection | None, method: str | None) -> SixStepSettings | None:
+    """The settings of a six-step drive, None for other drives.
+
+    Args:
+        section: ``control.six_step``, None where the file has none.
+        method: ``control.observer.method``, None without an observer.
+    """
+    if method not in SIX_STEP_METHODS:
+        return None
+    return settings_from(SixStepSettings, section or SixStepSection())

@@ -28,7 +28,7 @@ from dqforge.machines.names import (
     OvermodulationName,
     Strategy,
 )
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.units.quantities import format_quantity
 
 _OPERATION = OperationSettings()

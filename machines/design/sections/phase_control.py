@@ -13,7 +13,9 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.losses.neutral_balance import neutral_balance
 from dqforge.machines.names import Topology
-from dqforge.machines.phase_machines.frame_choice import (
+from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine, SalientPhaseMachine
+from dqforge.machines.topologies import (
+    TOPOLOGIES,
     FrameChoice,
     choose_frame,
     controlled_frame,
@@ -22,8 +24,6 @@ from dqforge.machines.phase_machines.frame_choice import (
     uses_zero_sequence,
     zero_sequence_inductance,
 )
-from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine, SalientPhaseMachine
-from dqforge.machines.topologies.topology import TOPOLOGIES
 
 # Keys of ``control.current_loop`` that other machines have no use for.
 PHASE_KEYS = ("frame", "feedforward", "axis_gains", "harmonic_integrators", "limited_waveforms")

@@ -12,6 +12,7 @@ from dqforge.machines.design.settings import StartUpSettings, settings_from
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.kinds import PhaseCurrent, Section, Speed, Torque, Voltage
 from dqforge.machines.entries.rules import Quantity, QuantityRule, not_truth
+from dqforge.machines.errors import KeyPath
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import (
     SIX_STEP_METHODS,
@@ -23,7 +24,6 @@ from dqforge.machines.names import (
     StartLoadName,
     StartUpMethodName,
 )
-from dqforge.machines.places import KeyPath
 
 StartTime = Annotated[Quantity, QuantityRule("time", 0.0, 100.0)]
 

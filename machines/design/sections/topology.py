@@ -10,8 +10,7 @@ from dqforge.machines.design.sections.operation import OperationSection
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import Topology
-from dqforge.machines.topologies.linear_range import contradiction
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES, contradiction
 
 
 def check_topology(

@@ -7,7 +7,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from dqforge.machines.design.sections.inverter import InverterSection
-from dqforge.machines.design.sections.machine.schema import MachineSection
+from dqforge.machines.design.sections.machine_schema import MachineSection
 from dqforge.machines.design.settings import (
     WaveformSettings,
     settings_from,

@@ -59,7 +59,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, linearised
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.plants.drive_motion import ComplexArray
+from dqforge.machines.plants.scenario import ComplexArray
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import (

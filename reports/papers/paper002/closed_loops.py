@@ -21,7 +21,7 @@ from dqforge.machines.phase_machines.frame_transforms import thesis_shapes, to_f
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import Profile, Scenario, constant
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.loops.loop_gains import LoopGains, tune_current_loop, tune_speed_loop
 from dqforge.optimizer.operating_points.solve import solve_curves

@@ -10,8 +10,8 @@ from design_changes import _fields
 
 from dqforge.machines.design.schema import DesignFile
 from dqforge.machines.entries.rules import EntryError, QuantityRule
+from dqforge.machines.errors import dotted
 from dqforge.machines.exploration.design_keys import DesignKey, design_key, no_such_key
-from dqforge.machines.places import dotted
 from dqforge.machines.units.quantities import parse_quantity
 from dqforge.machines.units.registry import DIMENSIONS, SYMBOLS
 

@@ -13,7 +13,7 @@ from broken_studies import BASE, changed
 from dqforge.machines.design import catalogue as designs
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.sections.machine import flux_map, model
+from dqforge.machines.design.sections import machine, machine_files
 from dqforge.machines.devices import catalogue as devices
 from dqforge.machines.errors import InputError
 from dqforge.machines.exploration.row_designs import (
@@ -98,8 +98,8 @@ def test_maps_and_tables_are_read_once(tmp_path: Path, monkeypatch: pytest.Monke
     assert first.inverter.device == second.inverter.device
     assert first.assumptions == second.assumptions
 
-    made = Mock(wraps=model._saturation_map)
-    monkeypatch.setattr(model, "_saturation_map", made)
+    made = Mock(wraps=machine._saturation_map)
+    monkeypatch.setattr(machine, "_saturation_map", made)
     saturated = study_on("baldor-pmsyrm-5k6")
     machines = [design_of(saturated, {"inverter.v_dc": v_dc}).machine for v_dc in (300.0, 310.0)]
     assert made.call_count == 1
@@ -130,8 +130,8 @@ def test_a_flux_map_is_read_once_and_told_in_every_row(
     # Workers have no folder: what the study names travels with it.
     study = pickle.loads(pickle.dumps(study))
     (tmp_path / "map.csv").unlink()
-    made = Mock(wraps=flux_map._one_map)
-    monkeypatch.setattr(flux_map, "_one_map", made)
+    made = Mock(wraps=machine_files._one_map)
+    monkeypatch.setattr(machine_files, "_one_map", made)
     found = [design_of(study, {"inverter.v_dc": v_dc}) for v_dc in (90.0, 100.0, 110.0)]
     assert [call.args[1] for call in made.call_args_list] == ["map.csv"]
     assert [design.inverter.v_dc for design in found] == [90.0, 100.0, 110.0]

@@ -10,9 +10,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, Position, dotted
 from dqforge.machines.files.positioned_yaml import MAX_BYTES, parse_yaml, read_bytes
-from dqforge.machines.places import Position, dotted
 
 
 def _refused(content: bytes) -> InputError:

@@ -19,9 +19,9 @@ from saturated import ArctanMachine
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
-from dqforge.machines.flux_map_files.files import read_flux_points
 from dqforge.machines.flux_maps.building import build_flux_map
 from dqforge.machines.flux_maps.flux_points import FileTorque, FluxPoints, TorqueCheck, check_torque
+from dqforge.machines.flux_maps.map_files import read_flux_points
 from dqforge.machines.names import FluxTorque
 
 MACHINE = ArctanMachine()

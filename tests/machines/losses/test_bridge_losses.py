@@ -26,7 +26,7 @@ from dqforge.machines.losses.bridge_tables import (
 )
 from dqforge.machines.modulation.modulators import MODULATORS, modulate
 from dqforge.machines.names import ModulationName
-from dqforge.machines.plants.switched_drive import simulate_period
+from dqforge.machines.plants.current_feedback import simulate_period
 from dqforge.machines.transforms import dq_to_phases
 
 V_DC = 600.0

@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 
 from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.errors import InputError
-from dqforge.machines.losses.constant_device import (
+from dqforge.machines.losses.machine_budget import (
     BridgeLoad,
     bridge_load,
     junction_temperature,

@@ -17,7 +17,7 @@ from modulators import duties, folded, phases_at, rest
 from scipy.integrate import quad
 
 from dqforge.machines.devices.inverter import Inverter, SwitchDevice
-from dqforge.machines.losses.constant_device import bridge_load
+from dqforge.machines.losses.machine_budget import bridge_load
 from dqforge.machines.modulation.modulator import clamping_angle
 from dqforge.machines.modulation.modulators import MODULATORS, modulate, period_waveforms
 from dqforge.machines.modulation.registry import DISCONTINUOUS, resting_phase, switching_loss_factor

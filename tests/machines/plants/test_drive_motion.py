@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
-from dqforge.machines.plants.drive_motion import drive_motion, next_flux, plants
+from dqforge.machines.plants.scenario import drive_motion, next_flux, plants
 
 MACHINE = LinearMachine(pole_pairs=4, r_s=0.3, l_d=2e-3, l_q=5e-3, psi_pm=0.08, i_max=20.0)
 T_S = 1e-4

@@ -12,9 +12,13 @@ import pytest
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.modulation.modulators import modulate
 from dqforge.machines.names import Topology
-from dqforge.machines.topologies.duties import duty_cycles, phase_voltages, shortened
-from dqforge.machines.topologies.regions import voltage_reach
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import (
+    TOPOLOGIES,
+    duty_cycles,
+    phase_voltages,
+    shortened,
+    voltage_reach,
+)
 from dqforge.machines.transforms import DOUBLES, Floats, Triple
 
 V_DC = 220.0

@@ -16,12 +16,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.modulators import linear_limit
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName, Topology
-from dqforge.machines.topologies.linear_range import (
-    amplitude_fits,
-    amplitude_limit,
-    contradiction,
-    linear_share,
-)
+from dqforge.machines.topologies import amplitude_fits, amplitude_limit, contradiction, linear_share
 from dqforge.optimizer.losses.drive_comparison import usable_limit
 from dqforge.optimizer.operating_points.characteristics import limited_drive, points_within
 from dqforge.optimizer.waveforms.comparison import operating_point

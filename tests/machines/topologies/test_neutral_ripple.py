@@ -11,8 +11,7 @@ from phase_shapes import paper_machine
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.modulation.ripple import flux_moments, switching_instants
 from dqforge.machines.names import Topology
-from dqforge.machines.topologies.duties import duty_cycles, phase_voltages
-from dqforge.machines.topologies.neutral_ripple import neutral_ripple
+from dqforge.machines.topologies import duty_cycles, neutral_ripple, phase_voltages
 from dqforge.optimizer.waveforms.constraint_rows import unit_currents
 
 V_DC, T_S, L_0 = 220.0, 1e-4, 5e-3

@@ -14,14 +14,14 @@ from scipy.spatial import ConvexHull
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.machines.topologies.regions import (
+from dqforge.machines.topologies import (
+    TOPOLOGIES,
     VOLTAGE_ROWS,
     link_demand,
     sine_share,
     voltage_bounds,
     voltage_reach,
 )
-from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.waveforms.constraint_rows import figures, unit_currents
 

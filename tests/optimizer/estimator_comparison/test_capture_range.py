@@ -13,7 +13,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.names import ObserverMethodName
-from dqforge.machines.plants.drive_motion import plants, steady_voltage
+from dqforge.machines.plants.scenario import plants, steady_voltage
 from dqforge.optimizer.estimator_comparison.candidate import (
     HALF_TURN,
     LOCKED,

@@ -13,7 +13,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import StartUpMethodName
-from dqforge.machines.plants.drive_motion import drive_motion
+from dqforge.machines.plants.scenario import drive_motion
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.estimator_comparison.candidate import (
     Candidate,

@@ -18,7 +18,7 @@ from dqforge.machines.names import (
     SPEED_OBSERVER,
     TRACKER_NAMES,
 )
-from dqforge.machines.plants.drive_motion import DriveMotion
+from dqforge.machines.plants.scenario import DriveMotion
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import FIXED_METHODS
 
 EVERY = pytest.mark.parametrize("name", list(FIXED_METHODS))

@@ -10,7 +10,7 @@ import pytest
 from phase_shapes import paper_machine
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.flashing_choice import (
     followed_offsets,
     noise_gain,

@@ -10,7 +10,7 @@ from learned_drives import learned_observer
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import LEARNED_OBSERVERS, ObserverMethodName
-from dqforge.machines.plants.drive_motion import DriveMotion, drive_motion, plants
+from dqforge.machines.plants.scenario import DriveMotion, drive_motion, plants
 from dqforge.optimizer.learned_correction.correction_frame import outside
 from dqforge.optimizer.observers.methods import flux
 from dqforge.optimizer.observers.parts import observe, steady_observer

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from drives import IPM
 
-from dqforge.machines.plants.drive_motion import ComplexArray, Plants
+from dqforge.machines.plants.scenario import ComplexArray, Plants
 from dqforge.optimizer.learned_correction.correction_frame import (
     LARGEST_ERROR,
     SOFT,

@@ -24,7 +24,7 @@ from dqforge.machines.losses.machine_budget import MachineLoss, WindingHeat, mac
 from dqforge.machines.modulation.modulators import MODULATORS
 from dqforge.machines.modulation.ripple import ripple
 from dqforge.machines.names import ModulationName, Strategy
-from dqforge.machines.plants.switched_drive import simulate_period
+from dqforge.machines.plants.current_feedback import simulate_period
 from dqforge.optimizer.losses.drive_budget import PARTS, BudgetOptions, drive_budget
 
 MACHINE = LinearMachine(pole_pairs=4, r_s=2e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0)

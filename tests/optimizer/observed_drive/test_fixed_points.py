@@ -16,7 +16,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import ObserverMethodName
-from dqforge.machines.plants.drive_motion import plants
+from dqforge.machines.plants.scenario import plants
 from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.observed_drive.design_drive import (
     observed_drive,

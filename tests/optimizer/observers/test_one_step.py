@@ -14,7 +14,7 @@ from step_derivatives import derivative, evaluated
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.plants.drive_motion import drive_motion, plants, steady_voltage
+from dqforge.machines.plants.scenario import drive_motion, plants, steady_voltage
 from dqforge.optimizer.observers.methods.ekf import ekf_gains, first_guess, usual_noise
 from dqforge.optimizer.observers.methods.extended_emf import emf_part
 from dqforge.optimizer.observers.methods.flux import flux_error, flux_of_current

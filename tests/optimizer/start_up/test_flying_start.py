@@ -11,9 +11,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.from_machine import RandomDrive, random_drives
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.machines.random_drives import RandomDrive, random_drives
 from dqforge.optimizer.sampled_systems import ComplexArray
 from dqforge.optimizer.start_up.solve import (
     FlyingStart,

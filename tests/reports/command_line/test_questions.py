@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dqforge.machines.data_sheet.judged import checked_text
+from dqforge.machines.design.sheet_judged import checked_text
 from dqforge.reports.command_line.designs import Dialogue, asked_sheet
 
 PLAIN = {

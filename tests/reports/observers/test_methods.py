@@ -18,7 +18,7 @@ from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import ObserverMethodName
-from dqforge.machines.plants.drive_motion import plants
+from dqforge.machines.plants.scenario import plants
 from dqforge.optimizer.observers.methods import ekf as ekf_method
 from dqforge.optimizer.observers.methods.ekf import ekf, ekf_gains
 from dqforge.optimizer.observers.methods.registry import METHODS

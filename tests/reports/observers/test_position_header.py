@@ -19,7 +19,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.names import LEARNED_OBSERVERS
-from dqforge.machines.plants.drive_motion import drive_motion
+from dqforge.machines.plants.scenario import drive_motion
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.observers import proof as observer_proof
 from dqforge.optimizer.observers.judgement import judge_at

@@ -17,8 +17,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ObserverSettings, Tolerances
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import LEARNED_OBSERVERS, ObserverMethodName
-from dqforge.machines.plants.drive_motion import plants
-from dqforge.machines.plants.scenario import PlantErrors, Scenario, constant
+from dqforge.machines.plants.scenario import PlantErrors, Scenario, constant, plants
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.observers.conditions import conditions, lost_voltage
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT, SPEED_LIMIT, judge

@@ -13,7 +13,7 @@ import yaml
 
 from dqforge import cli
 from dqforge.machines.names import AxisGainRule, CurrentFrame, Feedforward, Topology
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 
 CHOICES: dict[str, tuple[Any, ...]] = {
     "topology": get_args(Topology),

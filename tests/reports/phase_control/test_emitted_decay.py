@@ -15,7 +15,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import Profile, Scenario, constant
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.phase_control.judged_box import PhasePlants, radius
 from dqforge.optimizer.phase_control.phase_controller import AxisGains, MidpointGains, PhaseControl
 from dqforge.optimizer.solution import Solution, solve

@@ -15,7 +15,7 @@ from dqforge.machines.design.settings import SpeedLoopSettings
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit, fit_phase_control
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.solution import Solution, solve

@@ -12,7 +12,7 @@ from phase_drives import T_S, near_sinusoidal, plain_control, trapezoidal
 
 from dqforge.machines.names import CurrentFrame, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl, PhaseShape
 from dqforge.reports.phase_control.float32_model import PhaseControlModel, PhaseControlState
 from dqforge.reports.phase_control.float32_parts import (

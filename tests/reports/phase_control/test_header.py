@@ -12,7 +12,7 @@ from phase_drives import near_sinusoidal, plain_control, trapezoidal
 from dqforge.machines.design import catalogue
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl, PhaseShape, TorqueLimit
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.main_header import header_files

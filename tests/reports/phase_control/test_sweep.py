@@ -28,7 +28,7 @@ from random_phase_drives import BASE, random_machine
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.names import Topology
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.simulation.recorded_run import Summary
 

@@ -44,7 +44,7 @@ from dqforge.machines.plants.scenario import (
     Scenario,
     constant,
 )
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.reports.simulation.plant_input import Drive, emf_table
 from dqforge.reports.simulation.recorded_run import Simulator, simulate, simulator
 

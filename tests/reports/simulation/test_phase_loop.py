@@ -24,7 +24,7 @@ from dqforge.machines.plants.scenario import (
     Scenario,
     constant,
 )
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import Simulator, simulate, simulate_many, simulator
 

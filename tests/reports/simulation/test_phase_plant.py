@@ -41,7 +41,7 @@ from dqforge.machines.plants.scenario import (
     Scenario,
     constant,
 )
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.reports.simulation.recorded_run import Simulation, Simulator, simulate, simulator
 
 

@@ -24,7 +24,6 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import ObserverMethodName
-from dqforge.machines.plants.drive_motion import plants
 from dqforge.machines.plants.scenario import (
     CurrentSensor,
     Encoder,
@@ -33,6 +32,7 @@ from dqforge.machines.plants.scenario import (
     Scenario,
     Sensorless,
     constant,
+    plants,
 )
 from dqforge.machines.transforms import Triple, clarke
 from dqforge.optimizer.observers.methods.registry import METHODS

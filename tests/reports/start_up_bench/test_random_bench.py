@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dqforge.machines.design.from_machine import RandomDrive, random_drive
 from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.names import StartUpMethodName
 from dqforge.machines.plants.scenario import ElasticBrake, PlantErrors
-from dqforge.machines.random_drives import RandomDrive, random_drive
 from dqforge.optimizer.solution import solve
 from dqforge.optimizer.start_up.plan import StartUpPlan
 from dqforge.optimizer.start_up.solve import StartRate

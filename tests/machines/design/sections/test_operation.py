@@ -10,7 +10,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.modulators import MODULATORS
-from dqforge.machines.topologies.linear_range import amplitude_limit
+from dqforge.machines.topologies import amplitude_limit
 
 DRIVE = "abb-ipmsm-2k2"
 

@@ -12,7 +12,7 @@ import pytest
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.plants.drive_motion import plants
+from dqforge.machines.plants.scenario import plants
 from dqforge.optimizer.observers.methods.flux import design
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.methods.lpv_certificate import (

@@ -26,7 +26,7 @@ from dqforge.machines.names import (
     TRACKER_NAMES,
     ObserverMethodName,
 )
-from dqforge.machines.plants.drive_motion import DriveMotion, drive_motion, next_flux, plants
+from dqforge.machines.plants.scenario import DriveMotion, drive_motion, next_flux, plants
 from dqforge.optimizer.observers.judgement import judge_at
 from dqforge.optimizer.observers.methods.ekf import ekf_gains, first_guess, usual_noise
 from dqforge.optimizer.observers.methods.extended_emf import exact_factors, factor_error

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.machines.plants.drive_motion import ComplexArray, drive_motion, plants
+from dqforge.machines.plants.scenario import ComplexArray, drive_motion, plants
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.methods.smo import (
     SmoGains,

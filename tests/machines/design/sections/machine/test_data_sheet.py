@@ -19,7 +19,7 @@ import pytest
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design, flux_from_back_emf
 from dqforge.machines.design.from_machine import make_design
-from dqforge.machines.design.sections.machine.schema import MachineSection
+from dqforge.machines.design.sections.machine_schema import MachineSection
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.entries.kinds import BackEmfConstant
 from dqforge.machines.entries.rules import QuantityRule

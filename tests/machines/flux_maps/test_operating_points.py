@@ -15,10 +15,10 @@ from operating_tables import VENDOR, OperatingTable, operating_table
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.machines.flux_map_files.coordinates import Declared
-from dqforge.machines.flux_map_files.files import read_flux_points
 from dqforge.machines.flux_maps.building import build_flux_map
+from dqforge.machines.flux_maps.coordinates import Declared
 from dqforge.machines.flux_maps.flux_points import FluxPoints
+from dqforge.machines.flux_maps.map_files import read_flux_points
 
 TABLE = operating_table(speeds=13, shares=9)
 PAIRS = VENDOR.pole_pairs

@@ -19,11 +19,11 @@ from scipy.io import savemat
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.machines.files.named_arrays import NamedArray
-from dqforge.machines.flux_map_files.files import read_flux_points
-from dqforge.machines.flux_map_files.names import choose
+from dqforge.machines.files.text_formats import NamedArray
 from dqforge.machines.flux_maps.building import FluxMapReading, build_flux_map
 from dqforge.machines.flux_maps.flux_points import FluxPoints
+from dqforge.machines.flux_maps.map_files import read_flux_points
+from dqforge.machines.flux_maps.map_names import choose
 
 MACHINE = ArctanMachine()
 PAIRS = MACHINE.pole_pairs

@@ -18,7 +18,8 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
-from dqforge.machines.files.named_arrays import (
+from dqforge.machines.files.positioned_xml import read_numeric_table
+from dqforge.machines.files.text_formats import (
     NamedArray,
     arrays_of_hdf5,
     arrays_of_mat4,
@@ -26,10 +27,9 @@ from dqforge.machines.files.named_arrays import (
     arrays_of_npz,
     reading,
 )
-from dqforge.machines.files.positioned_xml import read_numeric_table
 from dqforge.machines.files.text_table import read_table
-from dqforge.machines.flux_map_files import names
-from dqforge.machines.flux_map_files.coordinates import (
+from dqforge.machines.flux_maps import map_names
+from dqforge.machines.flux_maps.coordinates import (
     BLUR,
     NOTHING,
     Declared,
@@ -41,9 +41,9 @@ from dqforge.machines.flux_map_files.coordinates import (
     spread,
     without_drop,
 )
-from dqforge.machines.flux_map_files.names import EXPECTED, is_unit, per_length, per_pole_pair
-from dqforge.machines.flux_map_files.text import arrays_of_layout, oriented
 from dqforge.machines.flux_maps.flux_points import SQUARED, FileLoss, FileTorque, FluxPoints
+from dqforge.machines.flux_maps.map_names import EXPECTED, is_unit, per_length, per_pole_pair
+from dqforge.machines.flux_maps.map_text import arrays_of_layout, oriented
 from dqforge.machines.names import FluxAxes, FluxFitName, FluxScaling, FluxTorque
 from dqforge.machines.units.quantities import format_quantity
 
@@ -226,7 +226,7 @@ def read_flux_points(
     arrays = _reader(content, source)(content, source)
     if companions:
         arrays = _together(arrays, source, companions)
-    chosen = names.choose(arrays, columns or {}, source, torque)
+    chosen = map_names.choose(arrays, columns or {}, source, torque)
     _refuse_torque_of_a_length(chosen, torque, source)
     used = dict(chosen)
     if torque == "ignore":
@@ -268,7 +268,9 @@ def read_flux_points(
             *turned,
             "flux linkages are psi_m + l_d i_d and l_q i_q: the inductances are taken as apparent",
         )
-    i_d, i_q, psi_d, psi_q = (np.ascontiguousarray(parts[quantity]) for quantity in names.WANTED)
+    i_d, i_q, psi_d, psi_q = (
+        np.ascontiguousarray(parts[quantity]) for quantity in map_names.WANTED
+    )
     others = _others(arrays, used)
     return FluxPoints(
         source,
@@ -283,7 +285,7 @@ def read_flux_points(
         others=others,
         loss=loss and FileLoss(loss.name, parts["loss"]),
         blur=BLUR if voltages else 0.0,
-        pole_pairs=names.stated_pole_pairs(arrays),
+        pole_pairs=map_names.stated_pole_pairs(arrays),
         ignored=used["torque"].path if torque == "ignore" and "torque" in used else "",
     )
 
@@ -454,10 +456,10 @@ def _together(
 
 def _only(quantity: str, arrays: list[NamedArray], source: str) -> list[NamedArray]:
     """Axes of a file of one matrix, and the matrix with the name of its quantity."""
-    by_name = {found: array for array in arrays for found in names.recognised(array)}
+    by_name = {found: array for array in arrays for found in map_names.recognised(array)}
     axes = [by_name[axis] for axis in ("i_d", "i_q") if axis in by_name]
     rest = [array for array in arrays if all(array is not axis for axis in axes)]
-    own = [array for array in rest if quantity in names.recognised(array)] or rest
+    own = [array for array in rest if quantity in map_names.recognised(array)] or rest
     if len(axes) != 2 or len(own) != 1:
         message = f"this is no matrix of {quantity} with i_d across and i_q down"
         raise InputError(

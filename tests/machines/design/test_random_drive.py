@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dqforge.machines.random_drives import LINKS, random_drive, random_drives
+from dqforge.machines.design.from_machine import LINKS, random_drive, random_drives
 
 DRIVES = random_drives(200)
 

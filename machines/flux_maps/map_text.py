@@ -17,10 +17,9 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.machines.files.named_arrays import NamedArray
-from dqforge.machines.files.text_formats import decoded_text
-from dqforge.machines.flux_map_files.coordinates import turning
-from dqforge.machines.flux_map_files.names import recognised, split_name
+from dqforge.machines.files.text_formats import NamedArray, decoded_text
+from dqforge.machines.flux_maps.coordinates import turning
+from dqforge.machines.flux_maps.map_names import recognised, split_name
 from dqforge.machines.records import dataclass
 
 # Size up to which a text is looked through for another layout than columns, cell by cell.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from data_sheets import SCOOTER, SERVO
 
-from dqforge.machines.data_sheet.judged import checked_text, read_alone, remarks_so_far
+from dqforge.machines.design.sheet_judged import checked_text, read_alone, remarks_so_far
 from dqforge.machines.errors import InputError
 
 

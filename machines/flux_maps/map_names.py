@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.files.named_arrays import NamedArray, listed
+from dqforge.machines.files.text_formats import NamedArray, listed
 from dqforge.machines.names import FluxTorque
 
 # Quantities that an array may stand for, in the order of a message, with the kind of their unit.

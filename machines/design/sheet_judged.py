@@ -10,7 +10,13 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from dqforge.machines.data_sheet.sheet_values import (
+from dqforge.machines.design import design as datasheet
+from dqforge.machines.design.catalogue import build_design, read_sections
+from dqforge.machines.design.design import Design, Reading
+from dqforge.machines.design.plausibility import implausibilities
+from dqforge.machines.design.plausible_figures import MARK
+from dqforge.machines.design.schema import DesignFile
+from dqforge.machines.design.sheet_values import (
     BY_KEY,
     FLUX_AXES,
     FLUX_MAP,
@@ -21,17 +27,10 @@ from dqforge.machines.data_sheet.sheet_values import (
     is_needless,
     missing,
 )
-from dqforge.machines.design import design as datasheet
-from dqforge.machines.design.catalogue import build_design, read_sections
-from dqforge.machines.design.design import Design, Reading
-from dqforge.machines.design.plausibility import implausibilities
-from dqforge.machines.design.plausible_figures import MARK
-from dqforge.machines.design.schema import DesignFile
 from dqforge.machines.entries.kinds import quantities
 from dqforge.machines.entries.rules import Quantity
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, KeyPath, dotted, leading_path
 from dqforge.machines.files.positioned_yaml import YamlDocument, YamlValue, parse_yaml, written
-from dqforge.machines.places import KeyPath, dotted, leading_path
 from dqforge.machines.units.quantities import format_quantity, parse_quantity
 
 _SOURCE = "design.yaml"

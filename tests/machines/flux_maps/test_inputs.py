@@ -10,7 +10,7 @@ import pytest
 
 from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.errors import InputError
-from dqforge.machines.flux_map_files.files import make_flux_map, read_flux_map
+from dqforge.machines.flux_maps.map_files import make_flux_map, read_flux_map
 
 I_D, I_Q = np.linspace(-120.0, 0.0, 9), np.linspace(0.0, 120.0, 11)
 GRID_D, GRID_Q = np.meshgrid(I_D, I_Q, indexing="ij")

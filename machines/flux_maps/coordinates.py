@@ -14,8 +14,9 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.machines.files.named_arrays import MOST_POINTS, NamedArray
-from dqforge.machines.flux_map_files.names import (
+from dqforge.machines.files.text_formats import MOST_POINTS, NamedArray
+from dqforge.machines.flux_maps.flux_points import SQUARED
+from dqforge.machines.flux_maps.map_names import (
     EXPECTED,
     FLUXES,
     KINDS,
@@ -27,7 +28,6 @@ from dqforge.machines.flux_map_files.names import (
     is_unit,
     split_name,
 )
-from dqforge.machines.flux_maps.flux_points import SQUARED
 from dqforge.machines.names import FluxScaling
 from dqforge.machines.units.quantities import format_quantity
 

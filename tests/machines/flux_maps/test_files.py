@@ -20,9 +20,9 @@ from scipy.sparse import eye_array
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.machines.files import named_arrays as flux_map_arrays
-from dqforge.machines.flux_map_files.files import read_flux_points
+from dqforge.machines.files import text_formats as flux_map_arrays
 from dqforge.machines.flux_maps.flux_points import FluxPoints
+from dqforge.machines.flux_maps.map_files import read_flux_points
 
 Arrays = Mapping[str, Any]
 

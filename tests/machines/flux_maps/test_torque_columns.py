@@ -15,9 +15,9 @@ from operating_tables import VENDOR
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.errors import InputError
-from dqforge.machines.flux_map_files.files import read_flux_points
 from dqforge.machines.flux_maps.building import build_flux_map
 from dqforge.machines.flux_maps.flux_points import check_torque
+from dqforge.machines.flux_maps.map_files import read_flux_points
 
 PAIRS = VENDOR.pole_pairs
 I_D, I_Q = (

@@ -18,14 +18,15 @@ from dqforge.machines.design.design import (
     Reading,
 )
 from dqforge.machines.design.sections.fit import FitSection
-from dqforge.machines.design.sections.machine.back_emf import read_phase_machine, read_saliency
-from dqforge.machines.design.sections.machine.flux_map import (
+from dqforge.machines.design.sections.machine_files import (
     FluxMaps,
     check_connection,
     losses_told,
     read_flux_maps,
+    read_phase_machine,
+    read_saliency,
 )
-from dqforge.machines.design.sections.machine.schema import MachineSection, SaturationSection
+from dqforge.machines.design.sections.machine_schema import MachineSection, SaturationSection
 from dqforge.machines.design.settings import bare_speed_hint
 from dqforge.machines.dq_machines.flux_map import (
     FluxMap,
@@ -36,11 +37,10 @@ from dqforge.machines.dq_machines.flux_map import (
 from dqforge.machines.dq_machines.saturation import SaturationModel
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, largest_torque_within
 from dqforge.machines.entries.rules import Quantity, si_of
-from dqforge.machines.errors import DqforgeError, InputError
+from dqforge.machines.errors import DqforgeError, InputError, about
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import MachineModel
 from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine
-from dqforge.machines.places import about
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 

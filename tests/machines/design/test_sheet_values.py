@@ -5,8 +5,11 @@ from __future__ import annotations
 import pytest
 from data_sheets import MOTORS, DataSheet
 
-from dqforge.machines.data_sheet.judged import read_alone
-from dqforge.machines.data_sheet.sheet_values import (
+from dqforge.machines.design.schema import DesignFile
+from dqforge.machines.design.sections.inverter import InverterSection
+from dqforge.machines.design.sections.machine_schema import MachineSection, RatedSection
+from dqforge.machines.design.sheet_judged import read_alone
+from dqforge.machines.design.sheet_values import (
     BY_KEY,
     SHEET_VALUES,
     SheetValue,
@@ -16,9 +19,6 @@ from dqforge.machines.data_sheet.sheet_values import (
     must_be_answered,
     next_asked,
 )
-from dqforge.machines.design.schema import DesignFile
-from dqforge.machines.design.sections.inverter import InverterSection
-from dqforge.machines.design.sections.machine.schema import MachineSection, RatedSection
 from dqforge.machines.entries.kinds import Section
 
 SIX = {

@@ -18,11 +18,11 @@ from saturated import ArctanMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.positioned_xml import read_numeric_table
 from dqforge.machines.files.text_table import read_table
-from dqforge.machines.flux_map_files import files as flux_map_files
-from dqforge.machines.flux_map_files.files import read_flux_points
 from dqforge.machines.flux_maps import building
+from dqforge.machines.flux_maps import map_files as flux_map_files
 from dqforge.machines.flux_maps.building import build_flux_map
 from dqforge.machines.flux_maps.flux_points import FluxPoints
+from dqforge.machines.flux_maps.map_files import read_flux_points
 
 MACHINE = ArctanMachine()
 GIBIBYTE = 2**30
@@ -142,7 +142,7 @@ def test_maps_of_too_many_points_are_refused_with_the_limit(
 MEASURE = """
 import sys
 from dqforge.machines.errors import InputError
-from dqforge.machines.flux_map_files.files import read_flux_points
+from dqforge.machines.flux_maps.map_files import read_flux_points
 from dqforge.machines.flux_maps.building import build_flux_map
 try:
     build_flux_map(read_flux_points(open(sys.argv[1], "rb").read(), sys.argv[1]))

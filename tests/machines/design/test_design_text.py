@@ -7,9 +7,9 @@ import re
 import pytest
 from data_sheets import MOTORS, SCOOTER, SERVO, DataSheet
 
-from dqforge.machines.data_sheet.judged import checked_text, design_text
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
+from dqforge.machines.design.sheet_judged import checked_text, design_text
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.files.positioned_yaml import parse_yaml
 

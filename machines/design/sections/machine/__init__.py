@@ -1,1 +1,0 @@
-"""The section ``machine``: its keys, and the models that they make."""

@@ -1,1 +1,0 @@
-"""Layouts of flux-map files, and what their arrays mean."""
