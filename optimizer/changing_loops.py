@@ -24,8 +24,8 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.box_proofs.cell_queue import common_lyapunov, contracts, lyapunov_frame
-from dqforge.optimizer.box_proofs.matrix_inequalities import chained_matrices
+from dqforge.optimizer.certificates.cell_queue import common_lyapunov, contracts, lyapunov_frame
+from dqforge.optimizer.certificates.matrix_inequalities import chained_matrices
 from dqforge.optimizer.loops.gain_schedule import AxisSchedule, GainSchedule
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.robustness import Axis, DriveBox

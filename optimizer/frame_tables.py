@@ -23,7 +23,7 @@ from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientP
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import tables_obstacle
 from dqforge.machines.transforms import POWER_INVARIANT
-from dqforge.optimizer.curves.single_precision import (
+from dqforge.optimizer.curves.integer_polynomial import (
     MultiplyAdd,
     SingleArray,
     fused_multiply_add,

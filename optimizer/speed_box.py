@@ -9,7 +9,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.box_proofs.cell_queue import (
+from dqforge.optimizer.certificates.cell_queue import (
     Cell,
     Contraction,
     Cut,
@@ -21,7 +21,7 @@ from dqforge.optimizer.box_proofs.cell_queue import (
     Verdict,
     search,
 )
-from dqforge.optimizer.box_proofs.matrix_inequalities import chained_matrices
+from dqforge.optimizer.certificates.matrix_inequalities import chained_matrices
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.robustness import DriveBox
 

@@ -12,8 +12,7 @@ from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
 from dqforge.reports.pages.templating import LOOPS
 
 if TYPE_CHECKING:
-    from dqforge.optimizer.dynamic_references.solve import DynamicReferences
-    from dqforge.optimizer.dynamic_references.voltage_feedback import OffMap, VoltageFeedback
+    from dqforge.optimizer.dynamic_references import DynamicReferences, OffMap, VoltageFeedback
     from dqforge.optimizer.solution import Solution
     from dqforge.reports.plain_data import PlainData
 

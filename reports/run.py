@@ -12,7 +12,7 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.names import Firmware
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.control_design.observed_refusal import require_observed
+from dqforge.optimizer.control_design.observed_remedies import require_observed
 from dqforge.optimizer.firmware.solve import FirmwareFit, solve_firmware
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.capabilities import CAPABILITIES

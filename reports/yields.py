@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.yields import FixedHeader, FixedLoop
+from dqforge.optimizer.exploration.yields import FixedHeader, FixedLoop
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.output.folder import Manifest, from_bytes, sha256
 from dqforge.reports.output.recomputation import read_listed

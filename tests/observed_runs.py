@@ -15,16 +15,16 @@ from dqforge.machines.design.settings import ObserverSettings, filter_share
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.plants.scenario import PlantErrors, Profile, Scenario, Sensorless, constant
-from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.loops.loop_gains import LoopGains, speed_delay
-from dqforge.optimizer.loops.pi_methods import speed_pi
-from dqforge.optimizer.observed_drive.design_drive import (
+from dqforge.optimizer.control_design.design_drive import (
     observed_drive,
     position_estimator,
     top_speed,
 )
-from dqforge.optimizer.observed_drive.drive_model import drive_cases
-from dqforge.optimizer.observed_drive.speed_range import SteadyDrives, steady_drives
+from dqforge.optimizer.control_design.drive_model import drive_cases
+from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
+from dqforge.optimizer.control_design.speed_range import SteadyDrives, steady_drives
+from dqforge.optimizer.loops.loop_gains import LoopGains, speed_delay
+from dqforge.optimizer.loops.pi_methods import speed_pi
 from dqforge.optimizer.observers.solve import solve_observer
 from dqforge.optimizer.solution import solve
 from dqforge.reports.control.header import gain_bytes

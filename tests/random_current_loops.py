@@ -14,7 +14,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import CurrentLoopMethod
-from dqforge.optimizer.box_proofs.cell_queue import BoxDrive, CurrentLoopBox
+from dqforge.optimizer.certificates.cell_queue import BoxDrive, CurrentLoopBox
 from dqforge.optimizer.loops.integer_gains import CurrentControl, TurningMachines, largest_pole
 from dqforge.optimizer.loops.pi_methods import current_pi
 

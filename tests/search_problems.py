@@ -8,7 +8,12 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.exploration.study import Search
-from dqforge.optimizer.study_search import Outcomes, SearchRows, SearchVariable, open_search
+from dqforge.optimizer.exploration.study_search import (
+    Outcomes,
+    SearchRows,
+    SearchVariable,
+    open_search,
+)
 
 Judge = Callable[[FloatArray], Outcomes]
 

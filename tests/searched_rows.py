@@ -12,7 +12,7 @@ from dqforge.machines.exploration.study import Study
 from dqforge.machines.exploration.study_checks import study_of_text
 from dqforge.optimizer.exploration.row_block import Inputs, RowBlock
 from dqforge.optimizer.exploration.study_plan import StudyPlan
-from dqforge.optimizer.study_search import SearchedStudy
+from dqforge.optimizer.exploration.study_search import SearchedStudy
 from dqforge.reports.study_engine.engine_settings import EngineSettings, StudyOutcome
 from dqforge.reports.study_engine.run_search import run_search
 from dqforge.reports.study_store.part_store import PartStore, StudyHeader, study_header

@@ -13,7 +13,7 @@ import itertools
 import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
-from dqforge.optimizer.box_proofs.cell_queue import (
+from dqforge.optimizer.certificates.cell_queue import (
     CurrentLoopBox,
     largest_moduli,
     loop_matrices,

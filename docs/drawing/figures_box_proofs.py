@@ -11,8 +11,8 @@ from matplotlib.patches import Rectangle
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import CurrentLoopSettings
-from dqforge.optimizer.box_proofs.both_axes_sensitivity import sensitivities
-from dqforge.optimizer.box_proofs.cell_queue import (
+from dqforge.optimizer.certificates.both_axes_sensitivity import sensitivities
+from dqforge.optimizer.certificates.cell_queue import (
     Cell,
     CurrentLoopBox,
     Cut,

@@ -10,9 +10,9 @@ from scipy.special import ndtr, ndtri
 from dqforge.machines.design import catalogue
 from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.optimizer.study_results.acceptance import empty_histogram
-from dqforge.optimizer.study_results.sensitivities import binned_output, sensitivities
-from dqforge.optimizer.yields import (
+from dqforge.optimizer.exploration.acceptance import empty_histogram
+from dqforge.optimizer.exploration.sensitivities import binned_output, sensitivities
+from dqforge.optimizer.exploration.yields import (
     LOSS_PENALTY,
     TORQUE_ERROR,
     TORQUE_MADE,

@@ -24,7 +24,7 @@ from dqforge.optimizer.firmware.configuration import (
     speed_loop,
 )
 from dqforge.optimizer.firmware.firmware_method import mechanics_of
-from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import gain_i, gain_p
+from dqforge.optimizer.firmware.mcat_numbers import gain_i, gain_p
 from dqforge.optimizer.firmware.solve import FirmwareFit
 from dqforge.optimizer.firmware.st_keys import fitted_table, table_currents
 from dqforge.optimizer.firmware.targets.ti import BANDWIDTHS, VERSION, current_rule, speed_rule

@@ -16,9 +16,9 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.losses.machine_budget import bridge_load
 from dqforge.machines.modulation.modulators import linear_limit, period_waveforms
 from dqforge.machines.names import ModulationName
+from dqforge.optimizer.exploration.machine_axis import calibrate_switching
 from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import solve_map
-from dqforge.optimizer.losses.machine_axis import calibrate_switching
 from dqforge.optimizer.losses.phase_comparison import LossComparison, compare_points
 from dqforge.optimizer.modulation_choice.solve import solve_choice
 from dqforge.optimizer.operating_points.mtpa_locus import id0_currents

@@ -12,7 +12,7 @@ from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import FitForm
 from dqforge.optimizer.current_reference.fit import fit_reference
-from dqforge.optimizer.machine_batch.batch_currents import fit_references
+from dqforge.optimizer.exploration.batch_currents import fit_references
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_per_unit
 from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, TEAL, new_figure, save, style

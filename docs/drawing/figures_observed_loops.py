@@ -9,13 +9,13 @@ import numpy as np
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
-from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.observed_drive.design_drive import (
+from dqforge.optimizer.control_design.design_drive import (
     observed_drive,
     position_estimator,
     top_speed,
 )
-from dqforge.optimizer.observed_drive.speed_range import SpeedPi, corner_box, worst_corner
+from dqforge.optimizer.control_design.gain_set import solve_gains
+from dqforge.optimizer.control_design.speed_range import SpeedPi, corner_box, worst_corner
 from dqforge.reports.pages.figures_style import MUTED, new_figure, save, style
 
 _BOX = "tolerances: {r_s: 30 %, psi_pm: 4 %, inertia: 20 %}"

@@ -17,10 +17,10 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.exploration.row_designs import design_of
 from dqforge.machines.exploration.study import Axis, Sampling, Study
+from dqforge.optimizer.exploration.block_rows import ExactSteps
 from dqforge.optimizer.exploration.row_block import STATES, row_inputs
-from dqforge.optimizer.variant_steps.exact_steps import ExactSteps
-from dqforge.optimizer.variant_steps.outputs import loss_drive
-from dqforge.optimizer.variant_steps.variation import key_of
+from dqforge.optimizer.exploration.row_outputs import loss_drive
+from dqforge.optimizer.exploration.variation import key_of
 from dqforge.reports.pages.figures_style import (
     BLUE,
     FAINT,

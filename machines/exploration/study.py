@@ -85,9 +85,9 @@ class Draw:
 class Bound:
     """A limit on an output, in SI units.
 
-    ``output`` is a name of `dqforge.optimizer.variant_steps.outputs`; ``point`` picks the operating
-    point of a loss (torque in N m, speed in rad/s, modulator or empty), None all of them. ``unit``
-    is the SI unit of both values, for a check against that of the output.
+    ``output`` is a name of `dqforge.optimizer.exploration.row_outputs`; ``point`` picks the
+    operating point of a loss (torque in N m, speed in rad/s, modulator or empty), None all of them.
+    ``unit`` is the SI unit of both values, for a check against that of the output.
     """
 
     output: str

@@ -14,19 +14,19 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.box_proofs.cell_queue import (
+from dqforge.optimizer.certificates.cell_queue import (
     BoxDrive,
     CurrentLoopBox,
     largest_moduli,
     loop_matrices,
     parameters_of,
 )
-from dqforge.optimizer.box_proofs.current_loop_proof import (
+from dqforge.optimizer.certificates.current_loop_proof import (
     CurrentLoopProof,
     prove_current_loops,
     prove_sensitivity,
 )
-from dqforge.optimizer.dynamic_references.solve import DynamicReferences, dynamic_references
+from dqforge.optimizer.dynamic_references import DynamicReferences, dynamic_references
 from dqforge.optimizer.estimators import TunedTracker, solve_tracker
 from dqforge.optimizer.loops.integer_gains import (
     LoopResponse,
@@ -431,7 +431,7 @@ def _observer_lag(
     if position is None:
         return 0.0
     delays = speed_delay(i_q, design.control.t_s, settings)
-    from dqforge.optimizer.observed_drive.design_drive import speed_lag
+    from dqforge.optimizer.control_design.design_drive import speed_lag
 
     return speed_lag(position, delays, settings.spread)
 

@@ -12,12 +12,7 @@ from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.estimators import TrackerEstimator
-from dqforge.optimizer.loops.loop_gains import inertia_of, speed_delay, speed_model
-from dqforge.optimizer.loops.observed_margins import ObservedLoop
-from dqforge.optimizer.loops.pi_methods import calmer, largest_factor, loop_advice, speed_pi
-from dqforge.optimizer.loops.plants import DisturbanceResponse, Edges, PiLoop, SpeedLoop, close_pi
-from dqforge.optimizer.observed_drive.design_drive import (
+from dqforge.optimizer.control_design.design_drive import (
     largest_stable_factor,
     least_pll_bandwidth,
     machine_top,
@@ -28,8 +23,8 @@ from dqforge.optimizer.observed_drive.design_drive import (
     speed_lag,
     top_speed,
 )
-from dqforge.optimizer.observed_drive.drive_model import DriveCases, drive_cases
-from dqforge.optimizer.observed_drive.speed_range import (
+from dqforge.optimizer.control_design.drive_model import DriveCases, drive_cases
+from dqforge.optimizer.control_design.speed_range import (
     SpeedPi,
     SteadyDrives,
     cases_of,
@@ -41,6 +36,11 @@ from dqforge.optimizer.observed_drive.speed_range import (
     steps_borne,
     tracked_box,
 )
+from dqforge.optimizer.estimators import TrackerEstimator
+from dqforge.optimizer.loops.loop_gains import inertia_of, speed_delay, speed_model
+from dqforge.optimizer.loops.observed_margins import ObservedLoop
+from dqforge.optimizer.loops.pi_methods import calmer, largest_factor, loop_advice, speed_pi
+from dqforge.optimizer.loops.plants import DisturbanceResponse, Edges, PiLoop, SpeedLoop, close_pi
 from dqforge.optimizer.sampled_systems import (
     ComplexArray,
     SampledSystem,
@@ -53,9 +53,9 @@ if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray
     from dqforge.machines.design.design import Design
     from dqforge.machines.design.settings import SpeedLoopSettings, SpeedMeasurementSettings
+    from dqforge.optimizer.control_design.drive_model import Estimator, ObservedDrive
     from dqforge.optimizer.estimators import TunedTracker
     from dqforge.optimizer.loops.loop_gains import LoopGains
-    from dqforge.optimizer.observed_drive.drive_model import Estimator, ObservedDrive
     from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
     from dqforge.optimizer.observers.tuning import PositionObserver
 
@@ -216,9 +216,9 @@ def measured_speed(design: Design, i_q: LoopGains, speed: LoopGains | None) -> M
 
 # The speed loop of a design judged as it runs: on the speed and in the angle of its observer.
 #
-# The drive with its observer (`dqforge.optimizer.observed_drive`) is lifted to the period of the
-# speed controller and closed by its PI, at several speeds. Without an observer nothing changes
-# (`dqforge.optimizer.loops.loop_gains`).
+# The drive with its observer (`dqforge.optimizer.control_design.drive_model`) is lifted to the
+# period of the speed controller and closed by its PI, at several speeds. Without an observer
+# nothing changes (`dqforge.optimizer.loops.loop_gains`).
 
 _OBSERVED_SHARES = np.array([0.1, 0.25, 0.5, 1.0])
 

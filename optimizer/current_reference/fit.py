@@ -41,10 +41,11 @@ from dqforge.optimizer.curves.fitting import (
     fit_curve,
     squared_error_integral,
 )
-from dqforge.optimizer.curves.integer_polynomial import CodeScale, fit_fixed
-from dqforge.optimizer.curves.single_precision import (
+from dqforge.optimizer.curves.integer_polynomial import (
+    CodeScale,
     PiecewisePolynomial,
     SinglePolynomial,
+    fit_fixed,
     multiply_add,
 )
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint, domain_end

@@ -13,8 +13,10 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import copper_loss
 from dqforge.machines.names import NumberFormat
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.curves.integer_polynomial import CodeArray, CodeScale, FixedPolynomial
-from dqforge.optimizer.curves.single_precision import (
+from dqforge.optimizer.curves.integer_polynomial import (
+    CodeArray,
+    CodeScale,
+    FixedPolynomial,
     MultiplyAdd,
     SingleArray,
     SinglePolynomial,

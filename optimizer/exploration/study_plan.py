@@ -32,6 +32,7 @@ from dqforge.optimizer.exploration.block_rows import (
     LEAST_TOGETHER,
     BlockRows,
     Column,
+    ExactSteps,
     Group,
     Grouping,
     fill_group,
@@ -53,9 +54,7 @@ from dqforge.optimizer.exploration.row_block import (
     row_keys,
     within,
 )
-from dqforge.optimizer.losses.loss_map import budget_options
-from dqforge.optimizer.variant_steps.exact_steps import ExactSteps
-from dqforge.optimizer.variant_steps.outputs import (
+from dqforge.optimizer.exploration.row_outputs import (
     Asked,
     LossColumns,
     LossGrid,
@@ -68,14 +67,14 @@ from dqforge.optimizer.variant_steps.outputs import (
     output_named,
     study_outputs,
 )
-from dqforge.optimizer.variant_steps.variation import (
+from dqforge.optimizer.exploration.variation import (
     BatchRows,
     Work,
     batch_keys,
     point_weights,
     variation,
 )
-from dqforge.optimizer.yields import (
+from dqforge.optimizer.exploration.yields import (
     FixedDrive,
     FixedHeader,
     Machines,
@@ -84,6 +83,7 @@ from dqforge.optimizer.yields import (
     nominal_header,
     yield_outputs,
 )
+from dqforge.optimizer.losses.loss_map import budget_options
 
 # Rows per part: of machines under a fixed header, of rows that formulas compute together, and of
 # designs made one by one.

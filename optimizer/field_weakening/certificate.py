@@ -5,7 +5,7 @@ Torque, flux linkage and magnitude of the current are functions of the machine's
 polynomials of the torque and of the excess flux linkage. The plane of these two is cut into boxes;
 on each a Taylor polynomial of second degree with its remainder encloses every error
 (`dqforge.optimizer.field_weakening.error_bounds`), in ball arithmetic over arrays of doubles
-(`dqforge.optimizer.certificates.ball_arrays`), and boxes whose bounds lie above the largest errors
+(`dqforge.optimizer.certificates.ball`), and boxes whose bounds lie above the largest errors
 found at the centres are halved. Where the reference branches, a box counts for every branch that
 rounding may let the evaluator take there.
 

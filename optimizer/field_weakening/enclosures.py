@@ -21,6 +21,7 @@ from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.ball import (
+    Balls,
     Jet,
     JetFunction,
     Rounded,
@@ -28,12 +29,13 @@ from dqforge.optimizer.certificates.ball import (
     bicubic,
     exact,
     horner,
+    magnitude,
+    most,
     product,
     rounded,
     rounded_sum,
     torque_parts,
 )
-from dqforge.optimizer.certificates.ball_arrays import Balls, magnitude, most
 from dqforge.optimizer.field_weakening.form import SingleSurface, WeakeningReference
 
 # Cells of a flux map that one box may touch; of wider ones nothing is known until they are halved.

@@ -14,8 +14,15 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.certificates.ball import Rounded, Value, horner, rounded
-from dqforge.optimizer.certificates.ball_arrays import Balls, magnitude, most
+from dqforge.optimizer.certificates.ball import (
+    Balls,
+    Rounded,
+    Value,
+    horner,
+    magnitude,
+    most,
+    rounded,
+)
 from dqforge.optimizer.field_weakening.enclosures import (
     Bend,
     Boxes,

@@ -18,7 +18,7 @@ from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.forms import PENALTY_FROM
-from dqforge.optimizer.curves.single_precision import (
+from dqforge.optimizer.curves.integer_polynomial import (
     MultiplyAdd,
     PiecewisePolynomial,
     SingleArray,

@@ -22,7 +22,7 @@ from dqforge.machines.design.settings import (
 from dqforge.machines.dq_machines.synchronous import LinearMachine, torque_from_flux
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof
+from dqforge.optimizer.certificates.current_loop_proof import CurrentLoopProof
 from dqforge.optimizer.loops.integer_gains import CurrentControl, TurningMachines, largest_pole
 from dqforge.optimizer.loops.loop_gains import LoopGains, speed_delay
 from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale

@@ -85,8 +85,8 @@ def mission_comparison(
 
     machine, inverter, options = design.machine, design.inverter, budget_options(design)
     if design.phase_machine is not None:
+        from dqforge.optimizer.losses.loss_map import compare_phase_mission
         from dqforge.optimizer.losses.phase_comparison import PhaseDrive
-        from dqforge.optimizer.losses.phase_mission import compare_phase_mission
 
         drive = PhaseDrive(design.phase_machine, machine, inverter, design.i_max, options, margin)
         return compare_phase_mission(drive, mission, alternatives)

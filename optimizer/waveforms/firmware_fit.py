@@ -17,7 +17,7 @@ from dqforge.machines.phase_machines.frame_transforms import resampled
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import TOPOLOGIES
-from dqforge.optimizer.curves.single_precision import (
+from dqforge.optimizer.curves.integer_polynomial import (
     MultiplyAdd,
     SingleArray,
     fused_multiply_add,

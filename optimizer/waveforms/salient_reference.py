@@ -18,7 +18,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.frame_transforms import resampled
 from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.curves.single_precision import fused_multiply_add, multiply_add
+from dqforge.optimizer.curves.integer_polynomial import fused_multiply_add, multiply_add
 from dqforge.optimizer.waveforms.constraint_rows import (
     WaveformLimits,
     free_currents,

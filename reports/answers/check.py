@@ -58,7 +58,7 @@ def _refuse(design: Design) -> tuple[str, ...]:
     control = design.control
     leaving: tuple[str, ...] = ()
     if control.references.voltage_feedback is not None:
-        from dqforge.optimizer.dynamic_references.voltage_feedback import require_feedback
+        from dqforge.optimizer.dynamic_references import require_feedback
 
         require_feedback(design)
     if control.six_step is not None:
@@ -71,7 +71,7 @@ def _refuse(design: Design) -> tuple[str, ...]:
         require_scales(design)
     if _speed_on_observer(design):
         from dqforge.optimizer.control_design.gain_set import solve_gains
-        from dqforge.optimizer.control_design.observed_refusal import require_observed
+        from dqforge.optimizer.control_design.observed_remedies import require_observed
         from dqforge.reports.observers.speed_loop_text import beyond_notes, leaving_notes
 
         stage("judging the speed loop on its observer")

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from dqforge.machines.exploration.study import Study
     from dqforge.optimizer.exploration.row_block import RowSource
     from dqforge.optimizer.exploration.study_plan import StudyPlan
-    from dqforge.optimizer.study_search import SearchedStudy
-    from dqforge.optimizer.yields import FixedHeader
+    from dqforge.optimizer.exploration.study_search import SearchedStudy
+    from dqforge.optimizer.exploration.yields import FixedHeader
     from dqforge.reports.exploration.study_view import StudyView
     from dqforge.reports.plain_data import PlainData
     from dqforge.reports.study_engine.engine_settings import StudyOutcome
@@ -156,7 +156,7 @@ def _searched(study: Study, plan: StudyPlan, request: StudyRequest) -> SearchedS
     """The rows of a study as its search chooses them; None where it has a grid."""
     if study.search is None:
         return None
-    from dqforge.optimizer.study_search import SearchedStudy
+    from dqforge.optimizer.exploration.study_search import SearchedStudy
 
     if request.reuse:
         raise InputError("--reuse: a search computes all rows that it chooses; leave it out")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.control_design.observed_refusal import require_observed
+from dqforge.optimizer.control_design.observed_remedies import require_observed
 from dqforge.reports.loops.proven_text import gains_tables
 from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.session.result import Tuning

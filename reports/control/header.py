@@ -28,8 +28,8 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import fundamental_share
 from dqforge.machines.transforms import Pair
 from dqforge.optimizer.current_reference.forms import FixedReference, FloatReference
-from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.dynamic_references.solve import DynamicReferences
+from dqforge.optimizer.curves.integer_polynomial import SingleArray
+from dqforge.optimizer.dynamic_references import DynamicReferences
 from dqforge.optimizer.field_weakening.voltage_region import DropReference
 from dqforge.optimizer.float_control.current_control import ControlSteps, Numbers
 from dqforge.optimizer.float_control.duties import Duties

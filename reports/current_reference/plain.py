@@ -34,8 +34,10 @@ from dqforge.optimizer.current_reference.forms import (
     TorqueExact,
 )
 from dqforge.optimizer.current_reference.solve import COVERED, DataUse, Trial
-from dqforge.optimizer.curves.integer_polynomial import CodeArray, FixedPolynomial, FixedSegment
-from dqforge.optimizer.curves.single_precision import (
+from dqforge.optimizer.curves.integer_polynomial import (
+    CodeArray,
+    FixedPolynomial,
+    FixedSegment,
     PiecewisePolynomial,
     SingleArray,
     SinglePolynomial,

@@ -19,8 +19,8 @@ import numpy as np
 from dqforge import __version__
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
+from dqforge.optimizer.exploration.acceptance import AcceptedRange, NamedRow, Share
 from dqforge.optimizer.exploration.row_block import OUTPUT_COLUMN, STATES, ColumnSpec
-from dqforge.optimizer.study_results.acceptance import AcceptedRange, NamedRow, Share
 from dqforge.reports.exploration.study_view import StudyView, shown_unit
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import BLUE, RED, SKY

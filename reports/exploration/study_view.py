@@ -15,14 +15,14 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.exploration.row_block import INPUT_COLUMN, STATES, ColumnSpec
-from dqforge.optimizer.study_results.acceptance import (
+from dqforge.optimizer.exploration.acceptance import (
     Histogram,
     Share,
     StudyQuestion,
     StudySummary,
     WorstRow,
 )
+from dqforge.optimizer.exploration.row_block import INPUT_COLUMN, STATES, ColumnSpec
 from dqforge.reports.pages.answer import Answer, Table, stage
 from dqforge.reports.pages.figures_style import BLUE, ORANGE, PALE, TEAL, new_figure, style
 from dqforge.reports.plain_data import PlainData, finite
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dqforge.machines.exploration.study import Study
+    from dqforge.optimizer.exploration.acceptance import AcceptedRange
     from dqforge.optimizer.exploration.row_block import RowBlock, RowSource
-    from dqforge.optimizer.study_results.acceptance import AcceptedRange
     from dqforge.reports.study_store.part_store import PartStore
 
 

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.design import Design
 from dqforge.machines.exploration.row_designs import design_of
 from dqforge.machines.exploration.study import Study
-from dqforge.optimizer.exploration.row_block import INPUT_COLUMN, OUTPUT_COLUMN, ColumnSpec
-from dqforge.optimizer.study_results.acceptance import (
+from dqforge.optimizer.exploration.acceptance import (
     StudyQuestion,
     bound_column,
     goal_columns,
     summarise,
 )
+from dqforge.optimizer.exploration.row_block import INPUT_COLUMN, OUTPUT_COLUMN, ColumnSpec
 from dqforge.reports.exploration.html import render_study
 from dqforge.reports.exploration.study_view import StudyView, pictured_rows
 from dqforge.reports.pages.html_text import counted

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import Configuration, Origin, OwnValue
-from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import (
+from dqforge.optimizer.firmware.mcat_numbers import (
     FLAGS,
     INPUTS,
     MACROS,
@@ -23,7 +23,7 @@ from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import (
     PROJECT_MACROS,
     SPELLINGS,
 )
-from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import McatFile
+from dqforge.optimizer.firmware.mcat_sheet import McatFile
 from dqforge.optimizer.firmware.targets.nxp import NXP
 from dqforge.reports.firmware.c_macros import Macros, read_macros, with_values
 from dqforge.reports.firmware.json_text import JsonText, parsed_json, with_json_values

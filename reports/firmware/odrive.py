@@ -9,8 +9,13 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, Origin
-from dqforge.optimizer.firmware.odrive_format import GIMBAL, HIGH_CURRENT, KINDS, configuration
-from dqforge.optimizer.firmware.targets.odrive import ODRIVE
+from dqforge.optimizer.firmware.targets.odrive import (
+    GIMBAL,
+    HIGH_CURRENT,
+    KINDS,
+    ODRIVE,
+    configuration,
+)
 from dqforge.reports.firmware.json_text import JsonText, parsed_json, with_json_values
 from dqforge.reports.firmware.target import Target
 

@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING, NoReturn
 from dqforge.machines.errors import InputError, shown
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import Number, Origin, OwnValue
-from dqforge.optimizer.firmware.simplefoc_format import (
+from dqforge.optimizer.firmware.targets.simplefoc import (
     LOOP_PERIOD,
     MEMBERS,
     SIGNIFICANT,
+    SIMPLEFOC,
     V_DC,
     configuration,
+    voltage_limit,
 )
-from dqforge.optimizer.firmware.targets.simplefoc import SIMPLEFOC, voltage_limit
 from dqforge.reports.c_code.numbers import comment_text
 from dqforge.reports.firmware.c_macros import (
     Definition,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.loops.schedule_fit import GAIN_NAMES, GainEvaluator
+from dqforge.optimizer.loops.gain_schedule import GAIN_NAMES, GainEvaluator
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,
@@ -88,9 +88,9 @@ from dqforge.reports.plain_data import PlainData, shortest
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
-    from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof
+    from dqforge.optimizer.certificates.current_loop_proof import CurrentLoopProof
     from dqforge.optimizer.control_design.gain_set import GainSet
-    from dqforge.optimizer.curves.single_precision import SingleArray
+    from dqforge.optimizer.curves.integer_polynomial import SingleArray
     from dqforge.optimizer.loops.gain_schedule import GainSchedule
     from dqforge.optimizer.loops.integer_gains import PerUnitGains
     from dqforge.optimizer.loops.loop_gains import LoopGains

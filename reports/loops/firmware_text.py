@@ -14,8 +14,8 @@ import numpy as np
 from dqforge.reports.c_code.numbers import rounded_up
 
 if TYPE_CHECKING:
-    from dqforge.optimizer.box_proofs.cell_queue import BoxDrive
-    from dqforge.optimizer.box_proofs.current_loop_proof import (
+    from dqforge.optimizer.certificates.cell_queue import BoxDrive
+    from dqforge.optimizer.certificates.current_loop_proof import (
         CurrentLoopProof,
         DriveRange,
         ProvenSensitivity,

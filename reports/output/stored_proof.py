@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.box_proofs.current_loop_proof import (
+from dqforge.optimizer.certificates.current_loop_proof import (
     Confirmation,
     confirm,
     confirm_sensitivity,

@@ -18,7 +18,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.control_design.observed_refusal import require_observed
+from dqforge.optimizer.control_design.observed_remedies import require_observed
 from dqforge.reports.loops.proven_text import plain_gains
 from dqforge.reports.plain_data import PlainData
 

@@ -12,7 +12,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.curves.single_precision import SingleArray, SinglePolynomial
+from dqforge.optimizer.curves.integer_polynomial import SingleArray, SinglePolynomial
 from dqforge.optimizer.field_weakening.fit import DomainBorders, SurfaceTrial, WeakeningFit
 from dqforge.optimizer.field_weakening.form import SingleSurface, WeakeningReference
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE, STEPS, DropReference

@@ -11,7 +11,7 @@ import numpy as np
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.optimizer.curves.integer_polynomial import SingleArray
 from dqforge.optimizer.frame_tables import COLUMNS, DENSE, FrameCandidate, FrameTable, FrameTables
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,

@@ -22,7 +22,7 @@ from dqforge.reports.study_store.part_file import PartColumns
 from dqforge.reports.study_store.part_store import PartStore
 
 if TYPE_CHECKING:
-    from dqforge.optimizer.study_search import GenerationRows, SearchedStudy, SearchRows
+    from dqforge.optimizer.exploration.study_search import GenerationRows, SearchedStudy, SearchRows
 
 _CRASHED = STATES.index("crashed")
 

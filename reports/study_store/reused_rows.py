@@ -28,8 +28,8 @@ from dqforge.optimizer.exploration.row_block import (
     row_inputs,
     row_keys,
 )
+from dqforge.optimizer.exploration.row_outputs import study_outputs
 from dqforge.optimizer.exploration.study_plan import StudyPlan, hold_limits, study_limits
-from dqforge.optimizer.variant_steps.outputs import study_outputs
 from dqforge.reports.study_store.summary_files import EarlierOutputs, EarlierRows
 
 _BEYOND = STATES.index("limit")

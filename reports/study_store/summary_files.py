@@ -26,7 +26,7 @@ from dqforge.optimizer.exploration.row_block import (
     ColumnSpec,
     RowBlock,
 )
-from dqforge.optimizer.study_results.sensitivities import Sensitivities
+from dqforge.optimizer.exploration.sensitivities import Sensitivities
 from dqforge.reports.pages.templating import to_text
 from dqforge.reports.plain_data import PlainData, finite
 from dqforge.reports.study_store.part_file import (

@@ -28,12 +28,12 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.plants.scenario import PlantErrors, Profile, Scenario, Sensorless
 from dqforge.optimizer.control_design import observed_remedies
-from dqforge.optimizer.control_design.observed_refusal import require_observed
+from dqforge.optimizer.control_design.design_drive import observed_drive, position_estimator
+from dqforge.optimizer.control_design.drive_model import drive_cases
+from dqforge.optimizer.control_design.observed_remedies import require_observed
+from dqforge.optimizer.control_design.speed_range import steady_drives
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.observed_margins import CornerJudgement
-from dqforge.optimizer.observed_drive.design_drive import observed_drive, position_estimator
-from dqforge.optimizer.observed_drive.drive_model import drive_cases
-from dqforge.optimizer.observed_drive.speed_range import steady_drives
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.simulation.design_run import (
     angle_error,

@@ -3,34 +3,60 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
+    CurrentLoops,
     DriveValues,
+    FluxObserver,
+    LimitOrder,
+    LoopProfile,
     OwnValue,
+    PiController,
     PiGains,
+    SpeedController,
+    SpeedEstimate,
 )
 from dqforge.optimizer.firmware.firmware_method import (
     CURRENT_SENSING,
     Asked,
     FirmwareMethod,
+    Price,
+    Shortfall,
     needed,
     number,
 )
-from dqforge.optimizer.firmware.st_keys import VERSION, MtpaTable
-from dqforge.optimizer.firmware.st_loops import profile, shortfalls, table_for
+from dqforge.optimizer.firmware.st_keys import (
+    SEGMENTS,
+    VERSION,
+    MtpaTable,
+    fitted_table,
+    locus_counts,
+    table_currents,
+)
 from dqforge.optimizer.firmware.st_scales import (
     FULL,
     LARGEST,
     LOW_SHARE,
+    SPEED_UNIT,
     ObservedMachine,
+    amperes,
+    control_rate,
     current_integers,
     current_scale,
     emf_of,
+    integers,
+    low_speed,
     observed_machine,
     observer_integers,
+    placed_poles,
     printed,
     scales,
     speed_integers,
@@ -38,6 +64,7 @@ from dqforge.optimizer.firmware.st_scales import (
     tracking,
     tracking_integers,
 )
+from dqforge.optimizer.operating_points.mtpa_locus import MtpaLocus, mtpa_locus
 
 _TICKS = 2000  # Hz of the timer that the speed controller is counted from.
 
@@ -234,6 +261,308 @@ def _table_macros(table: MtpaTable) -> dict[str, OwnValue]:
 
 def _listed(values: tuple[int, ...]) -> str:
     return "{" + ",".join(str(value) for value in values) + "}"
+
+
+# The loops that ST's MCSDK runs with a configuration.
+
+SOURCES = (
+    "MCSDK 5.4.3 and 6.4 mc_tasks: PI of q, of d, circle limitation, inverse Park",
+    "MCSDK pwm_curr_fdbk drivers: sampled round the crest, loaded with the next update",
+    "MCSDK pid_regulator: the integral first, held to 32767 counts; its discharge is 1/divider",
+    "MCSDK circle_limitation: version 5 along the direction, version 6 q after d, d up to 95 %",
+    "MCSDK pwm_curr_fdbk: 32768 counts of voltage are v_dc/sqrt(3)",
+    "MCSDK sto_pll_speed_pos_fdbk: observer, PI as phase-locked loop, its output averaged",
+    "MCSDK speed_torq_ctrl: PI on tenths of a hertz, held to IQMAX",
+    "MCSDK parameters_conversion.h: C1 to C5, scales of current, voltage and back-EMF",
+)
+
+
+def profile(found: Configuration) -> LoopProfile:
+    """The loops that the MCSDK runs with a configuration.
+
+    Raises:
+        InputError: It says too little of the current controllers.
+    """
+    own, drive = found.own, found.drive
+    if found.current_q is None or drive.t_s is None or drive.v_dc is None:
+        raise InputError(
+            "the configuration of the MCSDK says too little of its current loops: they need "
+            "drive_parameters.h, and of power_stage_parameters.h RSHUNT, AMPLIFICATION_GAIN and "
+            "NOMINAL_BUS_VOLTAGE_V"
+        )
+    table = _table_points(own)
+    return LoopProfile(
+        firmware="st",
+        version=found.version,
+        current=_current(found, found.current_q, drive.t_s, drive.v_dc),
+        speed=_speed(found),
+        observer=_flux_observer(own),
+        reference="id-zero" if not table else "table",
+        sources=SOURCES,
+        table=table,
+    )
+
+
+def _table_points(own: Mapping[str, OwnValue]) -> tuple[tuple[float, float, float], ...]:
+    """Ends of the segments as (command, i_d, i_q) in A."""
+    full, top = current_scale(own), amperes(own, "IQMAX_A")
+    width, slopes, offsets = (
+        number(own, "SEGDIV"),
+        integers(own.get("ANGC")),
+        integers(own.get("OFST")),
+    )
+    if full is None or not top or not width or slopes is None or offsets is None:
+        return ()
+    if len(slopes) != SEGMENTS or len(offsets) != SEGMENTS:
+        return ()
+    edges = np.arange(1, SEGMENTS) * int(width)
+    last = max(1, round(top * FULL / full))
+    counts = np.unique([0, *edges[edges < last], last])
+    i_d = table_currents(int(width), slopes, offsets, counts) * full / FULL
+    i_q = counts * full / FULL
+    return tuple(zip(i_q.tolist(), i_d.tolist(), i_q.tolist(), strict=True))
+
+
+def _current(found: Configuration, q: PiGains, t_s: float, v_dc: float) -> CurrentLoops:
+    d, limit = found.current_d or q, v_dc / math.sqrt(3.0)
+    forward = number(found.own, "CONSTANT2_QD") is not None
+    order: LimitOrder = "vector" if found.version == "5" else "d-first"
+    return CurrentLoops(
+        PiController(d.kp, d.ki, t_s, "integral-first", "clamp", limit),
+        PiController(q.kp, q.ki, t_s, "integral-first", "clamp", limit),
+        delay=1.0,
+        cross=forward,
+        back_emf=forward,
+        order=order,
+        angle_advance=number(found.own, "REV_PARK_ANGLE_COMPENSATION_FACTOR") or 0.0,
+    )
+
+
+def _speed(found: Configuration) -> SpeedController | None:
+    gains, period = found.speed, found.drive.t_speed
+    if gains is None or period is None:
+        return None
+    limit = amperes(found.own, "IQMAX_A") or found.drive.i_max
+    controller = PiController(gains.kp, gains.ki, period, "integral-first", "clamp", limit)
+    return SpeedController(controller, _estimate(found, period))
+
+
+def _estimate(found: Configuration, period: float) -> SpeedEstimate:
+    own, t_s, low = found.own, found.drive.t_s or period, low_speed(found.own)
+    loop = None if low is None else tracking(own, low)
+    if loop is not None:
+        averaged = int(number(own, "STO_FIFO_DEPTH_UNIT") or 64)
+        return SpeedEstimate("pll", t_s, loop.kp, loop.ki, averaged=averaged, whole=True)
+    depth = number(own, "ENC_AVERAGING_FIFO_DEPTH")
+    if depth:
+        return SpeedEstimate("difference", period, samples=int(depth))
+    return SpeedEstimate("ideal", t_s)
+
+
+def _flux_observer(own: Mapping[str, OwnValue]) -> FluxObserver | None:
+    machine, f1 = observed_machine(own) or observed_machine(own, 1.0), number(own, "F1")
+    if machine is None or not f1:
+        return None
+    slow = max(abs(pole) for pole in placed_poles(own, machine))
+    warnings = []
+    if slow >= 1.0:
+        warnings.append(f"the observer is unstable: a pole at {slow:.4g} per period")
+    low = low_speed(own)
+    loop = None if low is None else tracking(own, low)
+    if loop is not None:
+        pole = loop.poles[0]
+        warnings.append(
+            f"at {loop.speed * 30.0 / math.pi:.4g} rpm the phase-locked loop has poles at "
+            f"{pole.real:.4g} {'+-' if pole.imag else 'and'} "
+            f"{abs(pole.imag) if pole.imag else loop.poles[1].real:.4g}"
+            f"{' j' if pole.imag else ''} rad/s; they are faster at higher speed"
+        )
+    rate = -math.log(min(max(slow, 1e-12), 1.0)) * machine.rate
+    return FluxObserver("state observer with phase-locked loop", rate, tuple(warnings))
+
+
+# What the MCSDK cannot hold of a design, with what it costs.
+
+_SEEN = 1e-3  # Relative change of a gain from which on its rounding is told.
+_BUILTIN = 0.02  # Relative difference of the inductances from which on two are missed.
+
+
+def shortfalls(asked: Asked, found: Configuration) -> tuple[Shortfall, ...]:
+    """Of a configuration that `configure` has made of what was asked."""
+    return (
+        *_inductances(asked),
+        *_table(asked, found),
+        *_rounding(asked, found),
+        *_lacking_speed(asked, found),
+        *_tracking(found),
+    )
+
+
+def _inductances(asked: Asked) -> Iterator[Shortfall]:
+    l_d, l_q = asked.drive.l_d, asked.drive.l_q
+    if l_d is None or not l_q or abs(l_d / l_q - 1.0) < _BUILTIN:
+        return
+    yield Shortfall(
+        f"the headers hold one inductance, LS = L_q = {l_q:.4g} H: the observer takes it for both "
+        f"axes, L_d = {l_d:.4g} H stands in the motor file alone; both current controllers have "
+        "gains of their own",
+        (Price("inductance of the observer", l_q / l_d - 1.0, ""),),
+    )
+
+
+def _table(asked: Asked, found: Configuration) -> Iterator[Shortfall]:
+    full, width = current_scale(found.own), number(found.own, "SEGDIV")
+    slopes, offsets = integers(found.own.get("ANGC")), integers(found.own.get("OFST"))
+    if full is None or not width or slopes is None or offsets is None:
+        return
+    price = table_price(asked, full, int(width), slopes, offsets)
+    yield Shortfall(
+        f"d current by eight segments of integers: off by at most {price.error:.1f} counts "
+        f"({price.error_current:.3f} A) from the currents of least loss, the least that the format "
+        f"permits; {100.0 * price.loss:.2g} % more copper loss at most",
+        (
+            Price("d current", price.error_current, "A"),
+            Price("copper loss", price.loss, ""),
+            Price("torque", price.torque, ""),
+        ),
+    )
+
+
+def _rounding(asked: Asked, found: Configuration) -> Iterator[Shortfall]:
+    pairs: list[tuple[str, PiGains | None, PiGains | None]] = [
+        ("d current", asked.current_d, found.current_d),
+        ("q current", asked.current_q, found.current_q),
+        ("speed", asked.speed, found.speed),
+    ]
+    for name, wanted, made in pairs:
+        if wanted is None or made is None:
+            continue
+        for gain, one, other in (("kp", wanted.kp, made.kp), ("ki", wanted.ki, made.ki)):
+            off = 0.0 if one == 0.0 else other / one - 1.0
+            if abs(off) > _SEEN:
+                yield Shortfall(
+                    f"{gain} of the {name} loop is {other:.4g} instead of {one:.4g}, rounded to "
+                    "integers",
+                    (Price(f"{gain} of the {name} loop", off, ""),),
+                )
+
+
+def _lacking_speed(asked: Asked, found: Configuration) -> Iterator[Shortfall]:
+    if found.speed is None:
+        return
+    unit = SPEED_UNIT * 30.0 / math.pi
+    yield Shortfall(
+        f"the speed is controlled in steps of 0.1 Hz, {unit:g} rpm",
+        (Price("speed", SPEED_UNIT, "rad/s"),),
+    )
+    wanted, made = asked.drive.t_speed, found.drive.t_speed
+    if wanted is not None and made is not None and abs(made / wanted - 1.0) > _SEEN:
+        yield Shortfall(
+            f"the speed controller runs at {1.0 / made:g} Hz, a part of its timer of 2000 Hz, "
+            f"instead of {1.0 / wanted:.5g} Hz",
+            (Price("period of the speed controller", made - wanted, "s"),),
+        )
+
+
+def _tracking(found: Configuration) -> Iterator[Shortfall]:
+    """A phase-locked loop that is faster than Workbench's, for the speed loop's sake."""
+    own = found.own
+    gain, top, rate = (
+        number(own, "PLL_KP_GAIN"),
+        number(own, "MAX_APPLICATION_SPEED_RPM"),
+        control_rate(own),
+    )
+    pairs = number(own, "POLE_PAIR_NUM")
+    if gain is None or top is None or rate is None or pairs is None:
+        return
+    usual = tracking_integers(int(pairs), top, rate)["PLL_KP_GAIN"]
+    if usual and gain > 1.01 * usual:
+        yield Shortfall(
+            f"the speed loop needs PLL_KP_GAIN {gain:g} where Workbench has {usual}: the speed is "
+            f"{gain / usual:.2g} times as noisy",
+            (Price("noise of the speed", gain / usual - 1.0, ""),),
+        )
+
+
+# The table of currents of ST's MCSDK for the machine of a design, and what it costs.
+
+_NEGLIGIBLE = 2.0  # Counts of i_d up to which no table is needed.
+
+
+@dataclass(frozen=True, slots=True)
+class TablePrice:
+    """What a table of currents costs.
+
+    Args:
+        error, error_current: Largest deviation of i_d from the optimum in counts and in A.
+        loss: Largest copper loss beyond the optimum for the same torque, relative.
+        torque: Largest torque of the table below that of the optimum at the same current, relative.
+    """
+
+    error: float
+    error_current: float
+    loss: float
+    torque: float
+
+
+def locus_of(asked: Asked) -> MtpaLocus:
+    """The optimal currents of the design's machine, up to its current limit."""
+    return mtpa_locus(asked.design.machine, asked.design.i_max)
+
+
+def table_for(asked: Asked, full_current: float) -> MtpaTable | None:
+    """The table with the least largest error for the machine of a design, saturated or not.
+
+    None where the design asks for no d current, or optimal d currents are too small to be seen.
+    """
+    machine = asked.design.machine
+    if asked.design.strategy != "mtpa":
+        return None
+    if isinstance(machine, LinearMachine) and machine.l_d == machine.l_q:
+        return None
+    wanted = _wanted(asked, full_current)
+    if wanted.size < 16 or float(np.max(np.abs(wanted))) < _NEGLIGIBLE:
+        return None
+    return fitted_table(wanted)
+
+
+def _wanted(asked: Asked, full_current: float) -> FloatArray:
+    """Optimal i_d in counts at every count of i_q."""
+    locus = locus_of(asked)
+    i_d, i_q = np.concatenate(([0.0], locus.i_d)), np.concatenate(([0.0], locus.i_q))
+    return locus_counts(i_d, i_q, full_current)
+
+
+def table_price(
+    asked: Asked,
+    full_current: float,
+    width: int,
+    slopes: tuple[int, ...],
+    offsets: tuple[int, ...],
+) -> TablePrice:
+    """What a table costs on the machine of a design, at every count of its q current from a
+    twentieth of the largest on.
+    """
+    wanted = _wanted(asked, full_current)
+    counts = np.arange(wanted.size)
+    count = full_current / FULL
+    i_d = table_currents(width, slopes, offsets, counts).astype(np.float64) * count
+    i_q = counts.astype(np.float64) * count
+    error = float(np.max(np.abs(i_d * FULL / full_current - wanted)))
+    part = counts >= wanted.size // 20
+    machine = asked.design.machine
+    torque = np.asarray(machine.torque(i_d[part], i_q[part]))
+    square = i_d[part] ** 2 + i_q[part] ** 2
+    # The optimum at every count, too: its points of the locus are too far apart for shares of 1e-4.
+    best_d = wanted * full_current / FULL
+    most = np.asarray(machine.torque(best_d, i_q))
+    least = np.hypot(best_d, i_q)
+    best = np.interp(torque, most, least)
+    within = torque <= most[-1]
+    loss = float(np.max(square[within] / best[within] ** 2, initial=1.0)) - 1.0
+    at_current = np.interp(np.sqrt(square), least, most)
+    lost = float(np.max(1.0 - torque / at_current, initial=0.0))
+    return TablePrice(error, error * full_current / FULL, max(0.0, loss), max(0.0, lost))
 
 
 ST = FirmwareMethod("st", VERSION, "axes", configure, profile, shortfalls, needs=(CURRENT_SENSING,))

@@ -16,14 +16,16 @@ from flint import arb, ctx
 
 from dqforge.optimizer.certificates.ball import (
     ORDER,
+    Balls,
     Expansion,
     as_ball,
     exactly,
     hull,
+    magnitude,
+    most,
     upper,
     widened,
 )
-from dqforge.optimizer.certificates.ball_arrays import Balls, magnitude, most
 
 MORE, UNIT, LEAST = 1.0 + 2.0**-47, 2.0**-52, 1e-290
 

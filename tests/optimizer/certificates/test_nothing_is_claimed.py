@@ -15,8 +15,7 @@ from dqforge.machines.design.settings import FitSettings, WeakeningSettings
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.certificates import current_reference
 from dqforge.optimizer.certificates import current_reference as interval_newton
-from dqforge.optimizer.certificates.ball import Task, pieces
-from dqforge.optimizer.certificates.ball_arrays import Balls
+from dqforge.optimizer.certificates.ball import Balls, Task, pieces
 from dqforge.optimizer.certificates.current_reference import UNKNOWN, Interval, certify
 from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.field_weakening import certificate as surface

@@ -24,8 +24,11 @@ from dqforge.optimizer.current_reference.forms import (
     ReluctanceClosedForm,
     TorqueExact,
 )
-from dqforge.optimizer.curves.integer_polynomial import FixedPolynomial, FixedSegment
-from dqforge.optimizer.curves.single_precision import SinglePolynomial
+from dqforge.optimizer.curves.integer_polynomial import (
+    FixedPolynomial,
+    FixedSegment,
+    SinglePolynomial,
+)
 
 DIGITS = 60
 

@@ -15,10 +15,10 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import ObserverMethodName
 from dqforge.optimizer.control_design import observed_remedies
+from dqforge.optimizer.control_design.design_drive import machine_top, reachable_speed, top_speed
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.control_design.observed_refusal import require_observed
+from dqforge.optimizer.control_design.observed_remedies import require_observed
 from dqforge.optimizer.loops.observed_margins import CornerJudgement
-from dqforge.optimizer.observed_drive.design_drive import machine_top, reachable_speed, top_speed
 from dqforge.reports.observers.speed_loop_text import (
     beyond_notes,
     corner_words,

@@ -13,7 +13,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import CurrentLoopSettings, Tolerances
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.box_proofs.cell_queue import (
+from dqforge.optimizer.certificates.cell_queue import (
     BoxDrive,
     largest_moduli,
     loop_matrices,

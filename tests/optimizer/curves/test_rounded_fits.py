@@ -9,7 +9,7 @@ import pytest
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.curves.fitting import SideConditions, fit_curve
-from dqforge.optimizer.curves.single_precision import (
+from dqforge.optimizer.curves.integer_polynomial import (
     PiecewisePolynomial,
     SinglePolynomial,
     fused_multiply_add,

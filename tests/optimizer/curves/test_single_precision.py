@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dqforge.optimizer.curves.single_precision import (
+from dqforge.optimizer.curves.integer_polynomial import (
     PiecewisePolynomial,
     SinglePolynomial,
     fused_multiply_add,

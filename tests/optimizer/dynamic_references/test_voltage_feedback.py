@@ -24,7 +24,7 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.dynamic_references.voltage_feedback import (
+from dqforge.optimizer.dynamic_references import (
     VoltageFeedback,
     feedback_matrices,
     limit_points,

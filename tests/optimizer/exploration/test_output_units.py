@@ -6,7 +6,7 @@ import pytest
 
 from dqforge.machines.exploration.study_checks import dimension_of
 from dqforge.machines.units.registry import DIMENSIONS
-from dqforge.optimizer.variant_steps.outputs import LOSS_QUANTITIES, known_names, output_named
+from dqforge.optimizer.exploration.row_outputs import LOSS_QUANTITIES, known_names, output_named
 
 AT_POINTS = [f"losses.points.{place}.{name}" for place in (0, 12) for name in LOSS_QUANTITIES]
 

@@ -11,7 +11,7 @@ from study_trials import POINTS, Rows, loop_names, outputs, plan_of
 
 from dqforge.machines.exploration.study_checks import study_of_text
 from dqforge.optimizer.exploration.study_plan import StudyPlan
-from dqforge.optimizer.variant_steps.variation import Work
+from dqforge.optimizer.exploration.variation import Work
 
 CORNERS = 2**5
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dqforge.machines.exploration.study import Axis, Draw, Study, Tolerance
+from dqforge.optimizer.exploration.acceptance import StudyQuestion, summarise
 from dqforge.optimizer.exploration.row_block import row_inputs
-from dqforge.optimizer.study_results.acceptance import StudyQuestion, summarise
 
 KEYS = ("machine.resistance", "machine.inductance_d", "inverter.v_dc")
 STUDY = Study(

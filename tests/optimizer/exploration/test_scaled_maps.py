@@ -9,9 +9,9 @@ import pytest
 from study_trials import Rows, outputs, plan_of
 
 from dqforge.machines.dq_machines.flux_map import ScaledMachines
+from dqforge.optimizer.exploration import variation as batch_steps
+from dqforge.optimizer.exploration.local_series import ScaledLoci, scaled_loci
 from dqforge.optimizer.exploration.study_plan import SINGLE_BATCH, TOGETHER_BATCH, YIELD_BATCH
-from dqforge.optimizer.machine_batch.local_series import ScaledLoci, scaled_loci
-from dqforge.optimizer.variant_steps import variation as batch_steps
 
 SCALES = """tolerances:
   machine.resistance: {normal: 5 %}

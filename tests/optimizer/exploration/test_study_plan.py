@@ -11,8 +11,8 @@ import pytest
 from study_trials import MACHINES, POINTS, Rows, loop_names, outputs, plan_of
 
 from dqforge.machines.errors import InputError
+from dqforge.optimizer.exploration import block_rows
 from dqforge.optimizer.exploration.study_plan import SINGLE_BATCH, TOGETHER_BATCH, YIELD_BATCH
-from dqforge.optimizer.variant_steps import exact_steps
 
 _DEVICES = (
     "{name: fuji-2mbi300xbe120-50}, {name: infineon-ff200r12ke3}, {name: mitsubishi-cm200dy-24t}, "
@@ -249,7 +249,7 @@ def test_gains_that_nobody_asked_for_leave_a_row_as_it_is(monkeypatch: pytest.Mo
         assert not proofs
         return None, "no loop was asked for and none was found: too slow"
 
-    monkeypatch.setattr(exact_steps, "gains_or_reason", none)
+    monkeypatch.setattr(block_rows, "gains_or_reason", none)
     rows = Rows.of(plan_of("", "thor-pmsyrm-5k"))
     assert rows.states == ["ok"]
     assert np.isnan(rows["out.gains.phase_margin"][0])

@@ -19,8 +19,12 @@ from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.design.settings import WeakeningSettings
 from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
-from dqforge.optimizer.certificates.ball_arrays import Balls
-from dqforge.optimizer.curves.single_precision import SingleArray, fused_multiply_add, multiply_add
+from dqforge.optimizer.certificates.ball import Balls
+from dqforge.optimizer.curves.integer_polynomial import (
+    SingleArray,
+    fused_multiply_add,
+    multiply_add,
+)
 from dqforge.optimizer.field_weakening.certificate import (
     SurfaceCertificate,
     certify_step,

@@ -14,7 +14,7 @@ import pytest
 
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.transforms import Pair
-from dqforge.optimizer.curves.single_precision import (
+from dqforge.optimizer.curves.integer_polynomial import (
     PiecewisePolynomial,
     SinglePolynomial,
     _monic_chebyshev,

@@ -17,7 +17,7 @@ from dqforge.machines.phase_machines.frame_transforms import (
     transform,
 )
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, grid
-from dqforge.optimizer.curves.single_precision import fused_multiply_add
+from dqforge.optimizer.curves.integer_polynomial import fused_multiply_add
 from dqforge.optimizer.frame_tables import (
     COLUMNS,
     errors_of,

@@ -13,7 +13,7 @@ from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.control_design.observed_refusal import require_observed
+from dqforge.optimizer.control_design.observed_remedies import require_observed
 from dqforge.optimizer.estimators import tune_tracker
 from dqforge.optimizer.harmonic_trackers import (
     TRACKER,

@@ -14,10 +14,15 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import CurrentLoopSettings, Tolerances
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.loops.gain_schedule import TOLERANCE, GainSchedule
+from dqforge.optimizer.loops.gain_schedule import (
+    GAIN_NAMES,
+    TOLERANCE,
+    GainSchedule,
+    errors_of,
+    fit_gains,
+)
 from dqforge.optimizer.loops.loop_gains import analyse_current_loop
 from dqforge.optimizer.loops.pi_methods import current_pi
-from dqforge.optimizer.loops.schedule_fit import GAIN_NAMES, errors_of, fit_gains
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 
 METHODS: dict[str, CurrentLoopSettings] = {

@@ -19,9 +19,9 @@ from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
 from dqforge.machines.losses.machine_budget import MachineLoss
 from dqforge.machines.names import ModulationName
+from dqforge.optimizer.exploration.machine_axis import calibrate_switching
 from dqforge.optimizer.losses.drive_budget import PARTS, BudgetOptions, drive_budget
 from dqforge.optimizer.losses.drive_comparison import least
-from dqforge.optimizer.losses.machine_axis import calibrate_switching
 from dqforge.optimizer.losses.phase_comparison import LossComparison, compare_points
 from dqforge.optimizer.losses.solve import solve_losses
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_currents

@@ -17,7 +17,7 @@ from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import ModulationName
-from dqforge.optimizer.losses.machine_axis import calibrate_switching
+from dqforge.optimizer.exploration.machine_axis import calibrate_switching
 
 # Paper 000: Tables 5 and 6, with psi_pm and l_q - l_d as Table 2 identifies them.
 MACHINE = LinearMachine(pole_pairs=4, r_s=2e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0)

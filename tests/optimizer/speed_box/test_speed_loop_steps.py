@@ -10,7 +10,7 @@ from random_speed_loops import RATIOS, SpeedDrive, random_speed_drive
 from scipy.linalg import expm
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.box_proofs.cell_queue import Cell
+from dqforge.optimizer.certificates.cell_queue import Cell
 from dqforge.optimizer.loops.pi_methods import DriveVariants, close_loops, speed_plants
 from dqforge.optimizer.speed_box import cell_corners
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dqforge.optimizer.box_proofs.cell_queue import Cell
+from dqforge.optimizer.certificates.cell_queue import Cell
 from dqforge.optimizer.speed_box import SpeedBox
 
 BOX = SpeedBox(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from random_speed_loops import SpeedDrive, random_speed_drive
 
-from dqforge.optimizer.box_proofs.cell_queue import Proven, Tree, contracts
+from dqforge.optimizer.certificates.cell_queue import Proven, Tree, contracts
 from dqforge.optimizer.speed_box import Chain, Effort, SpeedLoopNumbers, SpeedSearch
 
 

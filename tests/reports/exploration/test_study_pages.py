@@ -20,13 +20,13 @@ from matplotlib.patches import StepPatch
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.exploration.row_block import STATES, ColumnSpec
-from dqforge.optimizer.study_results.acceptance import (
+from dqforge.optimizer.exploration.acceptance import (
     AcceptedRange,
     GoalColumn,
     StudyQuestion,
     summarise,
 )
+from dqforge.optimizer.exploration.row_block import STATES, ColumnSpec
 from dqforge.reports.exploration.html import (
     HistogramChart,
     acceptance_table,

@@ -16,7 +16,7 @@ import pytest
 
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.loops.schedule_fit import GainEvaluator
+from dqforge.optimizer.loops.gain_schedule import GainEvaluator
 from dqforge.reports.loops.capability import (
     evaluator_from,
     gains_files,

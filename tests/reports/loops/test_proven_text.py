@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from dqforge.optimizer.axis_margins import ProvenMargins
-from dqforge.optimizer.box_proofs.cell_queue import Cell, Node, Open, Proven, Tree
+from dqforge.optimizer.certificates.cell_queue import Cell, Node, Open, Proven, Tree
 from dqforge.optimizer.changing_loops import ChangingAxis, Growth
 from dqforge.optimizer.speed_box import Chain, SpeedBox, SpeedProof
 from dqforge.reports.loops.proven_text import (

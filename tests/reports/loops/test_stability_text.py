@@ -14,7 +14,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.box_proofs.current_loop_proof import (
+from dqforge.optimizer.certificates.current_loop_proof import (
     confirm,
     confirm_sensitivity,
     plain_inputs,

@@ -13,7 +13,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.plants.scenario import PlantErrors, Profile, Scenario, Sensorless, constant
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.control_design.observed_refusal import require_observed
+from dqforge.optimizer.control_design.observed_remedies import require_observed
 from dqforge.optimizer.loops.observed_margins import CornerJudgement
 
 _DRIVES, _POINTS = 3, 24

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 
-from dqforge.optimizer.study_results.sensitivities import Sensitivities
+from dqforge.optimizer.exploration.sensitivities import Sensitivities
 from dqforge.reports.study_store.summary_files import sensitivity_file
 
 FOUND = Sensitivities(

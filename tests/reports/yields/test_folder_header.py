@@ -18,7 +18,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.current_reference.forms import FixedReference
-from dqforge.optimizer.yields import nominal_header
+from dqforge.optimizer.exploration.yields import nominal_header
 from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.output.folder import RUN, write_output
 from dqforge.reports.run import export_design

@@ -14,13 +14,8 @@ from nxp_designs import asked_for, design_of
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, judge
-from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import (
-    EDITIONS,
-    FLOAT_2022,
-    FLOAT_2025,
-    constants,
-)
-from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import McatFile
+from dqforge.optimizer.firmware.mcat_numbers import EDITIONS, FLOAT_2022, FLOAT_2025, constants
+from dqforge.optimizer.firmware.mcat_sheet import McatFile
 from dqforge.optimizer.firmware.targets.nxp import NXP, configured, profile
 
 

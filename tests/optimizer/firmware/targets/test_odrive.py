@@ -13,8 +13,7 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, judge
 from dqforge.optimizer.firmware.moteus_format import MOST_SENSITIVITY
-from dqforge.optimizer.firmware.odrive_format import configuration
-from dqforge.optimizer.firmware.targets.odrive import ODRIVE
+from dqforge.optimizer.firmware.targets.odrive import ODRIVE, configuration
 
 configure, profile, shortfalls = ODRIVE.configure, ODRIVE.profile, ODRIVE.shortfalls
 BANDWIDTH = "motor.config.current_control_bandwidth"

@@ -13,10 +13,12 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, judge
-from dqforge.optimizer.firmware.simplefoc_format import as_printed, configuration, flux_or_kv
 from dqforge.optimizer.firmware.targets.simplefoc import (
     SIMPLEFOC,
+    as_printed,
+    configuration,
     configure,
+    flux_or_kv,
     profile,
     rule,
     shortfalls,

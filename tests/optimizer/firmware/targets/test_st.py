@@ -14,9 +14,8 @@ from dqforge.machines.devices.inverter import CurrentSensing
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import OwnValue, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, drive_values, judge
-from dqforge.optimizer.firmware.st_loops import locus_of
 from dqforge.optimizer.firmware.st_scales import joined, st_configuration
-from dqforge.optimizer.firmware.targets.st import ST
+from dqforge.optimizer.firmware.targets.st import ST, locus_of
 
 # A motor in a project of Workbench 6.1 (dronectl/g431-mcsdk): macros of its three headers.
 PROJECT: dict[str, OwnValue] = {

@@ -18,7 +18,7 @@ from nxp_headers import header
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked
-from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import FIXED_2022, FLOAT_2025, Edition
+from dqforge.optimizer.firmware.mcat_numbers import FIXED_2022, FLOAT_2025, Edition
 from dqforge.optimizer.firmware.targets.nxp import NXP, configured
 from dqforge.reports.firmware.nxp import constant_text, plain, read, write
 from dqforge.reports.firmware.target import FileTitle

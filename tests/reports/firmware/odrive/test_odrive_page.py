@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from firmware_pages import block, example_files, page_of
 
-from dqforge.optimizer.firmware.odrive_format import KINDS
+from dqforge.optimizer.firmware.targets.odrive import KINDS
 
 PAGE = page_of("odrive")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from firmware_pages import assert_example, page_of
 
-from dqforge.optimizer.firmware.simplefoc_format import MEMBERS
+from dqforge.optimizer.firmware.targets.simplefoc import MEMBERS
 
 PAGE = page_of("simplefoc")
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 from firmware_asked import scooter
 
-from dqforge.optimizer.firmware.simplefoc_format import configuration
+from dqforge.optimizer.firmware.targets.simplefoc import configuration
 from dqforge.reports.firmware.simplefoc import TARGET
 from dqforge.reports.firmware.target import settles
 

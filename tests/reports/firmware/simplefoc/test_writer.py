@@ -13,8 +13,7 @@ from simplefoc_library import STUB, Commander
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration
-from dqforge.optimizer.firmware.simplefoc_format import MEMBERS
-from dqforge.optimizer.firmware.targets.simplefoc import configure
+from dqforge.optimizer.firmware.targets.simplefoc import MEMBERS, configure
 from dqforge.reports.firmware.simplefoc import TARGET, read, write
 from dqforge.reports.firmware.target import FileTitle
 

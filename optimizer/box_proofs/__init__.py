@@ -1,1 +1,0 @@
-"""Proofs that a loop is stable at every point of a box of parameters."""

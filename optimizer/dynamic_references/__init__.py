@@ -1,1 +1,0 @@
-"""Current references that move: slopes of torque and current, and field weakening by voltage."""

@@ -1,0 +1,117 @@
+"""Sensitivity of both axes together: found by brute force, bounded, and not by much more."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from random_current_loops import drives_inside, random_boxes
+
+from dqforge.optimizer.certificates.both_axes_sensitivity import (
+    SensitivitySearch,
+    bound_sensitivity,
+    sensitivities,
+)
+from dqforge.optimizer.certificates.cell_queue import (
+    BoxDrive,
+    CurrentLoopBox,
+    find_certificate,
+    loop_matrices,
+    parameters_of,
+)
+from dqforge.optimizer.certificates.current_loop_proof import (
+    confirm_sensitivity,
+    plain_certificate,
+    plain_inputs,
+)
+from dqforge.optimizer.loops.plants import current_loop
+from dqforge.optimizer.sampled_systems import loop_margins
+
+
+def stable_boxes(count: int, seed: int) -> list[CurrentLoopBox]:
+    boxes = random_boxes(5 * count, seed, fast=True)
+    return [box for box in boxes if find_certificate(box).complete][:count]
+
+
+@cache
+def stable_pair() -> list[CurrentLoopBox]:
+    return stable_boxes(2, 1)
+
+
+@cache
+def bounded(number: int) -> tuple[CurrentLoopBox, SensitivitySearch]:
+    box = stable_pair()[number]
+    return box, bound_sensitivity(box)
+
+
+NUMBERS = pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.slow)])
+
+
+def points_inside(box: CurrentLoopBox, count: int) -> np.ndarray:
+    rows = drives_inside(box, np.random.default_rng(2), count)
+    points = np.array([parameters_of(box, BoxDrive(*row)) for row in rows])
+    points[:, 3] = np.abs(points[:, 3])
+    return points
+
+
+def test_at_rest_it_is_the_larger_of_both_axes() -> None:
+    box = replace(stable_boxes(1, 1)[0], omega_e=0.0)
+    nominal = [0.5 * (low + high) for low, high in (box.r_s, box.l_d, box.l_q)]
+    drive = BoxDrive(nominal[0], nominal[1], nominal[2], 1.0, 0.0)
+    found = sensitivities(box, parameters_of(box, drive)[None])[0]
+    alone = []
+    for k in range(2):
+        ki = box.ki_ts[k] / box.t_s
+        loop = current_loop(nominal[0], nominal[1 + k], box.t_s, box.kp[k], ki)
+        alone.append(loop_margins(loop.open_loop).max_sensitivity)
+    assert found == pytest.approx(max(alone), rel=2e-3)
+
+
+@NUMBERS
+def test_turned_voltages_stay_stable_up_to_the_angle_of_the_bound(number: int) -> None:
+    """Voltages of every drive turned by 2 asin(1/(2 M)) either way; well beyond it some are not."""
+    box, found = bounded(number)
+    assert np.isfinite(found.bound)
+    at = parameters_of(box, found.at)
+    points = np.vstack([points_inside(box, 100), at])
+    matrices = loop_matrices(box, points)
+    most = 2.0 * np.arcsin(0.5 / found.bound)
+    worst: dict[float, float] = {}
+    for share in (1.0, 3.0):
+        for sign in (-1.0, 1.0):
+            angle = sign * share * most
+            turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+            turned = matrices.copy()
+            turned[:, :2, 2:4] = matrices[:, :2, 2:4] @ turn
+            radius = float(np.abs(np.linalg.eigvals(turned)).max())
+            worst[share] = max(worst.get(share, 0.0), radius)
+    assert worst[1.0] < 1.0
+    assert worst[3.0] > 1.0
+
+
+@NUMBERS
+def test_the_bound_holds_is_within_a_tenth_and_is_confirmed(number: int) -> None:
+    box, found = bounded(number)
+    assert found.found < found.bound <= 1.1 * found.found
+    assert sensitivities(box, points_inside(box, 200)).max() < found.bound
+    certificate = plain_certificate(box, found.tree)
+    assert confirm_sensitivity(certificate, plain_inputs(box), found.bound).proven
+    # below the largest value found no certificate can hold
+    refused = confirm_sensitivity(certificate, plain_inputs(box), 0.999 * found.found)
+    assert "does not prove" in refused.fault
+
+
+@pytest.mark.slow
+def test_ten_drives_are_bounded_within_a_tenth() -> None:
+    bounded_ones = 0
+    for box in stable_boxes(12, 21):
+        found = bound_sensitivity(box, 400, 10**6)
+        if found.found > 50.0:  # within some 0.1 % of the border of stability
+            continue
+        assert found.found < found.bound <= 1.1 * found.found
+        certificate = plain_certificate(box, found.tree)
+        assert confirm_sensitivity(certificate, plain_inputs(box), found.bound).proven
+        bounded_ones += 1
+    assert bounded_ones >= 10

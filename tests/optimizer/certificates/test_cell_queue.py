@@ -1,0 +1,69 @@
+"""The order of the cells, and the tree of their cuts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dqforge.optimizer.certificates.cell_queue import (
+    Cell,
+    Cut,
+    Empty,
+    Open,
+    Proven,
+    Refuted,
+    Tree,
+    Verdict,
+    search,
+)
+
+SQUARE = Cell(np.zeros(2), np.ones(2))
+
+
+def middle_of_the_longer(cell: Cell) -> Cut:
+    axis = int(np.argmax(cell.width))
+    return Cut(axis, float(cell.middle[axis]), cell)
+
+
+def examine(cell: Cell) -> Verdict[float]:
+    """Proven where narrow; nothing is beyond the diagonal."""
+    if cell.low.sum() >= 1.0:
+        return Empty()
+    return Proven(float(cell.width.max())) if cell.width.max() < 0.3 else middle_of_the_longer(cell)
+
+
+def test_cells_fill_the_box() -> None:
+    tree = search(SQUARE, examine, lambda cell: float(cell.low.sum()), 1000)
+    assert tree.complete
+    verdicts = tree.preorder()
+    assert len(verdicts) == tree.examined == len(tree.nodes)
+    area, waiting = 0.0, [SQUARE]
+    for verdict in verdicts:
+        cell = waiting.pop()
+        if isinstance(verdict, Cut):
+            waiting += reversed(verdict.cell.halves(verdict.axis, verdict.value))
+        else:
+            assert isinstance(verdict, Empty | Proven)
+            area += float(np.prod(cell.width))
+    assert not waiting
+    assert area == 1.0
+
+
+def test_the_worst_comes_first_and_a_refuted_cell_ends_it() -> None:
+    seen = []
+
+    def refuting(cell: Cell) -> Verdict[float]:
+        seen.append(cell)
+        corner = cell.high.min() == 1.0 and cell.width.max() < 0.1
+        return Refuted(cell.high) if corner else middle_of_the_longer(cell)
+
+    tree = search(SQUARE, refuting, lambda cell: float(cell.high.sum()), 1000)
+    assert tree.counterexample is not None
+    assert not tree.complete
+    assert len(seen) == 9  # four cuts of each parameter lead to the corner, no cell beside them
+
+
+def test_what_was_not_reached_stays_open() -> None:
+    tree: Tree[float] = search(SQUARE, middle_of_the_longer, lambda _: 0.0, 5)
+    assert not tree.complete
+    assert len(tree.open_cells) == 6
+    assert sum(isinstance(verdict, Open) for verdict in tree.preorder()) == 6

@@ -1,0 +1,125 @@
+"""The loop in four parameters against the one in physical quantities, and what encloses it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from random_current_loops import drives_inside, radii, random_boxes
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.optimizer.certificates.cell_queue import (
+    BoxDrive,
+    Cell,
+    CurrentLoopBox,
+    corner_points,
+    drive_at,
+    largest_moduli,
+    loop_matrices,
+    parameters_of,
+    remainder,
+    root_cell,
+    shrunk,
+)
+
+Change = Callable[[CurrentLoopBox], CurrentLoopBox]
+
+BOXES = random_boxes(12, 4, fast=True)
+
+
+def with_dead_time(box: CurrentLoopBox) -> CurrentLoopBox:
+    """Compensated too much at worst: resistances below zero."""
+    return replace(box, dead_time=(-1.2 * box.r_s[0], 0.5 * box.r_s[0]))
+
+
+def parameters(box: CurrentLoopBox, drives: FloatArray) -> FloatArray:
+    return np.array([parameters_of(box, BoxDrive(*row)) for row in drives])
+
+
+@pytest.mark.parametrize("change", [lambda box: box, with_dead_time])
+def test_poles_are_those_of_the_physical_model_for_either_sense(change: Change) -> None:
+    generator = np.random.default_rng(1)
+    for box in map(change, BOXES):
+        drives = drives_inside(box, generator, 60)
+        points = parameters(box, drives)
+        points[:, 3] = np.abs(points[:, 3])
+        found = largest_moduli(loop_matrices(box, points))
+        np.testing.assert_allclose(found, radii(box, drives), atol=1e-12)
+
+
+@pytest.mark.parametrize("change", [lambda box: box, with_dead_time])
+def test_no_drive_is_lost_when_a_cell_shrinks(change: Change) -> None:
+    generator = np.random.default_rng(2)
+    emptied = 0
+    for box in map(change, BOXES):
+        points = parameters(box, drives_inside(box, generator, 3000))
+        points[:, 3] = np.abs(points[:, 3])
+        root = root_cell(box)
+        assert ((points >= root.low - 1e-9) & (points <= root.high + 1e-9)).all()
+        for _ in range(20):
+            ends = np.sort(generator.uniform(root.low, root.high, (2, 4)), axis=0)
+            cell = Cell(ends[0], ends[1])
+            inside = np.all((points >= cell.low) & (points <= cell.high), axis=1)
+            left = shrunk(box, cell)
+            if left is None:
+                emptied += 1
+                assert not inside.any()
+                continue
+            assert (left.low >= cell.low).all()
+            assert (left.high <= cell.high).all()
+            hair = 1e-12 * np.abs(root.high)  # rounding; the checker works in rationals
+            still = np.all((points >= left.low - hair) & (points <= left.high + hair), axis=1)
+            assert np.all(still | ~inside)
+    assert emptied > 2
+
+
+def test_a_drive_is_found_again_from_its_parameters() -> None:
+    generator = np.random.default_rng(3)
+    for box in (*BOXES, with_dead_time(BOXES[0])):
+        for point in parameters(box, drives_inside(box, generator, 20)):
+            drive = drive_at(box, point)
+            assert drive is not None
+            np.testing.assert_allclose(parameters_of(box, drive), point, rtol=1e-9, atol=1e-12)
+            assert box.gain[0] <= drive.gain <= box.gain[1]
+            assert box.l_d[0] <= drive.l_d <= box.l_d[1]
+    root = root_cell(BOXES[0])
+    corner = np.array([root.low[0], root.high[1], root.high[2], 0.0])
+    assert drive_at(BOXES[0], corner) is None  # least gain for b_d, largest for b_q
+
+
+@pytest.mark.parametrize("negative", [False, True])
+def test_the_remainder_bounds_interpolation_and_is_nearly_reached(negative: bool) -> None:
+    """300 random cells: nowhere more than the bounds, at one cell more than 0.9 of that of Phi."""
+    generator = np.random.default_rng(4)
+    largest = np.zeros(2)
+    for _ in range(300):
+        box = BOXES[int(generator.integers(len(BOXES)))]
+        box = with_dead_time(box) if negative else box
+        root = root_cell(box)
+        # single parameters too: there the bound is nearly reached
+        moved = generator.uniform(size=4) < 0.6
+        width = np.where(moved, generator.uniform(0.0, 1.0, 4), 0.0) * root.width
+        low = generator.uniform(root.low, root.high - width)
+        cell = Cell(low, low + width)
+        corners = corner_points(Cell(low, np.where(width > 0.0, cell.high, np.inf)))
+        corners = np.where(np.isinf(corners), low, corners)
+        share = generator.uniform(0.3, 0.7, (40, 4))
+        points = low + share * width
+        weights = np.ones((40, len(corners)))
+        for axis in np.flatnonzero(width > 0.0):
+            at_high = corners[:, axis] == cell.high[axis]
+            weights *= np.where(at_high[None], share[:, [axis]], 1.0 - share[:, [axis]])
+        blended = np.einsum("pv,vij->pij", weights, loop_matrices(box, corners))
+        blended /= weights.sum(axis=1)[:, None, None]
+        error = loop_matrices(box, points) - blended
+        np.testing.assert_allclose(error[:, 2:], 0.0, atol=1e-13)
+        (_, e_phi), (_, e_gam) = remainder(box, cell).groups
+        for place, (columns, bound) in enumerate(((slice(0, 2), e_phi), (slice(2, 4), e_gam))):
+            sizes = np.linalg.norm(error[:, :2, columns], 2, axis=(1, 2))
+            assert (sizes <= bound + 1e-13).all()
+            if bound > 1e-9:
+                largest[place] = max(largest[place], sizes.max() / bound)
+    assert largest[0] > 0.9
+    assert largest[1] > 0.5

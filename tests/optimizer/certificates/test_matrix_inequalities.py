@@ -1,0 +1,108 @@
+"""Small matrix inequalities against problems whose solution is known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dqforge.optimizer.certificates.cell_queue import (
+    Remainder,
+    common_lyapunov,
+    contracts,
+    lyapunov_frame,
+)
+from dqforge.optimizer.certificates.matrix_inequalities import (
+    Inequality,
+    Term,
+    chained_matrices,
+    solve_inequalities,
+)
+
+
+def random_loop(rng: np.random.Generator, radius: float, size: int = 6) -> np.ndarray:
+    loop = rng.normal(size=(size, size))
+    return np.asarray(loop * radius / np.max(np.abs(np.linalg.eigvals(loop))))
+
+
+def test_the_largest_gain_of_a_first_order_lag_is_found() -> None:
+    """y = x, x+ = a x + w has the largest gain 1/(1 - a), at rest."""
+    a = 0.8
+    held = np.array([[1.0, 0.0]])
+    step, output = np.array([[a, 1.0]]), np.array([[1.0, 0.0]])
+    bound = Inequality(
+        (Term(0, held), Term(0, step, -1.0)),
+        slope=np.diag([0.0, 1.0]),
+        constant=-output.T @ output,
+    )
+    found = solve_inequalities([bound], [1], least=True)
+    assert found is not None
+    assert np.isclose(np.sqrt(found.scalar), 1.0 / (1.0 - a), rtol=1e-4)
+
+
+def test_one_matrix_serves_corners_and_everything_between() -> None:
+    rng = np.random.default_rng(5)
+    middle = random_loop(rng, 0.9)
+    corners = middle + 0.01 * rng.normal(size=(16, 6, 6))
+    frame = lyapunov_frame(middle)
+    assert frame is not None
+    matrix = common_lyapunov(corners, frame)
+    assert matrix is not None
+    assert contracts(matrix, matrix, corners).whole
+    shares = rng.dirichlet(np.ones(16), 500)
+    between = np.einsum("sv,vij->sij", shares, corners)
+    fall = matrix - np.swapaxes(between, 1, 2) @ matrix @ between
+    assert np.linalg.eigvalsh(fall).min() > 0.0
+
+
+def test_a_remainder_is_counted_as_it_acts() -> None:
+    """Just below the largest remainder every disturbance of that size contracts; far beyond none
+    is promised.
+    """
+    rng = np.random.default_rng(6)
+    loop = random_loop(rng, 0.8)[None]
+    frame = lyapunov_frame(loop[0])
+    assert frame is not None
+    matrix = frame.T @ frame
+    sizes = np.geomspace(1e-4, 1.0, 60)
+    held = [
+        contracts(matrix, matrix, loop, Remainder((0, 1), (((0, 1), e), ((2, 3), e)))).whole
+        for e in sizes
+    ]
+    assert held[0]
+    assert not held[-1]
+    largest = sizes[np.flatnonzero(held)[-1]]
+    for _ in range(200):
+        disturbed = loop[0].copy()
+        for columns in ((0, 1), (2, 3)):
+            block = rng.normal(size=(2, 2))
+            disturbed[np.ix_((0, 1), columns)] += largest * block / np.linalg.norm(block, 2)
+        assert np.linalg.eigvalsh(matrix - disturbed.T @ matrix @ disturbed).min() > 0.0
+
+
+def test_an_unstable_corner_has_no_matrix() -> None:
+    rng = np.random.default_rng(7)
+    stable, unstable = random_loop(rng, 0.9), random_loop(rng, 1.01)
+    frame = lyapunov_frame(stable)
+    assert frame is not None
+    assert common_lyapunov(np.stack([stable, unstable]), frame) is None
+    assert lyapunov_frame(unstable) is None
+
+
+def test_a_cycle_closes_though_a_step_grows() -> None:
+    """The second step alone is unstable, both in turn are not: a chain of two matrices, no common
+    one.
+    """
+    steps = [np.array([[0.0, 2.0], [0.2, 0.0]])[None], np.diag([0.3, 2.0])[None]]
+    links = [(0, 1, steps[0]), (1, 0, steps[1])]
+    found = chained_matrices(links, [np.eye(2)] * 2, count=2)
+    assert found is not None
+    for a, b, step in links:
+        assert contracts(found.matrices[a], found.matrices[b], step).whole
+        assert not contracts(found.matrices[a], found.matrices[a], steps[1]).corners
+
+
+def test_no_cycle_is_found_where_the_loop_grows() -> None:
+    steps = [np.array([[0.0, 2.0], [0.2, 0.0]])[None], np.array([[[0.0, 0.3], [2.0, 0.0]]])]
+    links = [(0, 1, steps[0]), (1, 0, steps[1])]
+    found = chained_matrices(links, [np.eye(2)] * 2, count=2)
+    held = [] if found is None else found.matrices
+    assert not all(contracts(held[a], held[b], step).whole for a, b, step in links if held)
