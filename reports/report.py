@@ -10,13 +10,22 @@ from typing import TYPE_CHECKING, Any
 from dqforge import __version__
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.forms import SignedReference
+from dqforge.optimizer.solution import Solution
 from dqforge.reports.capabilities import CAPABILITIES
-from dqforge.reports.capability import Capabilities, Capability, Outcome, Tile, asked_for
-from dqforge.reports.convention_text import convention_lines
+from dqforge.reports.capability import (
+    Capabilities,
+    Capability,
+    Flashed,
+    Outcome,
+    Rows,
+    Tile,
+    asked_for,
+)
 from dqforge.reports.main_header import NEUTRAL, Dialect, header_context
-from dqforge.reports.pages.answer import NUMBER_AND_UNIT
+from dqforge.reports.pages.answer import NUMBER_AND_UNIT, Table
 from dqforge.reports.pages.html_text import (
     NARROW,
     HtmlTable,
@@ -30,15 +39,15 @@ from dqforge.reports.pages.html_text import (
 from dqforge.reports.pages.templating import CHAPTERS, page_figure, render
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.run_folder import FIGURES, FOLDING, ListedFile, files_table, page_scripts
-from dqforge.reports.summary import flashed, watched
+from dqforge.reports.verification.host import Verification
 from dqforge.reports.verification.text import compared
+from dqforge.reports.verification.text import verification_text as text_verification_text
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-    from dqforge.optimizer.solution import Solution
     from dqforge.reports.simulation.design_run import DriveSimulation
-    from dqforge.reports.verification.host import Verification
+
 
 Found = Sequence[tuple[Capability[Any], Any]]
 FILES = "What this run wrote beside this page"  # Caption of the table of files.
@@ -285,3 +294,140 @@ def other_assumptions(design: Design) -> list[str]:
     """Assumptions that the table of values does not tell already."""
     told = tuple(f"{value.path} is inferred" for value in design.values if value.inferred)
     return [sentence for sentence in design.assumptions if not sentence.startswith(told or ("\0",))]
+
+
+# What ``run`` says of a design: what to flash, what to look out for, the evidence.
+
+
+def flashed(outcome: Outcome, capabilities: Capabilities = CAPABILITIES) -> list[Flashed]:
+    """The numbers to flash, in the order of the capabilities."""
+    found = asked_for(capabilities, outcome)
+    return [row for each, result in found for row in each.flashed(outcome.solution, result)]
+
+
+def watched(outcome: Outcome, capabilities: Capabilities = CAPABILITIES) -> list[str]:
+    """What to look out for before anything is flashed, a sentence each."""
+    found = asked_for(capabilities, outcome)
+    texts = [text for each, result in found for text in each.watched(outcome.solution, result)]
+    if not outcome.verified:
+        texts.append("the emitted C was not compiled and not compared with its model")
+    return [*texts, *_open_points(outcome.design)]
+
+
+def _open_points(design: Design) -> list[str]:
+    """How much of the design is inferred or left open."""
+    inferred = [value.path for value in design.values if value.inferred]
+    texts = []
+    if inferred:
+        listed = ", ".join(inferred[:3]) + (", ..." if len(inferred) > 3 else "")
+        verb = "is" if len(inferred) == 1 else "are"
+        texts.append(f"{listed} {verb} inferred, not measured: 'dqforge check' says from what")
+    return texts
+
+
+def run_tables(
+    solution: Solution,
+    verification: Verification | None,
+    capabilities: Capabilities = CAPABILITIES,
+) -> list[Table]:
+    """The short summary of a run.
+
+    Args:
+        solution: What was solved.
+        verification: Outcome of compiling and running the headers, None if that was skipped.
+        capabilities: Those of the product, or these and some from outside.
+    """
+    outcome = Outcome(solution, verification is not None)
+    rows: Rows = []
+    for capability, found in asked_for(capabilities, outcome):
+        rows += capability.summary(solution, found)
+    rows += [
+        ("flux map", f"{evidence.source}: {text}")
+        for evidence in solution.design.flux_evidence
+        for text in evidence.sentences()
+    ]
+    rows.append(("verification", text_verification_text(verification)))
+    first = tuple((row.label, row.value, row.meaning) for row in flashed(outcome, capabilities))
+    warnings = tuple(("", text) for text in watched(outcome, capabilities))
+    return [
+        Table(f"{solution.design.name}: what to flash", ("", "", ""), first),
+        *([Table("What to look out for", ("", ""), warnings)] if warnings else []),
+        Table("Evidence", ("", ""), tuple(rows)),
+    ]
+
+
+# What the report says of the conventions and of the model of a machine: true for this machine.
+
+_VELOCITY_FORM = "d[k] = d[k\u22121] + kp (e[k] \u2212 e[k\u22121]) + ki T e[k]"
+
+
+def convention_lines(solution: Solution) -> list[Markup]:
+    """Conventions of the numbers of a report, and what its model of the machine leaves out.
+
+    Args:
+        solution: Of a design.
+    """
+    from markupsafe import Markup
+
+    lines = [
+        symbols(
+            "dq quantities are amplitude-invariant: currents, voltages and fluxes are peak values "
+            "of a phase."
+        ),
+        symbols(
+            f"{_axis_words(solution.design)} Electrical speed is pole pairs times mechanical speed."
+        ),
+        Markup(
+            "Torque is 3/2 <i>p</i> (\u03c8<sub>d</sub> <i>i</i><sub>q</sub> \u2212 "
+            "\u03c8<sub>q</sub> <i>i</i><sub>d</sub>); copper loss is 3/2 <i>R</i><sub>s</sub> "
+            "(<i>i</i><sub>d</sub>\u00b2 + <i>i</i><sub>q</sub>\u00b2)."
+        ),
+    ]
+    if solution.loops is not None:
+        form = Markup('<span class="mono">{}</span>').format(_VELOCITY_FORM)
+        lines.append(Markup("PI controllers: {}.").format(form))
+    return [*lines, *(symbols(line) for line in machine_lines(solution.design))]
+
+
+def _axis_words(design: Design) -> str:
+    if abs(design.machine.psi_pm) < 1e-9:
+        greater = "greater" if design.machine.l_d > design.machine.l_q else "smaller"
+        return f"The machine has no magnets; the d axis is that of the {greater} inductance."
+    return "The d axis lies along the magnet flux; negative i_d weakens the field."
+
+
+def machine_lines(design: Design) -> list[str]:
+    """What the model of a machine holds, and what it leaves out.
+
+    Args:
+        design: Says what is known of the machine.
+    """
+    lines = [_inductance_words(design)]
+    if design.phase_machine is not None:
+        lines.append(
+            "The back-EMF has the harmonics of the design; current reference and losses in dq are "
+            "those of its fundamental."
+        )
+    lines.append(_iron_words(design))
+    return lines
+
+
+def _inductance_words(design: Design) -> str:
+    if not isinstance(design.machine, LinearMachine):
+        return (
+            "Flux linkages follow a map over both currents: saturation is part of the model, and "
+            "inductances are stated at zero current where no current is named."
+        )
+    if isinstance(design.phase_machine, SalientPhaseMachine):
+        return (
+            "Inductances vary with the angle of the rotor, not with the current: saturation is no "
+            "part of the model."
+        )
+    return "Inductances are constant: saturation is no part of the model."
+
+
+def _iron_words(design: Design) -> str:
+    loss = design.machine_loss
+    if loss.hysteresis == 0.0 and loss.eddy == 0.0:
+        return "The design gives no iron loss, and none is counted."
+    return "Iron loss is counted where losses are, from the flux linkage and the electrical speed."

@@ -14,7 +14,7 @@ from study_rows import StudyRows
 from study_runs import run_in
 
 from dqforge.reports.command_line.flags import exit_code
-from dqforge.reports.study_engine.engine_settings import EngineSettings, TlsFiles
+from dqforge.reports.exploration.contained_rows import EngineSettings, TlsFiles
 
 
 def main() -> int:

@@ -9,7 +9,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.firmware.solve import FirmwareFit, solve_firmware
-from dqforge.reports.firmware_files.plain import firmware_files
+from dqforge.reports.firmware.written_files import firmware_files
 
 SCOOTER = """dqforge: 1
 name: E-scooter hub motor

@@ -13,9 +13,9 @@ from dqforge.machines.exploration.study_checks import study_of_text
 from dqforge.optimizer.exploration.row_block import Inputs, RowBlock
 from dqforge.optimizer.exploration.study_plan import StudyPlan
 from dqforge.optimizer.exploration.study_search import SearchedStudy
-from dqforge.reports.study_engine.engine_settings import EngineSettings, StudyOutcome
-from dqforge.reports.study_engine.run_search import run_search
-from dqforge.reports.study_store.part_store import PartStore, StudyHeader, study_header
+from dqforge.reports.exploration.contained_rows import EngineSettings, StudyOutcome
+from dqforge.reports.exploration.part_store import PartStore, StudyHeader, study_header
+from dqforge.reports.exploration.run_study import run_search
 
 _LOOPS = """\
 dqforge_study: 1

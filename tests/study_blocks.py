@@ -9,8 +9,8 @@ import numpy as np
 
 from dqforge.machines.exploration.study import Axis, Draw, Goal, Study
 from dqforge.optimizer.exploration.row_block import STATES, ColumnSpec, RowBlock
-from dqforge.reports.study_store.part_file import encode_part
-from dqforge.reports.study_store.part_store import (
+from dqforge.reports.exploration.part_file import encode_part
+from dqforge.reports.exploration.part_store import (
     PartStore,
     StudyHeader,
     study_header,

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from dqforge.reports.study_engine.engine_settings import TlsFiles
+from dqforge.reports.exploration.contained_rows import TlsFiles
 
 TESTS = Path(__file__).resolve().parent
 OPEN = TlsFiles()

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from dqforge.machines.exploration.study import Study
 from dqforge.optimizer.exploration.row_block import RowSource
-from dqforge.reports.study_engine.engine_settings import EngineSettings, StudyOutcome
-from dqforge.reports.study_engine.run_study import run_study
-from dqforge.reports.study_store.part_store import PartStore, study_header
+from dqforge.reports.exploration.contained_rows import EngineSettings, StudyOutcome
+from dqforge.reports.exploration.part_store import PartStore, study_header
+from dqforge.reports.exploration.run_study import run_study
 
 _STUDY = Study("Artificial rows", "", b"machine: {}\n", "made up", "00")
 

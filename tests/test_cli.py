@@ -206,7 +206,7 @@ def test_what_is_no_output_is_not_read_as_headers(
     tmp_path: Path, content: str | None, phrase: str
 ) -> None:
     from dqforge.machines.errors import InputError
-    from dqforge.reports.result import read_folder
+    from dqforge.reports.run import read_folder
 
     if content is not None:
         (tmp_path / "result.json").write_text(content)

@@ -20,11 +20,16 @@ from dqforge import cli
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, Origin
 from dqforge.optimizer.solution import solve
+from dqforge.reports.firmware.design_made import (
+    exact_text,
+    merged,
+    rate_text,
+    read_configuration,
+    speed_text,
+)
 from dqforge.reports.firmware.target import TARGETS
-from dqforge.reports.firmware_files.design_text import exact_text, rate_text, speed_text
-from dqforge.reports.firmware_files.plain import FIRMWARE as FIRMWARE_FILES
-from dqforge.reports.firmware_files.plain import differing, written_firmware
-from dqforge.reports.firmware_files.recognised import merged, read_configuration
+from dqforge.reports.firmware.written_files import FIRMWARE as FIRMWARE_FILES
+from dqforge.reports.firmware.written_files import differing, written_firmware
 from dqforge.reports.run import emitted_files
 
 FIRMWARE = tuple(TARGETS)

@@ -17,7 +17,7 @@ from dqforge.machines.modulation import registry as modulators
 from dqforge.machines.modulation.modulator import Modulator
 from dqforge.optimizer.observers.methods import registry as observers
 from dqforge.optimizer.observers.parts import ObserverMethod
-from dqforge.reports.result import verify_folder
+from dqforge.reports.run import verify_folder
 
 MODULATOR = "machines/modulation/families/fifth_of_third_harmonic.py"
 OBSERVER = "optimizer/observers/methods/back_emf.py"

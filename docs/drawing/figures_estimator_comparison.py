@@ -6,7 +6,7 @@ from pathlib import Path
 
 from dqforge.machines.design import catalogue
 from dqforge.optimizer.estimator_comparison.solve import compare_estimators
-from dqforge.reports.estimator_comparison.figures import plot_comparison
+from dqforge.reports.answers.estimators import plot_comparison
 from dqforge.reports.pages.figures_style import save
 
 

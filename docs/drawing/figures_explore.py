@@ -17,11 +17,11 @@ from dqforge.machines.exploration.study import Study
 from dqforge.machines.exploration.study_checks import read_study
 from dqforge.optimizer.exploration.row_block import STATES
 from dqforge.optimizer.exploration.study_plan import StudyPlan
+from dqforge.reports.answers.explore import view_of
+from dqforge.reports.exploration.part_file import encode_part
+from dqforge.reports.exploration.part_store import PartStore, study_header
 from dqforge.reports.exploration.study_view import StudyView
-from dqforge.reports.exploration.viewing import view_of
 from dqforge.reports.pages.figures_style import BLUE, ORANGE, PALE, TEAL, new_figure, save, style
-from dqforge.reports.study_store.part_file import encode_part
-from dqforge.reports.study_store.part_store import PartStore, study_header
 
 _DRAWN = 20_000
 _BINS = 60

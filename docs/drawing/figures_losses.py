@@ -34,7 +34,7 @@ from dqforge.reports.pages.figures_style import (
     save,
     style,
 )
-from dqforge.reports.papers.paper000.stated_method import table_4
+from dqforge.reports.papers.paper000_stated_method import table_4
 
 COLOURS = {"spwm": MUTED, "svpwm": ORANGE, "ddt-gdpwm": BLUE}
 PARTS = ("copper", "conduction", "switching")

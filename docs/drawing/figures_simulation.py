@@ -14,9 +14,9 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.scenario import InverterModel, Scenario, constant
 from dqforge.reports.pages.figures_style import MUTED, new_figure, save, style
 from dqforge.reports.simulation.design_run import simulate_design
-from dqforge.reports.simulation.figures import plot_simulation
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import simulate, simulator
+from dqforge.reports.simulation.tables import plot_simulation
 
 _RL = LinearMachine(pole_pairs=1, r_s=1.0, l_d=1e-3, l_q=1e-3, psi_pm=0.0, i_max=60.0)
 _T_S, _DEAD_TIME = 1e-4, 2e-6

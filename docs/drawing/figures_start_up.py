@@ -7,7 +7,7 @@ from pathlib import Path
 from dqforge.machines.design.catalogue import load_design, load_text
 from dqforge.reports.pages.figures_style import save
 from dqforge.reports.simulation.design_run import simulate_design
-from dqforge.reports.simulation.figures import plot_simulation
+from dqforge.reports.simulation.tables import plot_simulation
 
 _DESIGN = b"""
 dqforge: 1

@@ -8,6 +8,11 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import StartUpMethodName
+from dqforge.reports.estimator_comparison.random_starts import (
+    RandomBench,
+    random_bench,
+    recorded_starts,
+)
 from dqforge.reports.pages.figures_style import (
     BLUE,
     FAINT,
@@ -18,7 +23,6 @@ from dqforge.reports.pages.figures_style import (
     save,
     style,
 )
-from dqforge.reports.start_up_bench.random_starts import RandomBench, random_bench, recorded_starts
 
 _COUNT = 24
 

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
         doctor,
         dqy,
         estimators,
-        explain,
         explore,
         export,
         fit,

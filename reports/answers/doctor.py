@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dqforge.reports.operating_system.packages import Package
-from dqforge.reports.operating_system.ways_to_get import (
+from dqforge.reports.operating_system.packages import (
     COMPILERS,
     LEAST_FREE,
     WAYS,
     Machine,
+    Package,
     Program,
     Trial,
     look,

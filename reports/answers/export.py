@@ -12,7 +12,7 @@ from dqforge.machines.files.input_files import read_regular_file
 from dqforge.optimizer.firmware.firmware_method import check_drivable
 from dqforge.optimizer.firmware.solve import FirmwareFit, method_of
 from dqforge.reports.firmware.target import MOST_BYTES, TARGETS, decoded_file
-from dqforge.reports.firmware_files.plain import (
+from dqforge.reports.firmware.written_files import (
     check_existing,
     fit_tables,
     plain_fit,
@@ -75,7 +75,7 @@ def answer_export_for(
         tables += fit_tables(fit, read, title)
         plain[fit.name] = plain_fit(fit) | {"files": list(made)}
     if verify:
-        from dqforge.reports.firmware_files.settled import settling_text, settling_verdicts
+        from dqforge.reports.firmware.design_made import settling_text, settling_verdicts
 
         fits = [fit for fit, _ in made_files]
         verdicts = settling_verdicts(design, fits, _running)

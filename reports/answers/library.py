@@ -231,8 +231,8 @@ def answer_new_from(
             the folder has a design file already.
     """
     path = new_file(folder, NEW_DESIGN)
-    from dqforge.reports.firmware_files.design_made import design_from_files
-    from dqforge.reports.firmware_files.plain import plain_configuration
+    from dqforge.reports.firmware.design_made import design_from_files
+    from dqforge.reports.firmware.written_files import plain_configuration
 
     made = design_from_files(files, settings or ())
     notes = [f"{path} written, from {', '.join(file.name for file in files)}"]

@@ -18,8 +18,8 @@ def answer_run(design: Design, *, verify: bool) -> Answer:
     """Do everything that the design asks for; raises as `run_design`."""
     from dqforge.reports.operating_system.system import prepare_drawing
     from dqforge.reports.output.folder import COMMAND, RUN, VERIFIED
+    from dqforge.reports.report import run_tables
     from dqforge.reports.run import run_design
-    from dqforge.reports.summary import run_tables
 
     prepare_drawing()
     output = run_design(design, verify=verify)

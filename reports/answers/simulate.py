@@ -35,7 +35,7 @@ def answer_simulate(design: Design, out: Path | None, *, switched: bool) -> Answ
     found = simulate_with_firmware(design, switched=switched, progress=shares())
 
     def figure() -> Figure:
-        from dqforge.reports.simulation.figures import plot_simulation
+        from dqforge.reports.simulation.tables import plot_simulation
 
         return plot_simulation(found)
 

@@ -8,14 +8,18 @@ from dataclasses import asdict
 from pathlib import Path
 
 from dqforge.machines.errors import InputError
-from dqforge.reports.firmware_files.plain import read_back_text, written_firmware
+from dqforge.reports.firmware.written_files import read_back_text, written_firmware
 from dqforge.reports.operating_system.host_compiler import require_compiler
-from dqforge.reports.output.recomputation import Recomputation, recompute
-from dqforge.reports.output.recomputation_text import recomputation_text
-from dqforge.reports.output.stored_proof import check_stored_proof, stored_proof_text
+from dqforge.reports.output.recomputation import (
+    Recomputation,
+    check_stored_proof,
+    recomputation_text,
+    recompute,
+    stored_proof_text,
+)
 from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.plain_data import PlainData
-from dqforge.reports.result import WrittenHeaders, read_folder, verify_written
+from dqforge.reports.run import WrittenHeaders, read_folder, verify_written
 from dqforge.reports.verification.cortex_m import verify_on_target
 from dqforge.reports.verification.cross_tools import target_of
 from dqforge.reports.verification.host import Verification

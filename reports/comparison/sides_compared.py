@@ -22,7 +22,7 @@ from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Quantity, Value
 from dqforge.reports.comparison.sources import Side
 from dqforge.reports.firmware.target import TextFile
-from dqforge.reports.firmware_files.plain import DRIVE_KEYS
+from dqforge.reports.firmware.written_files import DRIVE_KEYS
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.plain_data import PlainData
 

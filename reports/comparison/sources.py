@@ -22,14 +22,14 @@ from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities
 from dqforge.reports.current_reference.capability import CONSTANTS
 from dqforge.reports.current_reference.plain import from_plain
+from dqforge.reports.firmware.design_made import read_file, recognised
 from dqforge.reports.firmware.target import MOST_BYTES, decoded_file
-from dqforge.reports.firmware_files.plain import plain_drive_values, plain_loop, plain_pi
-from dqforge.reports.firmware_files.recognised import read_file, recognised
+from dqforge.reports.firmware.written_files import plain_drive_values, plain_loop, plain_pi
 from dqforge.reports.output.folder import sha256
 from dqforge.reports.pages.answer import LARGEST_FILE, LARGEST_JSON, read_output, stage
 from dqforge.reports.pages.templating import FORMAT, strict_json, to_text
 from dqforge.reports.plain_data import PlainData
-from dqforge.reports.result import plain_solution
+from dqforge.reports.run import plain_solution
 
 _RESULT = "result.json"
 

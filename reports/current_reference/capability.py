@@ -32,30 +32,28 @@ from dqforge.reports.capability import (
 )
 from dqforge.reports.current_reference.figures import ROUNDING
 from dqforge.reports.current_reference.plain import data_lines, plain_fit, to_plain
-from dqforge.reports.operating_points.html import operating_table
-from dqforge.reports.operating_points.plain import plain_curves
+from dqforge.reports.operating_points.figures import operating_table
+from dqforge.reports.operating_points.map_tables import plain_curves
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import (
+    FORMAT_TEXT,
     NARROW,
+    STRATEGY_TEXT,
     HtmlTable,
     Row,
     ceiling,
+    core_name,
     count,
     error_cells,
     heading_cells,
     number,
+    operation_text,
     quantity,
     raised,
     share,
+    significant,
     symbols,
     unit_text,
-)
-from dqforge.reports.pages.labels import (
-    FORMAT_TEXT,
-    STRATEGY_TEXT,
-    core_name,
-    operation_text,
-    significant,
     watts,
 )
 from dqforge.reports.pages.templating import ERRORS, REFERENCE, proof_title, proven_text

@@ -45,8 +45,8 @@ from dqforge.optimizer.curves.integer_polynomial import (
 from dqforge.optimizer.solution import NegativeHalf, Solution
 from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, Programme, title
 from dqforge.reports.c_code.numbers import rounded_up
-from dqforge.reports.operating_points.plain import plain_curves, plain_speed
-from dqforge.reports.pages.labels import operation_text
+from dqforge.reports.operating_points.map_tables import plain_curves, plain_speed
+from dqforge.reports.pages.html_text import operation_text
 from dqforge.reports.pages.templating import header_lines, plain_certificate
 from dqforge.reports.plain_data import PlainData, shortest
 

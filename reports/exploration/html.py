@@ -21,13 +21,13 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.exploration.acceptance import AcceptedRange, NamedRow, Share
 from dqforge.optimizer.exploration.row_block import OUTPUT_COLUMN, STATES, ColumnSpec
+from dqforge.reports.exploration.part_store import label, value_text
 from dqforge.reports.exploration.study_view import StudyView, shown_unit
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import BLUE, RED, SKY
 from dqforge.reports.pages.html_text import HtmlTable, Row, count
 from dqforge.reports.pages.templating import DataFile, data_file, panels_text, render
 from dqforge.reports.run_folder import FIGURES, FOLDING, ListedFile, files_table, page_scripts
-from dqforge.reports.study_store.part_store import label, value_text
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -422,7 +422,7 @@ class BarChart:
 
     @property
     def panels(self) -> list[dict[str, Any]]:
-        """Where the bars lie, as `dqforge.reports.figure_data` says it of figures."""
+        """Where the bars lie, as `dqforge.reports.pages.figure_sheet` says it of figures."""
         count = len(self.bars)
         drawn = {
             "kind": "bars",
@@ -524,7 +524,7 @@ class HistogramChart:
 
     @property
     def panels(self) -> list[dict[str, Any]]:
-        """Where the bins lie, as `dqforge.reports.figure_data` says it of figures."""
+        """Where the bins lie, as `dqforge.reports.pages.figure_sheet` says it of figures."""
         low, high = self._ends
         most = max(self.counts)
         return [

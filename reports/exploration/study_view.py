@@ -23,11 +23,11 @@ from dqforge.optimizer.exploration.acceptance import (
     WorstRow,
 )
 from dqforge.optimizer.exploration.row_block import INPUT_COLUMN, STATES, ColumnSpec
+from dqforge.reports.exploration.part_store import label, people_unit
+from dqforge.reports.exploration.summary_files import plain_sensitivities
 from dqforge.reports.pages.answer import Answer, Table, stage
 from dqforge.reports.pages.figures_style import BLUE, ORANGE, PALE, TEAL, new_figure, style
 from dqforge.reports.plain_data import PlainData, finite
-from dqforge.reports.study_store.part_store import label, people_unit
-from dqforge.reports.study_store.summary_files import plain_sensitivities
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from dqforge.machines.exploration.study import Study
     from dqforge.optimizer.exploration.acceptance import AcceptedRange
     from dqforge.optimizer.exploration.row_block import RowBlock, RowSource
-    from dqforge.reports.study_store.part_store import PartStore
+    from dqforge.reports.exploration.part_store import PartStore
 
 
 MOST_PICTURED = 1500  # Rows of a picture besides those of the front: every n-th of the study.
@@ -294,8 +294,8 @@ def _tried(study: Study, plan: RowSource, known: int) -> tuple[int, float, int]:
     What is done once in a process, such as imports and tables of breakpoints, is left out: a row
     comes first. Where some rows take no time, a whole part tells more.
     """
-    from dqforge.reports.study_engine.contained_rows import contained_rows
-    from dqforge.reports.study_store.part_file import encode_part
+    from dqforge.reports.exploration.contained_rows import contained_rows
+    from dqforge.reports.exploration.part_file import encode_part
 
     def timed(first: int, end: int) -> tuple[float, int]:
         began = time.perf_counter()
@@ -320,7 +320,7 @@ def _tried(study: Study, plan: RowSource, known: int) -> tuple[int, float, int]:
 def _inputs(plan: RowSource, block: RowBlock) -> Mapping[str, str]:
     """What goes into the one row of a block, as it is printed."""
     from dqforge.optimizer.exploration.row_block import INPUT_COLUMN
-    from dqforge.reports.study_store.part_store import label, value_text
+    from dqforge.reports.exploration.part_store import label, value_text
 
     found = {}
     for column in plan.columns:

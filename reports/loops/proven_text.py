@@ -36,7 +36,7 @@ from dqforge.reports.observers.speed_loop_text import (
     plain_tracker,
 )
 from dqforge.reports.pages.answer import Table
-from dqforge.reports.pages.labels import significant
+from dqforge.reports.pages.html_text import significant
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design

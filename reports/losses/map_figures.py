@@ -41,24 +41,22 @@ from dqforge.reports.pages.figures_style import (
 )
 from dqforge.reports.pages.html_text import (
     NARROW,
-    HtmlTable,
-    Row,
-    heading_cells,
-    known_texts,
-    number,
-    share,
-    symbols,
-)
-from dqforge.reports.pages.labels import (
     STRATEGY_LABELS,
     STRATEGY_TEXT,
     WITHOUT_BRIDGE,
+    HtmlTable,
+    Row,
     friction_text,
+    heading_cells,
+    known_texts,
     modulation_label,
+    number,
     obstacle,
     part_label,
     point_text,
+    share,
     shown_parts,
+    symbols,
     watts,
 )
 from dqforge.reports.pages.templating import LOSSES as CHAPTER

@@ -14,7 +14,7 @@ from dqforge.optimizer.losses.drive_budget import PARTS
 from dqforge.optimizer.losses.drive_comparison import Alternatives, MissionComparison, MissionRun
 from dqforge.optimizer.losses.phase_comparison import LossComparison, PhaseBudget
 from dqforge.reports.pages.answer import Table
-from dqforge.reports.pages.labels import (
+from dqforge.reports.pages.html_text import (
     WITHOUT_BRIDGE,
     friction_text,
     letter,

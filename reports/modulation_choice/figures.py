@@ -58,8 +58,7 @@ from dqforge.reports.pages.figures_style import (
     new_figure,
     style,
 )
-from dqforge.reports.pages.html_text import HtmlTable, Row, quantity, share
-from dqforge.reports.pages.labels import watts
+from dqforge.reports.pages.html_text import HtmlTable, Row, quantity, share, watts
 from dqforge.reports.pages.templating import (
     MODULATION,
     WINNERS,

@@ -16,7 +16,7 @@ from dqforge.optimizer.modulation_choice.rule import Leaf, Rule
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, PricedRule
 from dqforge.reports.modulation_choice.rule_model import as_emitted, plain_rule
 from dqforge.reports.pages.answer import Table
-from dqforge.reports.pages.labels import letter
+from dqforge.reports.pages.html_text import letter
 from dqforge.reports.plain_data import PlainData
 
 _RPM = 30.0 / math.pi

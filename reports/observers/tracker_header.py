@@ -51,6 +51,7 @@ from dqforge.reports.observers.speed_loop_text import (
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import (
     NARROW,
+    NEGLIGIBLE,
     HtmlTable,
     Row,
     heading_cells,
@@ -59,7 +60,6 @@ from dqforge.reports.pages.html_text import (
     share,
     symbols,
 )
-from dqforge.reports.pages.labels import NEGLIGIBLE
 from dqforge.reports.pages.templating import LOOPS, render
 from dqforge.reports.steps.observer_text import step_text
 from dqforge.reports.steps.tracker_text import tracker_text

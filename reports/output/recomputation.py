@@ -13,7 +13,7 @@ import tempfile
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from itertools import zip_longest
 from pathlib import Path
@@ -28,9 +28,15 @@ from dqforge.machines.design.design import MAX_FILE_BYTES, Design
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.names import Firmware
 from dqforge.machines.records import dataclass
+from dqforge.optimizer.certificates.current_loop_proof import (
+    Confirmation,
+    confirm,
+    confirm_sensitivity,
+)
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.firmware.design_simulation import simulate_with_firmware
 from dqforge.reports.firmware.target import decoded_file
+from dqforge.reports.loops.firmware_text import CERTIFICATE
 from dqforge.reports.output.folder import (
     COMMAND,
     EXISTING,
@@ -50,9 +56,10 @@ from dqforge.reports.output.folder import (
     read_manifest,
     sha256,
 )
-from dqforge.reports.pages.answer import read_output, stage
+from dqforge.reports.pages.answer import LARGEST_JSON, read_output, stage
+from dqforge.reports.pages.templating import strict_json
 from dqforge.reports.run import export_design, run_again, solved_files
-from dqforge.reports.run_folder import INPUT, MANIFEST, REPORT, RESULT
+from dqforge.reports.run_folder import INPUT, INPUT_DESIGN, MANIFEST, REPORT, RESULT
 from dqforge.reports.simulation.design_run import simulation_files
 
 _AGAIN = "run the design again"
@@ -620,3 +627,125 @@ def changed_sample(have: bytes, want: bytes, *, exact: bool = False) -> str | No
             index = ", ".join(map(str, place))
             return f": {name}[{index}] is {there[place]}, the design gives {array[place]}"
     return None
+
+
+# What `dqforge verify` says of a folder that it computed again.
+
+_NAMED = 4
+
+
+def _names(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more
+
+
+def recomputation_text(found: Recomputation) -> str:
+    """What was not computed again, and where last digits differ, where there is such; then a line
+    on what was computed again.
+    """
+    lines = []
+    if found.listed:
+        lines.append(
+            "not computed again, and held by the SHA-256 of the manifest alone: "
+            f"{_names(found.listed)}"
+        )
+    if found.foreign:
+        lines.append(f"not written by dqforge and not looked at: {_names(found.foreign)}")
+    lines += [
+        f"differs by the last digits of another library or processor, within {BOUND}: {each}"
+        for each in found.digits
+    ]
+    if found.stale:
+        lines.append(f"of the design in another state than the headers: {_names(found.stale)}")
+    if found.line_ends:
+        lines.append(f"with other line endings than dqforge writes: {_names(found.line_ends)}")
+    count = found.tally
+    counts = (
+        (count.macros, "macros"),
+        (count.literals, "literals in code and tables"),
+        (count.figures, "figures in comments"),
+        (count.checksums, "checksums"),
+        (count.vectors, "test vectors"),
+        (count.entries, "entries of result.json"),
+    )
+    if count.files:
+        held = ", ".join(f"{number} {what}" for number, what in counts if number)
+        equal = "hold" if found.digits else "equal"
+        lines.append(
+            f"{count.files} files {equal} what {INPUT_DESIGN} (SHA-256 {found.digest[:12]}) gives "
+            f"when it is computed again{f': {held}' if held else ''}"
+        )
+    return "\n".join(lines)
+
+
+# The certificate of the current loops that a run stored, checked again in balls.
+
+
+def check_stored_proof(
+    folder: Path, solution: Solution, *, own_inputs: bool = False
+) -> Confirmation | None:
+    """Whether the certificate of a folder proves what the design in it states.
+
+    None where the run stored no certificate, or the design asks for none.
+
+    Args:
+        folder: What 'dqforge run' wrote.
+        solution: What the design in the folder gives; the certificate must have its inputs, to the
+            bit.
+        own_inputs: Whether the certificate is held against its own inputs instead: those of another
+            processor, which were compared within their last digits.
+
+    Raises:
+        VerificationError: The certificate proves something else, or nothing; says what is wrong.
+        InputError: The file cannot be read.
+    """
+    loops = solution.loops
+    proof = None if loops is None or loops.robust is None else loops.robust.proof
+    path = folder / f"{solution.design.export.prefix}{CERTIFICATE}"
+    if proof is None or proof.certificate is None or not path.is_file():
+        return None
+    stored = _stored_proof_load(path)
+    inputs = stored.get("inputs", {}) if own_inputs else proof.certificate["inputs"]
+    confirmation = confirm(stored, inputs)
+    if confirmation.fault:
+        raise VerificationError(f"{path}: {confirmation.fault}")
+    if confirmation.proven != proof.proven:
+        raise VerificationError(f"{path}: it leaves open what result.json states as proven")
+    bound = None if proof.sensitivity is None else proof.sensitivity.bound
+    if bound is not None:
+        _check_sensitivity(path, stored, inputs, bound)
+    return confirmation
+
+
+def _check_sensitivity(
+    path: Path, stored: Mapping[str, Any], inputs: Mapping[str, Any], bound: float
+) -> None:
+    """Raises unless the certificate proves the bound of the sensitivity that is stated."""
+    own = stored.get("sensitivity")
+    tree = own.get("tree") if isinstance(own, Mapping) else None
+    found = confirm_sensitivity({"inputs": stored["inputs"], "tree": tree}, inputs, bound)
+    if not found.proven:
+        raise VerificationError(f"{path}: sensitivity: {found.fault or 'it leaves cells open'}")
+
+
+def _stored_proof_load(path: Path) -> dict[str, Any]:
+    content = read_output(path, "the folder that 'dqforge run' wrote", LARGEST_JSON)
+    try:
+        loaded = strict_json(content)
+    except (ValueError, RecursionError) as error:
+        raise InputError("is not JSON; run the design again", source=str(path)) from error
+    if not isinstance(loaded, dict):
+        raise InputError("is not what dqforge writes; run the design again", source=str(path))
+    return loaded
+
+
+def stored_proof_text(found: Confirmation) -> str:
+    """What was checked, in words."""
+    matrices = "one matrix" if found.matrices == 1 else f"{found.matrices} matrices"
+    parts = f"{matrices}, {found.empty} cells without a drive"
+    if found.proven:
+        return f"both current loops together: certificate confirmed in ball arithmetic ({parts})"
+    return (
+        "both current loops together: what the certificate claims is confirmed in ball arithmetic "
+        f"({parts}); it leaves {found.left_open} cells open"
+    )

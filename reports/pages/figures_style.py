@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.reports.figure_data.figure_sheet import read_figure
-from dqforge.reports.figure_data.scaled import tick_in_unit
 from dqforge.reports.pages.answer import check_figure_path, write_atomically
+from dqforge.reports.pages.figure_sheet import read_figure
+from dqforge.reports.pages.scaled import tick_in_unit
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

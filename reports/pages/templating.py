@@ -40,7 +40,7 @@ from dqforge.reports.c_code.numbers import (
     int64_literal,
     rounded_up,
 )
-from dqforge.reports.figure_data.figure_sheet import read_figure
+from dqforge.reports.pages.figure_sheet import read_figure
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.pages.html_text import symbols
 from dqforge.reports.plain_data import PlainData

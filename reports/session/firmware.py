@@ -13,11 +13,13 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
 from dqforge.optimizer.firmware.firmware_method import JudgedFirmware, drive_values
 from dqforge.optimizer.firmware.solve import Explained, FirmwareFit, explain, method_of
+from dqforge.reports.firmware.design_made import (
+    design_from_files,
+    read_configuration,
+    require_settling,
+)
 from dqforge.reports.firmware.target import read_text_file
-from dqforge.reports.firmware_files.design_made import design_from_files
-from dqforge.reports.firmware_files.plain import plain_explained, plain_fit
-from dqforge.reports.firmware_files.recognised import read_configuration
-from dqforge.reports.firmware_files.settled import require_settling
+from dqforge.reports.firmware.written_files import plain_explained, plain_fit
 from dqforge.reports.output.folder import sha256
 from dqforge.reports.pages.answer import write_all
 from dqforge.reports.plain_data import PlainData

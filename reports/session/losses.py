@@ -43,8 +43,7 @@ from dqforge.reports.output.recomputation import (
     recompute,
 )
 from dqforge.reports.plain_data import PlainData
-from dqforge.reports.result import plain_solution, verify_folder
-from dqforge.reports.run import export_design
+from dqforge.reports.run import export_design, plain_solution, verify_folder
 from dqforge.reports.run_folder import INPUT_DESIGN
 from dqforge.reports.session.drives import asked_of, numbers, together, whole
 from dqforge.reports.session.result import DrawnResult, Result, Tuning, dataset

@@ -347,7 +347,7 @@ class SimulatedDrive(DrawnResult):
 
     def figure(self) -> Figure:
         """Reference, controlled value, currents and duties over time."""
-        from dqforge.reports.simulation.figures import plot_simulation
+        from dqforge.reports.simulation.tables import plot_simulation
 
         return plot_simulation(self.found)
 

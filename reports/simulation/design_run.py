@@ -7,6 +7,7 @@ from __future__ import annotations
 import io
 import zipfile
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -49,11 +50,11 @@ from dqforge.reports.simulation.recorded_run import (
     simulate,
     simulator,
 )
-from dqforge.reports.simulation.start_figures import StartFigures, estimated, start_figures
 from dqforge.reports.single_headers.application import application_files
 from dqforge.reports.single_headers.field_weakening import weakening_files
 from dqforge.reports.single_headers.fixed_reference import reference_files
 from dqforge.reports.single_headers.speed_measurement import measurement_files
+from dqforge.reports.start_up.float32_model import Fault, State
 from dqforge.reports.start_up.header import every_start_file
 from dqforge.reports.waveforms.tables import waveform_files
 
@@ -113,6 +114,100 @@ class PhaseFigures:
     neutral_rms: float
     copper: tuple[float, float, float]
     midpoint: float | None
+
+
+def angle_error(run: Simulation) -> FloatArray:
+    """Observed less true electrical angle in rad, wrapped to -pi to pi, shape (N,);
+    nan where none is observed.
+    """
+    gap = run.theta_e_observed - run.theta_e
+    return np.asarray((gap + np.pi) % (2.0 * np.pi) - np.pi, dtype=np.float64)
+
+
+def observed(run: Simulation) -> ObservedFigures | None:
+    """How well the observers did over the run, None where none ran."""
+    seen = np.isfinite(run.omega_m_observed)
+    if run.start is not None:
+        seen = estimated(run, run.start)
+    if not (np.all(seen) if run.start is None else np.any(seen)):
+        return None
+    speed = float(np.max(np.abs(run.omega_m_observed - run.omega_m)[seen]))
+    error, share = angle_error(run)[seen], float(np.mean(run.sensorless))
+    if not np.all(np.isfinite(error)):
+        return ObservedFigures(None, None, speed, share)
+    return ObservedFigures(
+        float(np.sqrt(np.mean(error**2))), float(np.max(np.abs(error))), speed, share
+    )
+
+
+def npz_bytes(run: Simulation) -> bytes:
+    """The samples as a NumPy archive: float64 arrays by name, without a date,
+    the same bytes for the same run.
+    """
+    more = (run.phases, run.start, run.blocks, run.application)
+    parts: list[Simulation | PhaseRecord | StartRecord | BlockRecord | ApplicationRecord] = [
+        run,
+        *(part for part in more if part is not None),
+    ]
+    arrays = {
+        name: getattr(part, name)
+        for part in parts
+        for name in type(part).__dataclass_fields__
+        if name not in ("scenario", "figures", "phases", "start", "blocks", "application")
+    }
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, values in arrays.items():
+            array = io.BytesIO()
+            np.lib.format.write_array(array, np.ascontiguousarray(values), allow_pickle=False)
+            entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
+            entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+            archive.writestr(entry, array.getvalue())
+    return content.getvalue()
+
+
+def simulation_files(found: DriveSimulation, label: str = "") -> dict[str, bytes]:
+    """Names and bytes of the files of samples: one per format and for the firmware of others, the
+    first without its name. ``label`` is a part of all names.
+    """
+    stem = f"{found.design.export.prefix}_simulation{f'_{label}' if label else ''}"
+    first = {f"{stem}.npz": npz_bytes(found.run)}
+    return first | {f"{stem}_{other.label}.npz": npz_bytes(other.run) for other in found.others}
+
+
+@dataclass(frozen=True, slots=True)
+class StartFigures:
+    """A start.
+
+    ``state`` and ``fault`` are those at the end, by their names in C; ``failed`` names the faults
+    on the way. ``hand_over`` is the instant in s at which the observer took over first, ``speed``
+    in rad/s (mechanical) and ``angle_error`` in rad those at that instant, ``current_step`` in A
+    the largest change of the current vector in the rotor's frame over the next ten samples; nan
+    where it never did. ``reached`` is the time in s to 10 % of the last reference, nan for never;
+    ``back`` the largest electrical angle in rad against the direction of the reference,
+    ``crossings`` how often the observer took over or was left.
+    """
+
+    state: str
+    fault: str
+    failed: tuple[str, ...]
+    hand_over: float
+    speed: float
+    angle_error: float
+    current_step: float
+    reached: float
+    back: float
+    crossings: int
+
+
+def estimated(run: Simulation, record: StartRecord) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Samples at which the observer ruled, shape (N,).
+
+    Args:
+        run, record: What was recorded.
+    """
+    ruled = (record.start_state == State.RUN) & np.isfinite(run.omega_m_observed)
+    return np.asarray(ruled)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -411,30 +506,6 @@ def controlled(run: Simulation) -> tuple[FloatArray, str]:
     return (run.torque, "N m") if run.scenario.mode == "torque" else (run.i_q, "A")
 
 
-def angle_error(run: Simulation) -> FloatArray:
-    """Observed less true electrical angle in rad, wrapped to -pi to pi, shape (N,);
-    nan where none is observed.
-    """
-    gap = run.theta_e_observed - run.theta_e
-    return np.asarray((gap + np.pi) % (2.0 * np.pi) - np.pi, dtype=np.float64)
-
-
-def observed(run: Simulation) -> ObservedFigures | None:
-    """How well the observers did over the run, None where none ran."""
-    seen = np.isfinite(run.omega_m_observed)
-    if run.start is not None:
-        seen = estimated(run, run.start)
-    if not (np.all(seen) if run.start is None else np.any(seen)):
-        return None
-    speed = float(np.max(np.abs(run.omega_m_observed - run.omega_m)[seen]))
-    error, share = angle_error(run)[seen], float(np.mean(run.sensorless))
-    if not np.all(np.isfinite(error)):
-        return ObservedFigures(None, None, speed, share)
-    return ObservedFigures(
-        float(np.sqrt(np.mean(error**2))), float(np.max(np.abs(error))), speed, share
-    )
-
-
 def step_figures(
     time: FloatArray, value: FloatArray, reference: Profile
 ) -> tuple[StepFigures, ...]:
@@ -483,36 +554,60 @@ def _crossing(time: FloatArray, share: FloatArray, level: float) -> float:
     return float(time[k - 1] + part * (time[k] - time[k - 1]))
 
 
-def npz_bytes(run: Simulation) -> bytes:
-    """The samples as a NumPy archive: float64 arrays by name, without a date,
-    the same bytes for the same run.
-    """
-    more = (run.phases, run.start, run.blocks, run.application)
-    parts: list[Simulation | PhaseRecord | StartRecord | BlockRecord | ApplicationRecord] = [
-        run,
-        *(part for part in more if part is not None),
-    ]
-    arrays = {
-        name: getattr(part, name)
-        for part in parts
-        for name in type(part).__dataclass_fields__
-        if name not in ("scenario", "figures", "phases", "start", "blocks", "application")
-    }
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, values in arrays.items():
-            array = io.BytesIO()
-            np.lib.format.write_array(array, np.ascontiguousarray(values), allow_pickle=False)
-            entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
-            entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
-            archive.writestr(entry, array.getvalue())
-    return content.getvalue()
+# What is read off a simulated start without encoder.
+
+_NEAR = 0.1  # of the reference: it counts as reached
 
 
-def simulation_files(found: DriveSimulation, label: str = "") -> dict[str, bytes]:
-    """Names and bytes of the files of samples: one per format and for the firmware of others, the
-    first without its name. ``label`` is a part of all names.
+_SOON = 10  # samples after the hand-over
+
+
+def _turned(run: Simulation) -> FloatArray:
+    """Electrical angle since the start in rad, shape (N,)."""
+    angle = np.unwrap(run.theta_e)
+    return np.asarray(angle - angle[0])
+
+
+def start_figures(run: Simulation, record: StartRecord) -> StartFigures:
+    """Figures of a start.
+
+    Args:
+        run, record: What was recorded.
     """
-    stem = f"{found.design.export.prefix}_simulation{f'_{label}' if label else ''}"
-    first = {f"{stem}.npz": npz_bytes(found.run)}
-    return first | {f"{stem}_{other.label}.npz": npz_bytes(other.run) for other in found.others}
+    state, fault = record.start_state.astype(int), record.start_fault.astype(int)
+    running = state == State.RUN
+    first = int(np.argmax(running)) if np.any(running) else -1
+    last = float(run.reference[-1])
+    near = np.abs(run.omega_m - last) <= _NEAR * abs(last)
+    close = np.flatnonzero(near) if last else np.empty(0, dtype=np.intp)
+    turned = _turned(run) * (-1.0 if last < 0.0 else 1.0)
+    gap, step, speed, time = (float("nan"),) * 4
+    if first >= 0:
+        error = float(run.theta_e_observed[first] - run.theta_e[first])
+        gap = float((error + np.pi) % (2.0 * np.pi) - np.pi)
+        vector = run.i_d[first : first + _SOON] + 1j * run.i_q[first : first + _SOON]
+        step = float(np.max(np.abs(vector - vector[0])))
+        speed, time = float(run.omega_m[first]), float(run.t[first])
+    return StartFigures(
+        state=State(state[-1]).name,
+        fault=Fault(fault[-1]).name,
+        failed=tuple(Fault(code).name for code in sorted(set(fault.tolist()) - {0})),
+        hand_over=time,
+        speed=speed,
+        angle_error=gap,
+        current_step=step,
+        reached=float(run.t[close[0]]) if close.size else float("nan"),
+        back=float(max(0.0, -np.min(turned))),
+        crossings=int(np.count_nonzero(np.diff(running.astype(int)))),
+    )
+
+
+def spans(record: StartRecord) -> list[tuple[str, int, int]]:
+    """States in turn: name, first sample, first sample of the next.
+
+    Args:
+        record: What was recorded.
+    """
+    state = record.start_state.astype(int)
+    edges = [0, *(np.flatnonzero(np.diff(state)) + 1).tolist(), state.size]
+    return [(State(state[start]).name, start, end) for start, end in pairwise(edges)]

@@ -28,10 +28,10 @@ from dqforge.reports.c_code.harness import (
 )
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.capability import Capability, Draw, Quantity, ReportPart, Rows
-from dqforge.reports.figure_data.scaled import DrawnGrid, draw_filled
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import MAP_INK, MAP_MUTED, label_in_unit, new_figure, style
 from dqforge.reports.pages.html_text import HtmlTable, Row, count, symbols
+from dqforge.reports.pages.scaled import DrawnGrid, draw_filled
 from dqforge.reports.pages.templating import AGAINST, plain_certificate, render
 from dqforge.reports.pages.templating import WEAKENING as CHAPTER
 from dqforge.reports.plain_data import PlainData, shortest

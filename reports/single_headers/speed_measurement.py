@@ -17,8 +17,7 @@ from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
 from dqforge.reports.c_code.harness import SWEEP_SEED, HeaderKind, Programme, single_from, title
 from dqforge.reports.capability import Capability, Outcome, ReportPart
 from dqforge.reports.pages.answer import Table
-from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
-from dqforge.reports.pages.labels import significant
+from dqforge.reports.pages.html_text import HtmlTable, Row, significant, symbols
 from dqforge.reports.pages.templating import LOOPS, render
 from dqforge.reports.plain_data import PlainData, shortest
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.records import dataclass
-from dqforge.reports.operating_system.ways_to_get import WAYS
+from dqforge.reports.operating_system.packages import WAYS
 from dqforge.reports.pages.templating import render
 
 # Exit codes by which a program on a target says something; the emulator's own failures end with 1.

@@ -15,7 +15,7 @@ import pytest
 from dqforge.machines.design import catalogue
 from dqforge.optimizer.curves.fitting import SideConditions, fit_curve
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_per_unit
-from dqforge.reports.papers.paper000.stated_method import table_1
+from dqforge.reports.papers.paper000_stated_method import table_1
 from dqforge.reports.run import run_design
 
 pytestmark = pytest.mark.benchmark

@@ -15,9 +15,8 @@ from study_runs import run_in
 
 from dqforge.machines.exploration.study_checks import study_of_text
 from dqforge.optimizer.exploration.study_plan import StudyPlan
-from dqforge.reports.study_engine.contained_rows import contained_rows
-from dqforge.reports.study_engine.engine_settings import EngineSettings
-from dqforge.reports.study_store.part_file import encode_part
+from dqforge.reports.exploration.contained_rows import EngineSettings, contained_rows
+from dqforge.reports.exploration.part_file import encode_part
 
 pytestmark = pytest.mark.benchmark
 

@@ -26,10 +26,16 @@ from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Outcome, asked_for, header_kinds
 from dqforge.reports.comparison.sides_compared import compare_sides
 from dqforge.reports.comparison.sources import solved_side
-from dqforge.reports.report import chapters
-from dqforge.reports.result import plain_outcome, programmes, read_folder, verify_folder
-from dqforge.reports.run import RunOutput, export_design, run_design
-from dqforge.reports.summary import run_tables
+from dqforge.reports.report import chapters, run_tables
+from dqforge.reports.run import (
+    RunOutput,
+    export_design,
+    plain_outcome,
+    programmes,
+    read_folder,
+    run_design,
+    verify_folder,
+)
 from dqforge.reports.verification.cortex_m import verify_on_target
 from dqforge.reports.verification.host import verify_files
 

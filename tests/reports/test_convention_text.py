@@ -10,7 +10,7 @@ from drives import make_design
 from dqforge.machines.design import catalogue
 from dqforge.machines.losses.machine_budget import MachineLoss
 from dqforge.optimizer.solution import solve
-from dqforge.reports.convention_text import convention_lines, machine_lines
+from dqforge.reports.report import convention_lines, machine_lines
 
 CONSTANT = "Inductances are constant: saturation is no part of the model."
 

@@ -25,9 +25,8 @@ from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.pages.figures_style import BLUE, ORANGE, PART_COLOURS, SKY, TEAL
 from dqforge.reports.pages.html_text import count, number, quantity, share, symbols
-from dqforge.reports.report import render_report
+from dqforge.reports.report import render_report, run_tables
 from dqforge.reports.run_folder import ListedFile
-from dqforge.reports.summary import run_tables
 from dqforge.reports.verification.host import Check, Verification
 
 SECTIONS = ("summary", "machine", "reference", "errors", "loops", "losses", "header", "conventions")

@@ -30,8 +30,8 @@ from dqforge.optimizer.waveforms.constraint_rows import unit_currents
 from dqforge.optimizer.waveforms.solve import solve_phases
 from dqforge.reports.current_reference.plain import plain_fit
 from dqforge.reports.losses.map_tables import plain_losses
-from dqforge.reports.operating_points.plain import plain_curves
-from dqforge.reports.pages.labels import operation_text
+from dqforge.reports.operating_points.map_tables import plain_curves
+from dqforge.reports.pages.html_text import operation_text
 from dqforge.reports.pages.templating import to_text
 from dqforge.reports.waveforms.tables import plain_phase_fit, plain_waveforms
 

@@ -250,7 +250,7 @@ def test_a_file_in_order_is_refused_beyond_the_limit_and_never_cut(
     limit = min(entry.limit, 2_000_000)
     for module, constant in (
         ("machines.files.positioned_yaml", "MAX_BYTES"),
-        ("reports.losses.question", "MOST_BYTES"),
+        ("reports.answers.losses", "MOST_BYTES"),
         ("reports.back_emf", "MOST_BYTES"),
     ):
         monkeypatch.setattr(f"dqforge.{module}.{constant}", limit)

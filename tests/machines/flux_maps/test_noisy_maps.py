@@ -28,9 +28,8 @@ from dqforge.optimizer.operating_points.solve import solve_curves
 from dqforge.optimizer.solution import solve
 from dqforge.reports.main_header import header_context
 from dqforge.reports.pages.templating import render
-from dqforge.reports.report import other_assumptions
+from dqforge.reports.report import other_assumptions, run_tables
 from dqforge.reports.run import run_design
-from dqforge.reports.summary import run_tables
 
 SATURATED = catalogue.load("baldor-pmsyrm-5k6").machine
 NO_CONTROL = "fit: {form: polynomial}\n"

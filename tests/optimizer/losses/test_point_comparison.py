@@ -25,11 +25,11 @@ from dqforge.optimizer.losses.drive_comparison import least
 from dqforge.optimizer.losses.phase_comparison import LossComparison, compare_points
 from dqforge.optimizer.losses.solve import solve_losses
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_currents
+from dqforge.reports.answers.mtpa import Request, answer
 from dqforge.reports.losses.map_figures import loss_tables, plot_losses
 from dqforge.reports.losses.map_tables import losses_tables, plain_losses
-from dqforge.reports.operating_points.question import Request, answer
 from dqforge.reports.pages.figures_style import to_svg
-from dqforge.reports.pages.labels import WITHOUT_BRIDGE, part_label, shown_parts
+from dqforge.reports.pages.html_text import WITHOUT_BRIDGE, part_label, shown_parts
 
 IRON = MachineLoss.measured(
     frequency=400.0,

@@ -14,9 +14,8 @@ from hidden_compilers import hide_compilers
 
 from dqforge.reports.answers.doctor import answer_doctor
 from dqforge.reports.operating_system import host_compiler, packages, system
-from dqforge.reports.operating_system import ways_to_get as this_machine
-from dqforge.reports.operating_system.packages import PACKAGES
-from dqforge.reports.operating_system.ways_to_get import PROGRAMS, WAYS, look, try_compiler
+from dqforge.reports.operating_system import packages as this_machine
+from dqforge.reports.operating_system.packages import PACKAGES, PROGRAMS, WAYS, look, try_compiler
 
 
 def test_what_is_here_is_found_and_tried() -> None:
@@ -97,7 +96,7 @@ def test_contraction_would_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
         source.write_text(changed, encoding="ascii")
         return compiled(*words)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("dqforge.reports.operating_system.ways_to_get.compile_program", fused)
+    monkeypatch.setattr("dqforge.reports.operating_system.packages.compile_program", fused)
     assert "other results than numpy" in try_compiler("c").failure
 
 

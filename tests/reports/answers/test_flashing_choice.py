@@ -23,9 +23,17 @@ from dqforge.optimizer.flashing_choice import (
     variant,
 )
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.answers.dqy import FLASH_HINT, WaveformRequest, answer_dqy
-from dqforge.reports.answers.flashing_choice import counted_rows, simulated_rows, what_to_flash
-from dqforge.reports.flashing_choice import advice_lines, flash_tables, plain_flash
+from dqforge.reports.answers.dqy import (
+    FLASH_HINT,
+    WaveformRequest,
+    advice_lines,
+    answer_dqy,
+    counted_rows,
+    flash_tables,
+    plain_flash,
+    simulated_rows,
+    what_to_flash,
+)
 
 NEEDS_COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 

@@ -37,8 +37,7 @@ from dqforge.reports.control.fixed_model import (
     row_results,
 )
 from dqforge.reports.pages.templating import render
-from dqforge.reports.result import verify_folder
-from dqforge.reports.run import export_design
+from dqforge.reports.run import export_design, verify_folder
 from dqforge.reports.verification.host import WARNINGS
 
 STRICT = (

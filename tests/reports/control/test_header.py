@@ -37,8 +37,7 @@ from dqforge.reports.control.header import (
 )
 from dqforge.reports.main_header import header_files
 from dqforge.reports.pages.answer import write_all
-from dqforge.reports.result import plain_solution, read_folder, verify_folder
-from dqforge.reports.run import export_design
+from dqforge.reports.run import export_design, plain_solution, read_folder, verify_folder
 from dqforge.reports.verification.host import verify_files
 
 

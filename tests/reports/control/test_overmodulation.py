@@ -24,7 +24,7 @@ from dqforge.reports.control.header import (
     plain_control,
 )
 from dqforge.reports.main_header import header_files
-from dqforge.reports.result import plain_solution
+from dqforge.reports.run import plain_solution
 from dqforge.reports.verification.host import verify_files
 
 HEXAGONAL = [name for name in MODULATORS if follows_hexagon(name)]

@@ -10,7 +10,7 @@ from chain_steps import COUNT, current_control, drive_rows, solution
 
 from dqforge.machines.transforms import Pair
 from dqforge.reports.control.header import control_from, plain_control
-from dqforge.reports.result import plain_solution
+from dqforge.reports.run import plain_solution
 
 
 @pytest.mark.thinned

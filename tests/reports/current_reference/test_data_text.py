@@ -15,7 +15,7 @@ from dqforge.optimizer.current_reference.solve import DataUse, solve_fit
 from dqforge.optimizer.operating_points.solve import solve_curves
 from dqforge.reports.current_reference.capability import fit_tables
 from dqforge.reports.current_reference.plain import data_lines, plain_data_use
-from dqforge.reports.operating_points.plain import mtpa_tables
+from dqforge.reports.operating_points.map_tables import mtpa_tables
 
 
 def test_nothing_is_said_where_the_data_cover_a_reference() -> None:

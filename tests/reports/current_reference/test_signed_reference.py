@@ -19,7 +19,7 @@ from dqforge.optimizer.current_reference.forms import SignedReference
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.current_reference.plain import from_plain, to_plain
 from dqforge.reports.main_header import header_files
-from dqforge.reports.result import read_folder, verify_folder
+from dqforge.reports.run import read_folder, verify_folder
 from dqforge.reports.verification.host import verify_files
 
 TRUE = ArctanMachine()

@@ -22,7 +22,7 @@ from dqforge.optimizer.estimator_comparison.solve import (
 )
 from dqforge.optimizer.observers.methods import ekf as ekf_method
 from dqforge.optimizer.observers.methods.ekf import ekf, ekf_gains
-from dqforge.reports.answers.estimators import answer_estimators
+from dqforge.reports.answers.estimators import answer_estimators, pair_files, which_estimators
 from dqforge.reports.estimator_comparison import observer_errors as counted_cost
 from dqforge.reports.estimator_comparison.observer_errors import (
     estimator_tables,
@@ -31,7 +31,6 @@ from dqforge.reports.estimator_comparison.observer_errors import (
     steady_rows,
     with_cost,
 )
-from dqforge.reports.estimator_comparison.question import pair_files, which_estimators
 from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.pages.figures_style import save
 from dqforge.reports.pages.templating import to_text
@@ -188,7 +187,7 @@ def test_where_nothing_holds_there_is_no_pair() -> None:
 def test_the_figure_is_the_same_bytes_every_time(
     bench: EstimatorComparison, tmp_path: Path
 ) -> None:
-    from dqforge.reports.estimator_comparison.figures import plot_comparison
+    from dqforge.reports.answers.estimators import plot_comparison
 
     for name in ("a.svg", "b.svg"):
         save(plot_comparison(bench), tmp_path / name)

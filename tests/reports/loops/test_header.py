@@ -25,8 +25,7 @@ from dqforge.reports.loops.capability import (
 )
 from dqforge.reports.pages.answer import write_all
 from dqforge.reports.pages.templating import render
-from dqforge.reports.result import read_folder, verify_folder
-from dqforge.reports.run import RunOutput, export_design, run_design
+from dqforge.reports.run import RunOutput, export_design, read_folder, run_design, verify_folder
 from dqforge.reports.verification.host import WARNINGS
 
 LIBRARY = Path(__file__).resolve().parents[3] / "machines" / "library"

@@ -31,7 +31,7 @@ from dqforge.reports.loops.firmware_text import (
     stability_notes,
 )
 from dqforge.reports.loops.proven_text import gains_tables
-from dqforge.reports.output.stored_proof import check_stored_proof, stored_proof_text
+from dqforge.reports.output.recomputation import check_stored_proof, stored_proof_text
 from dqforge.reports.run import RunOutput, export_design
 
 BOX = "{r_s: 30 %, l_d: 20 %, l_q: 20 %, v_dc: 10 %}"

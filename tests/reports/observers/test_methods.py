@@ -26,8 +26,7 @@ from dqforge.optimizer.observers.models.matsui_errors import steady_error
 from dqforge.optimizer.observers.models.matsui_model import matsui
 from dqforge.optimizer.observers.parts import steady_observer
 from dqforge.reports.observers.position_header import emitted, observer_from, plain_observer
-from dqforge.reports.result import verify_folder
-from dqforge.reports.run import export_design
+from dqforge.reports.run import export_design, verify_folder
 
 NEW: tuple[ObserverMethodName, ...] = ("matsui-voltage", "matsui-current", "ekf", "smo")
 

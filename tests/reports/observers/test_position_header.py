@@ -41,8 +41,7 @@ from dqforge.reports.observers.position_header import (
     speed_range_text,
 )
 from dqforge.reports.pages.templating import to_text
-from dqforge.reports.result import verify_folder
-from dqforge.reports.run import export_design
+from dqforge.reports.run import export_design, verify_folder
 
 EVERY = pytest.mark.parametrize("name", list(METHODS))
 

@@ -22,8 +22,7 @@ from dqforge.reports.observers.float32_model import (
     speed_observer_inputs,
     speed_observer_outputs,
 )
-from dqforge.reports.result import verify_folder
-from dqforge.reports.run import export_design
+from dqforge.reports.run import export_design, verify_folder
 
 
 def test_run_emits_a_verified_header_that_fails_when_changed(tmp_path: Path) -> None:

@@ -24,8 +24,7 @@ from dqforge.reports.observers.tracker_header import (
     estimator_from,
     plain_estimator,
 )
-from dqforge.reports.result import programmes, verify_folder
-from dqforge.reports.run import RunOutput, export_design
+from dqforge.reports.run import RunOutput, export_design, programmes, verify_folder
 from dqforge.reports.verification.cortex_m import run_on_target
 
 BALDOR = "baldor-pmsyrm-5k6"

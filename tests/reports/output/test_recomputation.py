@@ -33,8 +33,13 @@ from dqforge.reports.output.folder import (
     to_bytes,
     write_output,
 )
-from dqforge.reports.output.recomputation import Tally, first_difference, recompute, tally
-from dqforge.reports.output.recomputation_text import recomputation_text
+from dqforge.reports.output.recomputation import (
+    Tally,
+    first_difference,
+    recomputation_text,
+    recompute,
+    tally,
+)
 from dqforge.reports.run import RunOutput, export_design
 from dqforge.reports.run_folder import INPUT_DESIGN, MANIFEST
 

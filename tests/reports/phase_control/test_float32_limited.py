@@ -31,7 +31,7 @@ from dqforge.reports.phase_control.header import (
     phase_control_from,
     plain_solution_control,
 )
-from dqforge.reports.result import plain_solution
+from dqforge.reports.run import plain_solution
 from dqforge.reports.verification.host import verify_files
 
 LINK = {"four-leg": 150.0, "three-wire": 150.0, "split-capacitor": 170.0}

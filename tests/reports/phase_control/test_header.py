@@ -27,7 +27,7 @@ from dqforge.reports.phase_control.header import (
     phase_control_from,
     plain_solution_control,
 )
-from dqforge.reports.result import plain_solution
+from dqforge.reports.run import plain_solution
 from dqforge.reports.verification.host import verify_files
 
 P, Z = near_sinusoidal(96), trapezoidal(96)

@@ -19,10 +19,10 @@ from dqforge.machines.plants.scenario import Profile, Scenario
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.reports.report import run_tables
 from dqforge.reports.simulation.design_run import in_float32, simulate_design
 from dqforge.reports.simulation.plant_input import format_text, not_simulated, simulated
 from dqforge.reports.simulation.tables import plain_simulation, simulation_html, simulation_tables
-from dqforge.reports.summary import run_tables
 from dqforge.reports.verification.host import Verification
 
 CASES: dict[str, tuple[tuple[NumberFormat, ...], NumberFormat, str, str]] = {

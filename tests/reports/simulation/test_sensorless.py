@@ -44,9 +44,8 @@ from dqforge.reports.c_code.harness import SINGLE, wrap
 from dqforge.reports.observers.float32_model import observed_speeds
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.simulation.design_run import controller_files, drive_of, evaluate, observers_of
-from dqforge.reports.simulation.figures import plot_simulation
 from dqforge.reports.simulation.recorded_run import Simulation, Simulator, simulate, simulator
-from dqforge.reports.simulation.tables import plain_simulation, simulation_tables
+from dqforge.reports.simulation.tables import plain_simulation, plot_simulation, simulation_tables
 
 T_S = 1e-4
 MACHINE = LinearMachine(

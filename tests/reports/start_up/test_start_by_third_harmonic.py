@@ -28,14 +28,15 @@ from dqforge.reports.phase_control.emitted_integers import emitted_control_plain
 from dqforge.reports.run import emitted_files
 from dqforge.reports.simulation.design_run import (
     DriveSimulation,
+    StartFigures,
     controlled_topology,
     controller_files,
     drive_of,
     evaluate,
     observers_of,
+    spans,
 )
 from dqforge.reports.simulation.recorded_run import Simulator, simulate, simulator
-from dqforge.reports.simulation.start_figures import StartFigures, spans
 from dqforge.reports.start_up.float32_model import Fault, State
 from dqforge.reports.start_up.header import plain_start_up
 from dqforge.reports.start_up.tried import start_up_from, start_up_programme

@@ -17,15 +17,15 @@ from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.simulation.design_run import (
     DriveSimulation,
+    StartFigures,
     controller_files,
     drive_of,
     evaluate,
     observers_of,
+    spans,
 )
-from dqforge.reports.simulation.figures import plot_simulation
 from dqforge.reports.simulation.recorded_run import Simulator, simulate, simulator
-from dqforge.reports.simulation.start_figures import StartFigures, spans
-from dqforge.reports.simulation.tables import plain_simulation, simulation_tables
+from dqforge.reports.simulation.tables import plain_simulation, plot_simulation, simulation_tables
 
 RPM = math.pi / 30.0
 Made = tuple[Solution, Simulator]

@@ -34,8 +34,7 @@ from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import header_kinds
-from dqforge.reports.result import programmes
-from dqforge.reports.run import RunOutput, export_design
+from dqforge.reports.run import RunOutput, export_design, programmes
 from dqforge.reports.verification.cortex_m import reached, run_on_target, verify_on_target
 from dqforge.reports.verification.cross_tools import TARGETS
 from dqforge.reports.verification.text import target_text

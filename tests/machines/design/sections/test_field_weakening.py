@@ -21,8 +21,7 @@ from dqforge.optimizer.operating_points.characteristics import characteristics
 from dqforge.optimizer.operating_points.mtpa_locus import Active, mtpa_locus
 from dqforge.optimizer.operating_points.points import optimal_points
 from dqforge.reports.pages.answer import write_all
-from dqforge.reports.result import read_folder, verify_folder
-from dqforge.reports.run import export_design, run_design
+from dqforge.reports.run import export_design, read_folder, run_design, verify_folder
 from dqforge.reports.single_headers.field_weakening import weakening_tables
 
 LIBRARY = Path(__file__).resolve().parents[4] / "machines" / "library"

@@ -33,8 +33,7 @@ from dqforge.reports.modulation_choice.text import (
 )
 from dqforge.reports.pages.answer import write_all
 from dqforge.reports.pages.figures_style import to_svg
-from dqforge.reports.result import read_folder, verify_folder
-from dqforge.reports.run import RunOutput, run_design
+from dqforge.reports.run import RunOutput, read_folder, run_design, verify_folder
 from dqforge.reports.verification.cortex_m import verify_on_target
 
 IPM = "paper000-ipmsm-100kw"

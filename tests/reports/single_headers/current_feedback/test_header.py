@@ -26,8 +26,7 @@ from dqforge.optimizer.current_feedback import (
 )
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.pages.templating import render
-from dqforge.reports.result import verify_folder
-from dqforge.reports.run import export_design
+from dqforge.reports.run import export_design, verify_folder
 from dqforge.reports.single_headers.current_feedback import (
     plain_rule,
     rule_files,

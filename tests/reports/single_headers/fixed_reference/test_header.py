@@ -22,8 +22,7 @@ from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
 from dqforge.optimizer.fixed_reference.mesh import CurrentMesh
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.pages.templating import render
-from dqforge.reports.result import verify_folder
-from dqforge.reports.run import export_design
+from dqforge.reports.run import export_design, verify_folder
 from dqforge.reports.single_headers.fixed_mesh_reading import mesh_from
 from dqforge.reports.single_headers.fixed_reference import (
     plain_mesh,

@@ -13,7 +13,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.names import OvermodulationName
 from dqforge.optimizer.operating_points.characteristics import limited_drive, points_within
-from dqforge.reports.operating_points.question import Request, answer
+from dqforge.reports.answers.mtpa import Request, answer
 from dqforge.reports.run import RunOutput, run_design
 from dqforge.reports.single_headers.overmodulation import gain_text, point_rows, reach_text
 

@@ -17,8 +17,7 @@ from dqforge.machines.names import SpeedMeasurementName
 from dqforge.machines.plants.scenario import Encoder, Profile, Scenario
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.solution import solve
-from dqforge.reports.result import verify_folder
-from dqforge.reports.run import export_design
+from dqforge.reports.run import export_design, verify_folder
 from dqforge.reports.simulation.design_run import simulate_design
 from dqforge.reports.single_headers.speed_measurement import (
     SAMPLE,

@@ -1,1 +1,0 @@
-"""The data of a figure, read from what is drawn in it."""

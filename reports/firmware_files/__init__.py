@@ -1,1 +1,0 @@
-"""Configurations of other firmware: files recognised and written, explained, made designs."""

@@ -1,1 +1,0 @@
-"""Paper 000 (polynomials of the MTPA, discontinuous modulation) recomputed."""

@@ -1,1 +1,0 @@
-"""Paper 001 (a bench with a fixed-point signal processor) recomputed."""
