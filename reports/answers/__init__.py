@@ -4,53 +4,15 @@ from __future__ import annotations
 
 from importlib import import_module
 from types import ModuleType
-from typing import TYPE_CHECKING
 
 from dqforge.reports.pages.answer import LOADING, QUICK_S, stage, status
 
-if TYPE_CHECKING:
-    from dqforge.reports.answers import (
-        bemf,
-        check,
-        compare,
-        doctor,
-        dqy,
-        estimators,
-        explore,
-        export,
-        fit,
-        library,
-        losses,
-        machines,
-        mtpa,
-        reproduce,
-        run,
-        simulate,
-        tune,
-        verify,
-    )
-
+# fmt: off
 __all__ = [
-    "bemf",
-    "check",
-    "compare",
-    "doctor",
-    "dqy",
-    "estimators",
-    "explain",
-    "explore",
-    "export",
-    "fit",
-    "library",
-    "losses",
-    "machines",
-    "mtpa",
-    "reproduce",
-    "run",
-    "simulate",
-    "tune",
-    "verify",
+    "bemf", "check", "compare", "doctor", "dqy", "estimators", "explore", "export", "fit",
+    "library", "losses", "machines", "mtpa", "reproduce", "run", "simulate", "tune", "verify",
 ]
+# fmt: on
 
 
 def __getattr__(name: str) -> ModuleType:
