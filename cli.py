@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 try:
     import typer
@@ -21,26 +21,6 @@ from dqforge.reports.command_line import flags as given
 from dqforge.reports.command_line.designs import asked_sheet, forget, load, locate, respond
 from dqforge.reports.command_line.flags import Sheet, application, exit_code, with_sheet
 from dqforge.reports.operating_system.system import prepare_process
-
-if TYPE_CHECKING:  # Their types; each is loaded when its command is given.
-    import dqforge.reports.answers.bemf
-    import dqforge.reports.answers.check
-    import dqforge.reports.answers.compare
-    import dqforge.reports.answers.doctor
-    import dqforge.reports.answers.dqy
-    import dqforge.reports.answers.estimators
-    import dqforge.reports.answers.explore
-    import dqforge.reports.answers.export
-    import dqforge.reports.answers.fit
-    import dqforge.reports.answers.library
-    import dqforge.reports.answers.losses
-    import dqforge.reports.answers.machines
-    import dqforge.reports.answers.mtpa
-    import dqforge.reports.answers.reproduce
-    import dqforge.reports.answers.run
-    import dqforge.reports.answers.simulate
-    import dqforge.reports.answers.tune
-    import dqforge.reports.answers.verify
 
 app = application()
 

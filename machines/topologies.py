@@ -1,6 +1,6 @@
 """The topologies of paper 002, chapter 5: their legs, what becomes of the zero sequence, which
 voltages their link makes and how far the modulator goes, the duties that make them, the current
-of the neutral, and the frames of currents that they permit.
+of the neutral and its copper, and the frames of currents that they permit.
 
 A phase voltage is that of the phase's leg less what its other end is tied to: the mean of the legs
 (no neutral), the neutral's leg, the phase's second leg, or the midpoint of the link. All else in
@@ -27,7 +27,11 @@ from dqforge.machines.modulation.registry import (
 )
 from dqforge.machines.modulation.ripple import flux_moments
 from dqforge.machines.names import CurrentFrame, ModulationName, OvermodulationName, Topology
-from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine, SalientPhaseMachine
+from dqforge.machines.phase_machines.phase_machine import (
+    AnyPhaseMachine,
+    PhaseMachine,
+    SalientPhaseMachine,
+)
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Floats, N, Numbers, Triple, clarke_matrix
 
@@ -711,3 +715,51 @@ def controlled_frame(
         topology: How its phases are fed.
     """
     return choose_frame(machine, topology).frame if wanted is None else wanted
+
+
+# What a zero-sequence current saves in copper, and what the pulses drive through the neutral.
+
+
+@dataclass(frozen=True, slots=True)
+class NeutralBalance:
+    """Copper that the neutral saves and costs.
+
+    Args:
+        saved: Copper loss that currents of constant torque save with a zero sequence, in W/(N m)^2.
+        ripple: Neutral current of the pulses at standstill in A, r.m.s., where it is largest on a
+            split link.
+        cost: Its copper loss in W.
+    """
+
+    saved: float
+    ripple: float
+    cost: float
+
+    @property
+    def break_even(self) -> float:
+        """Torque in N m from which on it saves more than it costs; infinite where never."""
+        return math.sqrt(self.cost / self.saved) if self.saved > 0.0 else math.inf
+
+
+def neutral_balance(
+    machine: PhaseMachine, topology: Topology, v_dc: float, f_sw: float, l_0: float
+) -> NeutralBalance:
+    """Saving and cost of the neutral.
+
+    A third of the neutral current flows in each phase, so that its copper loss is R I_n^2/3.
+
+    Args:
+        machine: The machine.
+        topology: How its phases are fed.
+        v_dc: Link voltage in V.
+        f_sw: Carrier frequency in Hz.
+        l_0: Inductance in H that a zero-sequence current meets.
+    """
+    alpha, beta, zero = flux_axes(machine)
+    plane = 1.5 * (alpha**2 + beta**2)
+    scale = machine.r_s / machine.pole_pairs**2
+    saved = scale * float(np.mean(1.0 / plane) - np.mean(1.0 / (plane + 3.0 * zero**2)))
+    # Without voltages every carrier period is alike.
+    still = np.zeros((3, 1))
+    ripple = float(neutral_ripple(topology, still, v_dc=v_dc, t_s=1.0 / f_sw, l_0=l_0))
+    return NeutralBalance(saved, ripple, machine.r_s * ripple**2 / 3.0)

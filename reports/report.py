@@ -1,5 +1,5 @@
-"""The report of a design: one HTML file that asks for nothing outside itself,
-the same bytes for the same solution.
+"""The report of a design: one HTML file that asks for nothing outside itself, the same bytes for
+the same solution; and what `run` says of a design on the terminal.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The main job: solve a design, emit its header, prove the header, and
-gather the files to be written.
+"""The main job: solve a design, emit its header, prove the header, and gather the files to be
+written, ``result.json`` among them.
 """
 
 from __future__ import annotations
@@ -33,8 +33,7 @@ from dqforge.reports.main_header import NEUTRAL, Dialect, header_files
 from dqforge.reports.observers.speed_loop_text import promise_lines, with_promise
 from dqforge.reports.pages.answer import LARGEST_FILE, LARGEST_JSON, read_output, shares, stage
 from dqforge.reports.pages.templating import strict_json, to_text
-from dqforge.reports.plain_data import PlainData
-from dqforge.reports.plain_design import plain_design
+from dqforge.reports.plain_data import PlainData, plain_design
 from dqforge.reports.report import render_report
 from dqforge.reports.run_folder import REPORT, RESULT, listed_files
 from dqforge.reports.verification.host import Verification, stated_verification, verify_files

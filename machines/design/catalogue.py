@@ -15,9 +15,14 @@ from typing import NoReturn
 from dqforge.machines.design import design as datasheet
 from dqforge.machines.design.design import Design, InputValue, Reading
 from dqforge.machines.design.numerical import located
-from dqforge.machines.design.plausibility import BlockSections, check_six_step, implausibilities
+from dqforge.machines.design.plausibility import implausibilities
 from dqforge.machines.design.schema import DesignFile
-from dqforge.machines.design.sections.application import check_application
+from dqforge.machines.design.sections.across_sections import (
+    BlockSections,
+    check_application,
+    check_six_step,
+    check_topology,
+)
 from dqforge.machines.design.sections.control import (
     check_loops,
     check_observer_format,
@@ -51,7 +56,6 @@ from dqforge.machines.design.sections.phase_control import (
 from dqforge.machines.design.sections.references import check_references
 from dqforge.machines.design.sections.simulation import read_scenario
 from dqforge.machines.design.sections.start_up import check_start_up
-from dqforge.machines.design.sections.topology import check_topology
 from dqforge.machines.design.sections.waveform import check_waveform, read_waveform
 from dqforge.machines.design.settings import ControlSettings, bare_speed_remarks
 from dqforge.machines.devices.inverter import Inverter

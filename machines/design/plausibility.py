@@ -1,5 +1,5 @@
-"""Values of a design that are possible each, but not together: held against what drives usually
-have; and what a six-step drive cannot do.
+"""Values of a design that are possible each, but not together: held against
+what drives usually have.
 
 Every figure is formed from several entries, such as the drop over the resistance as a share of the
 voltage, so that a wrong unit or kind shows in some of them. The ranges are wide: between a servo
@@ -16,16 +16,9 @@ import numpy as np
 from dqforge.machines.design.design import Design, peak_current
 from dqforge.machines.design.plausible_figures import Figure, device_figures, sentences
 from dqforge.machines.design.schema import DesignFile
-from dqforge.machines.design.sections.control import ControlSection
-from dqforge.machines.design.sections.export import ExportSection
-from dqforge.machines.design.sections.inverter import InverterSection
-from dqforge.machines.design.sections.simulation import SimulationSection
 from dqforge.machines.design.settings import ToleranceName
 from dqforge.machines.dq_machines.synchronous import largest_torque_within
 from dqforge.machines.entries.rules import si_of
-from dqforge.machines.errors import KeyPath
-from dqforge.machines.files.positioned_yaml import YamlDocument
-from dqforge.machines.names import SIX_STEP_METHODS
 from dqforge.machines.records import dataclass
 
 
@@ -678,104 +671,3 @@ class Scale:
     torque: float
     power: float
     top_speed: float | None
-
-
-# What a six-step drive cannot do, and where the design file asks for it.
-
-
-@dataclass(frozen=True, slots=True)
-class BlockSections:
-    """The sections of a design file that a six-step drive looks at; ``named`` are those that the
-    file has.
-    """
-
-    control: ControlSection
-    inverter: InverterSection
-    export: ExportSection
-    simulation: SimulationSection | None
-    named: frozenset[str]
-
-
-def _refusals(file: BlockSections) -> list[tuple[KeyPath, str]]:
-    """Keys that a six-step drive does not use, with what to write instead."""
-    control, inverter = file.control, file.inverter
-    loop, speed = control.current_loop, control.speed_loop
-    found: list[tuple[bool, KeyPath, str]] = [
-        (bool(file.export.control), ("export", "control"), "it has control functions of its own"),
-        (bool(file.export.firmware), ("export", "firmware"), "that firmware runs vector control"),
-        ("field_weakening" in file.named, ("field_weakening",), "blocks weaken no field"),
-        ("losses" in file.named, ("losses",), "the loss budget is that of sinusoidal currents"),
-        ("modulation_choice" in file.named, ("modulation_choice",), "it has one modulator"),
-        (control.references is not None, ("control", "references"), "it has no dq references"),
-        (control.firmware is not None, ("control", "firmware"), "that firmware has no blocks"),
-        (control.tolerances is not None, ("control", "tolerances"), "they are not judged here"),
-        (not control.gains, ("control", "gains"), "its loops are tuned"),
-        (loop.schedule, ("control", "current_loop", "schedule"), "its gains are constant"),
-        (inverter.topology != "three-wire", ("inverter", "topology"), "the star point floats"),
-        (
-            speed is not None and speed.method not in ("symmetrical-optimum", "given"),
-            ("control", "speed_loop", "method"),
-            "write symmetrical-optimum or given",
-        ),
-        (
-            speed is not None and speed.filter_time is not None,
-            ("control", "speed_loop", "filter_time"),
-            "the speed comes six times per turn, unfiltered",
-        ),
-    ]
-    return [(path, why) for refused, path, why in found if refused]
-
-
-def _simulated(file: BlockSections) -> list[tuple[KeyPath, str]]:
-    """The same of its simulation, which starts at rest without an encoder."""
-    wanted = file.simulation
-    if wanted is None:
-        return []
-    found: list[tuple[bool, KeyPath, str]] = [
-        (wanted.current is not None, ("simulation", "current"), "write speed or torque"),
-        (wanted.sensorless is not None, ("simulation", "sensorless"), "it never has an encoder"),
-        (
-            "encoder" in wanted.model_fields_set,
-            ("simulation", "encoder"),
-            "it never has an encoder",
-        ),
-        (
-            wanted.speed is not None and file.control.speed_loop is None,
-            ("simulation", "speed"),
-            "write control.speed_loop",
-        ),
-    ]
-    return [(path, why) for refused, path, why in found if refused]
-
-
-def check_six_step(file: BlockSections, document: YamlDocument) -> bool:
-    """Check what a six-step drive cannot do, and say whether the design is one.
-
-    Raises `InputError` with a position.
-    """
-    control, path = file.control, ("control", "six_step")
-    method = None if control.observer is None else control.observer.method
-    if method not in SIX_STEP_METHODS:
-        if control.six_step is not None:
-            raise document.error(
-                "control.six_step is for the observers that make a six-step drive; write "
-                "control.observer: {method: zero-crossing} or emf-integration, or leave it out",
-                path,
-                key=True,
-            )
-        return False
-    for where, why in (*_refusals(file), *_simulated(file)):
-        raise document.error(
-            f"{'.'.join(map(str, where))}: a six-step drive (control.observer: {method}) does not "
-            f"use it: {why}; leave it out, or write another observer",
-            where,
-            key=True,
-        )
-    sampling, switching = control.sampling_frequency, file.inverter.switching_frequency
-    if sampling is not None and abs(sampling.si / switching.si - 1.0) > 1e-9:
-        raise document.error(
-            f"control.sampling_frequency: {sampling.text}: a six-step drive samples once per "
-            f"carrier period, in its middle; write {switching.text}, or leave it out",
-            ("control", "sampling_frequency"),
-        )
-    return True

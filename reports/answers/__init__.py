@@ -4,12 +4,35 @@ from __future__ import annotations
 
 from importlib import import_module
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 from dqforge.reports.pages.answer import LOADING, QUICK_S, stage, status
 
+if TYPE_CHECKING:
+    from dqforge.reports.answers import (
+        bemf,
+        check,
+        compare,
+        current_feedback,
+        doctor,
+        dqy,
+        estimators,
+        explore,
+        fit,
+        library,
+        losses,
+        machines,
+        mtpa,
+        reproduce,
+        run,
+        simulate,
+        tune,
+        verify,
+    )
+
 # fmt: off
 __all__ = [
-    "bemf", "check", "compare", "doctor", "dqy", "estimators", "explore", "export", "fit",
+    "bemf", "check", "compare", "current_feedback", "doctor", "dqy", "estimators", "explore", "fit",
     "library", "losses", "machines", "mtpa", "reproduce", "run", "simulate", "tune", "verify",
 ]
 # fmt: on

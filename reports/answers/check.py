@@ -9,7 +9,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.plausible_figures import MARK
 from dqforge.machines.names import SPEED_OBSERVER, TRACKER_NAMES
 from dqforge.reports.pages.answer import Answer, Table, stage
-from dqforge.reports.plain_design import plain_design
+from dqforge.reports.plain_data import plain_design
 
 
 def _speed_on_observer(design: Design) -> bool:

@@ -1,4 +1,4 @@
-"""What `dqforge compare` answers."""
+"""What `dqforge compare` and `dqforge explain` answer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Rows that are computed whatever one of them does: an error inside a row stays in that row."""
+"""Rows that are computed whatever one of them does: an error inside a row stays in that row, a
+part whose process dies is searched for the row to blame, and a run says how far it is.
+"""
 
 from __future__ import annotations
 

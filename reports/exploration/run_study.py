@@ -1,4 +1,6 @@
-"""Runs the parts of a study that are not there yet, on the engine that suits them."""
+"""Runs the parts of a study that are not there yet, on the engine that suits them: in one process,
+on workers, a search a generation at a time.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Winners of a study: their design files, and their headers by the exact path, proven as in `run`.
+"""Winners of a study: their design files, and their headers by the exact path, proven as in `run`;
+and what ``explore --export`` answers.
 
 What a study computes by batches is no header. The design of a row is written with the comments of
 the design that the study starts from, read as a file, and solved, emitted and verified like any.

@@ -1,4 +1,6 @@
-"""Which firmware a file is of, and the configuration in it; of several files, in all of them."""
+"""Files of a firmware: which firmware they are of, the configuration in them, whether its loops
+settle, and the design that is made of them.
+"""
 
 from __future__ import annotations
 

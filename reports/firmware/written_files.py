@@ -1,5 +1,5 @@
 """Configurations and judged loops of firmware as plain data, by the keys of
-docs/reference/json.md.
+docs/reference/json.md, as tables, and as files.
 """
 
 from __future__ import annotations

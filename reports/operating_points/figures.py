@@ -1,5 +1,5 @@
-"""Figures of operating points over speed: currents at one speed, and the
-torque-speed map with its regions.
+"""Figures of operating points over speed, and their chapter of the report: currents at one speed,
+and the torque-speed map with its regions.
 """
 
 from __future__ import annotations

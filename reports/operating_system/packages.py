@@ -1,4 +1,6 @@
-"""Packages of Python: what each is for, which are here, and what is said where one is missing."""
+"""Packages of Python and programs that dqforge calls: what each is for, which are here, how the
+others are got, and what is said where one is missing.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Numbers and symbols as the HTML report writes them: units, raised exponents,
-subscripts and true minus signs.
+"""Words, numbers and symbols as the HTML report and the tables write them: names for people,
+units, raised exponents, subscripts and true minus signs.
 """
 
 from __future__ import annotations

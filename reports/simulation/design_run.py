@@ -1,5 +1,5 @@
-"""A design simulated with its emitted controller: the run, the figures of its steps,
-and the file of its samples.
+"""A design simulated with its emitted controller: the run, the figures of its steps and of its
+start, and the file of its samples.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A simulation as tables for the terminal and the report, and as plain data."""
+"""A simulation as tables for the terminal and the report, as plain data, and as a figure."""
 
 from __future__ import annotations
 

@@ -11,7 +11,6 @@ from dqforge.machines.design.sections.export import ExportSection
 from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.files.positioned_yaml import YamlDocument
-from dqforge.machines.losses.neutral_balance import neutral_balance
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine, SalientPhaseMachine
 from dqforge.machines.topologies import (
@@ -20,6 +19,7 @@ from dqforge.machines.topologies import (
     choose_frame,
     controlled_frame,
     frame_obstacle,
+    neutral_balance,
     tables_obstacle,
     uses_zero_sequence,
     zero_sequence_inductance,

@@ -8,7 +8,7 @@ import pytest
 
 from dqforge import cli
 from dqforge.machines.design import catalogue
-from dqforge.reports.answers.export import answer_export_for
+from dqforge.reports.answers.run import answer_export_for
 from dqforge.reports.answers.tune import answer_tune
 from dqforge.reports.firmware.target import TARGETS
 
