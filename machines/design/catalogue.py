@@ -18,10 +18,14 @@ from dqforge.machines.design.numerical import located
 from dqforge.machines.design.plausibility import implausibilities
 from dqforge.machines.design.schema import DesignFile
 from dqforge.machines.design.sections.across_sections import (
+    Asked,
     BlockSections,
     check_application,
+    check_feedback,
+    check_phase_control,
     check_six_step,
     check_topology,
+    phase_control_remarks,
 )
 from dqforge.machines.design.sections.control import (
     check_loops,
@@ -30,7 +34,6 @@ from dqforge.machines.design.sections.control import (
     read_control,
     read_gain_wish,
 )
-from dqforge.machines.design.sections.current_feedback import Asked, check_feedback
 from dqforge.machines.design.sections.export import read_export
 from dqforge.machines.design.sections.field_weakening import read_weakening
 from dqforge.machines.design.sections.firmware import check_firmware
@@ -48,10 +51,6 @@ from dqforge.machines.design.sections.operation import (
     check_operation,
     check_overmodulation,
     read_operation,
-)
-from dqforge.machines.design.sections.phase_control import (
-    check_phase_control,
-    phase_control_remarks,
 )
 from dqforge.machines.design.sections.references import check_references
 from dqforge.machines.design.sections.simulation import read_scenario

@@ -1,9 +1,12 @@
-"""What sections of a design ask of each other: the topology of the inverter of choke, capacitors
-and modulator, the program around the functions of what it calls, a six-step drive of
-everything.
+"""What sections of a design ask of each other: the topology of the inverter, the program around
+the functions, a six-step drive, a regulator that switches the bridge, and the control of
+phases.
 """
 
 from __future__ import annotations
+
+import math
+from typing import get_args
 
 from dqforge.machines.design.sections.control import ControlSection
 from dqforge.machines.design.sections.export import ExportSection
@@ -11,11 +14,26 @@ from dqforge.machines.design.sections.inverter import InverterSection
 from dqforge.machines.design.sections.modulation_choice import ChoiceSection
 from dqforge.machines.design.sections.operation import OperationSection
 from dqforge.machines.design.sections.simulation import SimulationSection
+from dqforge.machines.design.settings import CurrentLoopSettings
+from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError, KeyPath
 from dqforge.machines.files.positioned_yaml import YamlDocument
-from dqforge.machines.names import SIX_STEP_METHODS, Topology
+from dqforge.machines.names import SIX_STEP_METHODS, FeedbackMethod, Topology
+from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine, SalientPhaseMachine
 from dqforge.machines.records import dataclass
-from dqforge.machines.topologies import TOPOLOGIES, contradiction
+from dqforge.machines.topologies import (
+    TOPOLOGIES,
+    FrameChoice,
+    choose_frame,
+    contradiction,
+    controlled_frame,
+    frame_obstacle,
+    neutral_balance,
+    tables_obstacle,
+    uses_zero_sequence,
+    zero_sequence_inductance,
+)
 
 
 def check_topology(
@@ -210,3 +228,271 @@ def check_six_step(file: BlockSections, document: YamlDocument) -> bool:
             ("control", "sampling_frequency"),
         )
     return True
+
+
+# Current loops that switch the bridge themselves: which keys they take, and what they exclude.
+
+_PATH = ("control", "current_loop")
+
+# The keys that a method takes beside ``method``.
+_KEYS: dict[str, tuple[str, ...]] = {
+    "hysteresis": ("band",),
+    "ramp-comparison": ("kp", "ki", "carrier", "comparator_band"),
+    "look-up-table": ("band", "outer_band", "sampling"),
+    "trajectory": ("sampling", "pulses"),
+    "circle": ("band", "sampling"),
+    "predictive": ("sampling",),
+}
+
+_NO_RUN = (
+    "remove it: 'dqforge simulate' runs such a design at constant speed, at the points of losses"
+)
+
+_OWN = ("band", "outer_band", "carrier", "comparator_band", "sampling", "pulses")
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Sections of a file on which current-feedback PWM bears, and whether it has one for a
+    simulation.
+    """
+
+    control: ControlSection
+    inverter: InverterSection
+    operation: OperationSection
+    export: ExportSection
+    simulated: bool
+
+
+def check_feedback(
+    file: Asked, machine: Machine, document: YamlDocument, *, any_back_emf: bool
+) -> None:
+    """Check the keys of current-feedback PWM, and what does not go with it.
+
+    Raises `InputError` with a position.
+    """
+    loop = file.control.current_loop
+    if loop.method not in get_args(FeedbackMethod):
+        for key in _OWN:
+            if getattr(loop, key) is not None:
+                users = " or ".join(name for name, keys in _KEYS.items() if key in keys)
+                raise document.error(
+                    f"control.current_loop: the method '{loop.method}' does not use '{key}'; "
+                    f"write method: {users}, or remove the key",
+                    (*_PATH, key),
+                    key=True,
+                )
+        return
+    _check_keys(file, document)
+    _check_drive(file, machine, document, any_back_emf=any_back_emf)
+    _check_rest(file, document)
+
+
+def _check_keys(file: Asked, document: YamlDocument) -> None:
+    loop = file.control.current_loop
+    used = _KEYS[loop.method]
+    for key in sorted(loop.model_fields_set - {"method", *used}):
+        raise document.error(
+            f"control.current_loop: the method '{loop.method}' does not use '{key}'; remove it (it "
+            f"uses {', '.join(used)})",
+            (*_PATH, key),
+            key=True,
+        )
+    if loop.band is not None and loop.outer_band is not None and loop.outer_band.si < loop.band.si:
+        raise document.error(
+            f"control.current_loop.outer_band {loop.outer_band.text} is less than band "
+            f"{loop.band.text}; write band or more",
+            (*_PATH, "outer_band"),
+        )
+    if loop.pulses is not None and loop.pulses % 2 == 0:
+        raise document.error(
+            f"control.current_loop.pulses {loop.pulses} is even; patterns of a leg have odd "
+            f"numbers of pulses: write {loop.pulses - 1} or {loop.pulses + 1}",
+            (*_PATH, "pulses"),
+        )
+    if loop.sampling is not None and loop.sampling.si < 2.0 * file.inverter.switching_frequency.si:
+        raise document.error(
+            f"control.current_loop.sampling {loop.sampling.text} is too slow to switch by; write "
+            "twice the switching frequency or more",
+            (*_PATH, "sampling"),
+        )
+
+
+def _check_drive(
+    file: Asked, machine: Machine, document: YamlDocument, *, any_back_emf: bool
+) -> None:
+    method = file.control.current_loop.method
+    wrong = ""
+    if any_back_emf or not isinstance(machine, LinearMachine):
+        wrong = "works on a machine of model: linear; write another method"
+    elif file.inverter.topology != "three-wire":
+        wrong = f"works on topology: three-wire, not {file.inverter.topology}; write another method"
+    elif not machine.l_d > 0.0 or not machine.l_q > 0.0:
+        wrong = "needs positive inductances"
+    if wrong:
+        raise document.error(
+            f"control.current_loop: the method '{method}' {wrong}", (*_PATH, "method")
+        )
+
+
+def _check_rest(file: Asked, document: YamlDocument) -> None:
+    """Sections that need the gains of PI current loops, or a modulator."""
+    control, method = file.control, file.control.current_loop.method
+    asked: list[tuple[bool, KeyPath, str]] = [
+        (control.observer is not None, ("control", "observer"), "remove it"),
+        (control.tolerances is not None, ("control", "tolerances"), "remove it"),
+        (control.references is not None, ("control", "references"), "remove it"),
+        (control.firmware is not None, ("control", "firmware"), "remove it"),
+        (control.six_step is not None, ("control", "six_step"), "remove it"),
+        (control.start_up is not None, ("control", "start_up"), "remove it"),
+        (
+            control.speed_loop is not None and control.speed_loop.measurement is not None,
+            ("control", "speed_loop", "measurement"),
+            "remove it",
+        ),
+        (bool(file.export.control), ("export", "control"), "remove it"),
+        (bool(file.export.firmware), ("export", "firmware"), "remove it"),
+        (
+            file.simulated,
+            ("simulation",),
+            _NO_RUN,
+        ),
+        (file.operation.overmodulation != "none", ("operation", "overmodulation"), "remove it"),
+    ]
+    for wanted, path, remedy in asked:
+        if wanted:
+            raise document.error(
+                f"{'.'.join(map(str, path))} needs PI current loops and a modulator, and "
+                f"control.current_loop is by '{method}'; {remedy}",
+                path,
+                key=True,
+            )
+
+
+# The keys of ``control.current_loop`` that are for machines with any back-EMF: what they need, and
+# what is said of them.
+
+# Keys of ``control.current_loop`` that other machines have no use for.
+PHASE_KEYS = ("frame", "feedforward", "axis_gains", "harmonic_integrators", "limited_waveforms")
+
+_MODULATORS: dict[Topology, str] = {
+    "three-wire": "duty cycles centred between the highest and the lowest phase voltage",
+    "four-leg": "duty cycles centred between the highest and the lowest of all phase voltages and "
+    "zero, the neutral's leg with them",
+    "six-leg": "each phase on a full bridge of its own, half its voltage on either leg",
+    "six-leg-isolated": "full bridges on links of their own, voltages centred between the highest "
+    "and the lowest",
+    "split-capacitor": "each leg against the midpoint, whose measured voltage enters",
+    "diode-neutral": "duty cycles as without a neutral, whose diodes carry no wanted current",
+}
+
+
+def check_phase_control(
+    section: ControlSection,
+    machine: AnyPhaseMachine | None,
+    topology: Topology,
+    export: ExportSection,
+    document: YamlDocument,
+) -> None:
+    """Check the keys that are for machines with any back-EMF.
+
+    ``machine`` is None for all others, ``export`` what is emitted.
+    Raises `InputError` with a position.
+    """
+    loop, path = section.current_loop, ("control", "current_loop")
+    obstacle = tables_obstacle(machine)
+    if export.frame_tables and obstacle:
+        message = f"export.frame_tables: {obstacle}"
+        raise document.error(message, ("export", "frame_tables"), key=True)
+    if machine is None:
+        for key in PHASE_KEYS:
+            if key in loop.model_fields_set:
+                raise document.error(
+                    f"control.current_loop.{key}: it serves machines of model: waveform; remove it",
+                    (*path, key),
+                    key=True,
+                )
+        return
+    if loop.frame is not None:
+        obstacle = frame_obstacle(loop.frame, machine, topology)
+        if obstacle:
+            message = f"control.current_loop.frame: {obstacle}"
+            raise document.error(message, (*path, "frame"))
+    if loop.feedforward == "measured" and not set(export.control) <= {"float32"}:
+        message = (
+            "control.current_loop.feedforward: measured is not there in fixed point; write "
+            "references, or export.control: float32"
+        )
+        raise document.error(message, (*path, "feedforward"))
+    if isinstance(machine, SalientPhaseMachine) and not set(export.control) <= {"float32"}:
+        message = (
+            "export.control: machines with inductance_harmonics are controlled in float32 alone; "
+            "write float32"
+        )
+        raise document.error(message, ("export", "control"), key=True)
+    frame = controlled_frame(loop.frame, machine, topology)
+    if loop.limited_waveforms and frame != "table":
+        raise document.error(
+            "control.current_loop.limited_waveforms: currents that the link limits are a table "
+            f"over the angle, the frame is {frame}; write frame: table, or remove it",
+            (*path, "limited_waveforms"),
+            key=True,
+        )
+    if loop.limited_waveforms and isinstance(machine, SalientPhaseMachine):
+        raise document.error(
+            "control.current_loop.limited_waveforms needs inductances that do not vary with the "
+            "angle, this machine has inductance_harmonics; remove it",
+            (*path, "limited_waveforms"),
+            key=True,
+        )
+
+
+def phase_control_remarks(
+    loop: CurrentLoopSettings, machine: AnyPhaseMachine | None, inverter: Inverter
+) -> list[str]:
+    """Sentences on the frame, the modulator and the zero sequence of a machine with any back-EMF.
+
+    Empty for all others.
+    """
+    if machine is None:
+        return []
+    topology = inverter.topology
+    choice = choose_frame(machine, topology)
+    if loop.frame is not None:
+        choice = FrameChoice(loop.frame, "as written")
+    remarks = [
+        f"control.current_loop.frame is {choice.frame}: {choice.reason}",
+        f"inverter.topology {topology}: {_MODULATORS[topology]}",
+    ]
+    if TOPOLOGIES[topology].neutral:
+        current = (
+            "follows the reference of the torque"
+            if uses_zero_sequence(choice.frame, topology)
+            else "is held at zero"
+        )
+        gains = "gains of its own" if loop.axis_gains == "own" else "the gains of the q axis"
+        remarks.append(f"the zero-sequence current {current}, by a PI controller with {gains}")
+    if TOPOLOGIES[topology].midpoint and inverter.midpoint_capacitance is None:
+        remarks.append(
+            "inverter.midpoint_capacitance is not given: the midpoint of the link is taken as held"
+        )
+    if TOPOLOGIES[topology].midpoint and uses_zero_sequence(choice.frame, topology):
+        remarks += _pulses_of_the_neutral(machine, inverter)
+    return remarks
+
+
+def _pulses_of_the_neutral(machine: AnyPhaseMachine, inverter: Inverter) -> list[str]:
+    """A sentence where the pulses cost more copper in the neutral than its current saves."""
+    if isinstance(machine, SalientPhaseMachine):
+        return []
+    l_0 = zero_sequence_inductance(machine, inverter.neutral_inductance)
+    found = neutral_balance(machine, inverter.topology, inverter.v_dc, inverter.f_sw, l_0)
+    torque = found.break_even
+    saves = f"below {torque:.3g} N m" if math.isfinite(torque) else "at any torque"
+    sentence = (
+        f"inverter.topology {inverter.topology}: at standstill the pulses drive "
+        f"{found.ripple:.3g} A (r.m.s.) through the neutral, {found.cost:.3g} W of copper; the "
+        f"zero sequence saves {found.saved:.3g} W per (N m)^2, so that {saves} it costs more than "
+        "it saves (frame dqx, or a larger inverter.switching_frequency, avoids that)"
+    )
+    return [sentence]
