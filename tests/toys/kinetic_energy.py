@@ -121,14 +121,14 @@ def read_model(own: Mapping[str, Any], _: Mapping[str, Any]) -> EnergyModel:
 def energy_programme(model: EnergyModel) -> Programme:
     speeds = np.linspace(-2000.0, 2000.0, 4001, dtype=np.float32)
     energies = ((model.half_inertia * speeds) * speeds)[:, np.newaxis]
-    rows = Harness(
+    harness = Harness(
         "kinetic_energy",
         "speed in rad/s; energy in J",
         (1, 1),
         ("out[0] = @_kinetic_energy_J(in[0]);",),
         vectors=False,
     )
-    return Programme(rows, speeds, energies, "kinetic energy")
+    return Programme(harness, speeds, energies, "kinetic energy")
 
 
 KINETIC_ENERGY = Capability(
