@@ -329,6 +329,19 @@ def explore(  # noqa: PLR0913, PLR0917 - every option of the command is a parame
 
 
 @app.command()
+def serve(
+    folder: given.Served = given.DESIGN_FOLDER, port: given.Port = 0, quiet: given.Unopened = False
+) -> None:
+    """Edit a design in the browser, with live figures.
+
+    On this machine alone, behind a token. The design file is the only state.
+    """
+    from dqforge.reports.browser.command import serve as served
+
+    served(folder, port, opening=not quiet)
+
+
+@app.command()
 def machines(name: given.Drive = None, search: given.Find = None, json: given.Json = False) -> None:
     """List drives and motors of the library, or one."""
     respond("machines", lambda: answers.machines.answer_machines(name, search), json)

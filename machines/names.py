@@ -139,9 +139,6 @@ OBSERVER_KEYS: dict[str, tuple[str, ...]] = {
 # Those that correct the flux observer by what they have learned.
 LEARNED_OBSERVERS: tuple[ObserverMethodName, ...] = ("neuro-fuzzy", "neural")
 
-# Those that are there in single precision alone.
-SINGLE_OBSERVERS: tuple[ObserverMethodName, ...] = (*LEARNED_OBSERVERS, "smo")
-
 # How a drive without encoder leaves standstill: a current or a voltage that turns, the observer
 # from zero speed on, or the rotor found by its saliency; ``auto`` chooses.
 ObserverTuningName = Literal["named", "optimised"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
@@ -13,9 +12,9 @@ from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.harness import Constant, ConstantGroup, title
 from dqforge.reports.current_reference.plain import (
     reference_context,
+    reference_harness,
     to_plain,
-    vectors_context,
-    vectors_template,
+    vectors_of,
 )
 from dqforge.reports.loops.figures import loop_constants
 from dqforge.reports.observers.tracker_header import observer_constants
@@ -191,14 +190,8 @@ def header_files(solution: Solution, dialect: Dialect = NEUTRAL) -> dict[str, by
         solution: What was solved.
         dialect: Whose names the header takes.
     """
-    prefix = solution.design.export.prefix
-    contents: dict[str, Any] = {
-        f"{prefix}.h": render(dialect.template, header_context(solution, dialect)),
-        f"{prefix}_vectors.h": render(
-            vectors_template(solution.reference), vectors_context(solution)
-        ),
-    }
-    return {name: text.encode("ascii") for name, text in contents.items()}
+    text = render(dialect.template, header_context(solution, dialect))
+    return reference_harness(solution.reference).files(solution.design, text, vectors_of(solution))
 
 
 # Constants of machine, torque domain and bases for the main header.

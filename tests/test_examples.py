@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
+import json
 import re
 import runpy
 from pathlib import Path
 
 import pytest
+from notebooks import NOTEBOOKS, notebooks
 
 FOLDER = Path(__file__).resolve().parent.parent / "examples"
 
@@ -58,3 +61,21 @@ def test_examples_are_cells(path: Path) -> None:
         k % 2 == 0 for k in range(len(cells))
     ]
     assert len(cells) >= 4
+
+
+def test_notebooks_are_the_examples() -> None:
+    """Written by ``python tests/notebooks.py``."""
+    written = {path: path.read_text(encoding="utf-8") for path in NOTEBOOKS.glob("*")}
+    assert written == notebooks()
+
+
+@pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("*.ipynb")), ids=lambda path: path.stem)
+def test_a_notebook_says_what_its_script_says(path: Path) -> None:
+    """Its code cells, one after the other, are the script without its text."""
+    told = json.loads(path.read_text(encoding="utf-8"))
+    code = ["".join(cell["source"]) for cell in told["cells"] if cell["cell_type"] == "code"]
+    script = (FOLDER / f"{path.stem}.py").read_text(encoding="utf-8")
+    assert ast.dump(ast.parse("\n".join(code))) == ast.dump(ast.parse(script))
+    assert {cell["id"] for cell in told["cells"]} == {
+        f"cell-{k}" for k in range(len(told["cells"]))
+    }

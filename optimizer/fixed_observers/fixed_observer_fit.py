@@ -27,7 +27,12 @@ from dqforge.optimizer.fixed_control.arithmetic import (
 from dqforge.optimizer.fixed_control.design import require_scales
 from dqforge.optimizer.fixed_control.ranges import codes, require
 from dqforge.optimizer.fixed_control.transforms import TurnSteps, rotation, sine_error, turn_steps
-from dqforge.optimizer.fixed_observers import fixed_ekf, fixed_extended_emf, fixed_matsui_voltage
+from dqforge.optimizer.fixed_observers import (
+    fixed_ekf,
+    fixed_extended_emf,
+    fixed_matsui_voltage,
+    fixed_smo,
+)
 from dqforge.optimizer.fixed_observers import fixed_sampled_machine as fixed_matsui_current
 from dqforge.optimizer.fixed_observers import kit as fixed_open_loop_flux
 from dqforge.optimizer.fixed_observers.kit import (
@@ -313,6 +318,7 @@ FIXED_METHODS: Mapping[str, FixedMethod] = MappingProxyType(
         method.name: method
         for method in (
             fixed_extended_emf.METHOD,
+            fixed_smo.METHOD,
             METHOD,
             fixed_open_loop_flux.METHOD,
             fixed_matsui_voltage.METHOD,

@@ -93,17 +93,33 @@ def clipped_vector(o: Arithmetic[N, Any], alpha: N, beta: N) -> Pair[N]:
 def sine_of_angle(o: Arithmetic[N, Any], across: N, vector: Pair[N], floor: int) -> N:
     """A component over the length of its vector, which counts as floor at least: a sine, 2^31 codes
     of 1.
+    """
+    return over_length(o, across, length(o, vector, floor))
 
-    The length only scales a loop gain and needs few digits: it is the root of a word of 32 bits,
-    in codes of 16 bits, as ``floor`` is. The quotient has all its digits: two divisions of
-    32 bits, the second of what the first leaves.
+
+def quotient_by_length(o: Arithmetic[N, Any], vector: Pair[N], floor: int) -> Pair[N]:
+    """A vector over its length, which counts as floor at least; 2^31 codes of 1."""
+    size = length(o, vector, floor)
+    return Pair(o.call(over_length, vector.x, size), o.call(over_length, vector.y, size))
+
+
+def length(o: Arithmetic[N, Any], vector: Pair[N], floor: int) -> N:
+    """Length of a vector in codes of 16 bits, ``floor`` at least.
+
+    It only scales a loop gain and needs few digits: it is the root of a word of 32 bits.
     """
     x = o.let("x", o.shifted(vector.x, _HALF_WORD))
     y = o.let("y", o.shifted(vector.y, _HALF_WORD))
     x_2 = o.let("x_2", o.known(o.product("x^2", x, x), 0, 2**30))
     y_2 = o.let("y_2", o.known(o.product("y^2", y, y), 0, 2**30))
     length = o.let("length", o.root(o.total("x^2 + y^2", x_2, y_2)), "in codes of 16 bits")
-    size = o.let("size", o.clamp(length, floor, 2**16))
+    return o.let("size", o.clamp(length, floor, 2**16))
+
+
+def over_length(o: Arithmetic[N, Any], across: N, size: N) -> N:
+    """A code over a length in codes of 16 bits, with all digits: two divisions of 32 bits, the
+    second of what the first leaves.
+    """
     first = o.let("first", o.quotient(f"{NARROW}across / size", across, size))
     whole = o.known(o.product("whole part of across", first, size), -ONE, TOP)
     # What a division leaves is less than its divisor.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import field
+from collections.abc import Callable, Mapping, Sequence
+from textwrap import wrap as folded
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
@@ -18,6 +18,12 @@ from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
 from dqforge.optimizer.curves.integer_polynomial import SingleArray
 from dqforge.optimizer.steps import angle_functions
 from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair, Rotation
+from dqforge.reports.c_code.numbers import (
+    comment_text,
+    hexadecimal_word,
+    int32_literal,
+    int64_literal,
+)
 from dqforge.reports.plain_data import PlainData
 
 if TYPE_CHECKING:
@@ -25,18 +31,261 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Programme:
-    """A harness with its inputs, shape (N,) or (N, M), and what it must return bit for bit,
-    shape (N, width).
+class Harness:
+    """What is done with each row of numbers, by a harness and by the test vectors of its header.
 
-    ``template`` makes the harness from the prefix and ``context``; ``name`` says what it runs,
-    for messages.
+    In lines of C, ``@`` stands for the prefix and ``@@`` for it in capitals.
+
+    Args:
+        header: What stands between ``<prefix>_`` and ``.h``; empty for the main header.
+        told: What goes in; and what comes out.
+        counts: How many numbers go in and come out.
+        body: Statements that make ``out`` of ``in``.
+        number, result: Their types.
+        vectors: Whether the body stands in ``<prefix>_<header>_vectors.h``.
+        states: Declarations of what is kept from row to row.
+        starts: Statements before the first row.
     """
 
-    template: str
+    header: str
+    told: str
+    counts: tuple[int, int]
+    body: tuple[str, ...]
+    number: str = "float"
+    result: str = ""
+    vectors: bool = True
+    states: tuple[str, ...] = ()
+    starts: tuple[str, ...] = ()
+
+    def _stem(self, prefix: str) -> str:
+        return f"{prefix}_{self.header}" if self.header else prefix
+
+    def source(self, prefix: str) -> str:
+        """A program that runs rows from standard input and writes their results."""
+        stem, own = self._stem(prefix), f"{prefix}_{self.header or 'vectors'}"
+        kind = "floats" if self.number == "float" else self.number
+        told = f"Runs {stem}.h on rows of {kind} from standard input: {self.told}."
+        body, result = self.body, f"({own}_mismatches() == 0U) ? 0 : 1"
+        return _joined(
+            _comment(told),
+            "#include <stdio.h>",
+            "",
+            f'#include "{stem}{"_vectors" if self.vectors else ""}.h"',
+            "",
+            "int main(void)",
+            "{",
+            *_filled(1, self.states, prefix),
+            f"    {self.number} in[{self.counts[0]}];",
+            f"    {self.result or self.number} out[{self.counts[1]}];",
+            "",
+            *_filled(1, self.starts, prefix),
+            "    while (fread(in, sizeof in, 1U, stdin) == 1U) {",
+            *([f"        {own}_row(in, out);"] if self.vectors else _filled(2, body, prefix)),
+            "        if (fwrite(out, sizeof out, 1U, stdout) != 1U) {",
+            "            return 2;",
+            "        }",
+            "    }",
+            f"    return {result if self.vectors else 0};",
+            "}",
+        )
+
+    def files(self, design: Design, header: str, rows: NDArray[Any]) -> dict[str, bytes]:
+        """Names and bytes of a header and of its test vectors.
+
+        Args:
+            design: What the prefix and the checksum are from.
+            header: Text of the header.
+            rows: Inputs and results of the model, shape (N, columns).
+        """
+        prefix = design.export.prefix
+        stem, own = self._stem(prefix), f"{prefix}_{self.header or 'vectors'}"
+        single, guard, number = self.number == "float", f"{stem.upper()}_VECTORS_H", self.number
+        table = f"{own}_vectors" if self.header else own
+        literal = hexadecimal_word if single else int64_literal if "64" in number else int32_literal
+        lines = [f"    {{ {', '.join(literal(value) for value in row)} }}," for row in rows]
+        lines[-1] = lines[-1].removesuffix(",")
+        copied = [
+            f"        float in[{self.counts[0]}];",
+            f"        memcpy(in, {table}[k], sizeof in);",
+            f"        {own}_row(in, out);",
+        ]
+        text = _joined(
+            f"/* {stem}_vectors.h - test vectors for {stem}.h"
+            f"{', as the 32 bits of each float' if single else ''}",
+            " *",
+            f" * Made by dqforge {__version__}; do not edit.",
+            f" * Input file: SHA-256 {design.digest}",
+            *([" *", f" * {_ROUNDING}"] if single else []),
+            " */",
+            f"#ifndef {guard}",
+            f"#define {guard}",
+            "",
+            "#include <stdint.h>",
+            "#include <string.h>",
+            "",
+            f'#include "{stem}.h"',
+            "",
+            "#ifdef __cplusplus",
+            'extern "C" {',
+            "#endif",
+            "",
+            f"#define {own.upper()}_COUNT ({len(rows)}U)",
+            "",
+            _comment(f"{self.told[0].upper()}{self.told[1:]}."),
+            f"static const {'uint32_t' if single else number} "
+            f"{table}[{len(rows)}][{sum(self.counts)}] = {{",
+            *lines,
+            "};",
+            "",
+            "/* The results of a row of inputs. */",
+            f"static inline void {own}_row(const {number} *in, {number} *out)",
+            "{",
+            *_filled(1, self.body, prefix),
+            "}",
+            "",
+            "/* Number of test vectors with a result that differs. */",
+            f"static inline uint32_t {own}_mismatches(void)",
+            "{",
+            "    uint32_t mismatches = 0U;",
+            "    uint32_t k;",
+            "",
+            f"    for (k = 0U; k < {own.upper()}_COUNT; ++k) {{",
+            *copied[:single],
+            f"        {number} out[{self.counts[1]}];",
+            "",
+            *(copied[1:] if single else [f"        {own}_row({table}[k], out);"]),
+            f"        if (memcmp(out, &{table}[k][{self.counts[0]}], sizeof out) != 0) {{",
+            "            ++mismatches;",
+            "        }",
+            "    }",
+            "    return mismatches;",
+            "}",
+            "",
+            "#ifdef __cplusplus",
+            "}",
+            "#endif",
+            "",
+            f"#endif /* {guard} */",
+        )
+        return {f"{stem}.h": header.encode("ascii"), f"{stem}_vectors.h": text.encode("ascii")}
+
+
+_COMMENT_WIDTH = 110
+_ROUNDING = (
+    "They hold for IEEE 754 single precision without fused multiply-add (compile with "
+    "-ffp-contract=off)."
+)
+
+
+def _joined(*lines: str) -> str:
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _comment(text: str) -> str:
+    first, *rest = folded(comment_text(text), _COMMENT_WIDTH)
+    return "\n".join([f"/* {first}", *(f" * {line}" for line in rest)]) + " */"
+
+
+def _filled(depth: int, lines: Sequence[str], prefix: str) -> list[str]:
+    """Lines of C with the prefix, further in."""
+    named = (line.replace("@@", prefix.upper()).replace("@", prefix) for line in lines)
+    return [f"{'    ' * depth}{line}" if line else "" for line in named]
+
+
+def control_harness(
+    drives: int,
+    told: str,
+    reference: int,
+    inputs: int,
+    further: tuple[str, ...],
+    duties: str,
+    results: tuple[str, ...],
+) -> Harness:
+    """Rows of control functions: each of so many drives gets every so-manieth one.
+
+    Args:
+        drives: How many.
+        told: What a row holds behind the six measured numbers.
+        reference: Column of the reference, or of its d axis.
+        inputs: How many columns there are.
+        further: Statements before the control.
+        duties: Type of the duty cycles, without prefix.
+        results: What comes out before the reference of the currents and the torque.
+    """
+    gains = "&@@_CONTROL_GAINS, state, &measured"
+    measured = ("i.a", "i.b", "i.c", "theta_e", "omega_m", "v_dc")
+    outputs = (*results, "state->reference.d", "state->reference.q", "state->torque")
+    return Harness(
+        "control",
+        f"drive n of {drives} gets every {drives}th; mode (0 current, 1 torque, 2 speed control), "
+        f"i_a, i_b, i_c, theta_e, omega_m, v_dc, {told}; duty cycles, voltage, reference, torque",
+        (inputs, len(outputs)),
+        (
+            "@_control_t *state = &states[n];",
+            "@_measured_t measured;",
+            f"@_{duties}_t duty;",
+            "",
+            *(f"measured.{name} = in[{column}];" for column, name in enumerate(measured, 1)),
+            *further,
+            "if (in[0] < 0.5F) {",
+            "    @_dq_t reference;",
+            "",
+            f"    reference.d = in[{reference}];",
+            f"    reference.q = in[{reference + 1}];",
+            f"    duty = @_current_control({gains}, reference);",
+            "} else if (in[0] < 1.5F) {",
+            f"    duty = @_torque_control({gains}, in[{reference}]);",
+            "} else {",
+            f"    duty = @_speed_control({gains}, in[{reference}]);",
+            "}",
+            *(f"out[{k}] = {result};" for k, result in enumerate(outputs)),
+            f"n = (n + 1U) % {drives}U;",
+        ),
+        vectors=False,
+        states=(f"static @_control_t states[{drives}];", "unsigned n;"),
+        starts=(
+            f"for (n = 0U; n < {drives}U; ++n) {{",
+            "    @_control_start(&states[n]);",
+            "}",
+            "n = 0U;",
+        ),
+    )
+
+
+def observer_harness(
+    header: str, code: str, told: str, further: int, results: tuple[str, ...]
+) -> Harness:
+    """Rows of an observer: start flag, its angle and speed, voltage, current and more columns."""
+    more = "".join(f", in[{7 + k}]" for k in range(further))
+    return Harness(
+        header,
+        f"start flag, angle, speed, v, i{told}",
+        (7 + further, len(results)),
+        (
+            "const @_alphabeta_t v = { in[3], in[4] };",
+            "const @_alphabeta_t i = { in[5], in[6] };",
+            "",
+            "if (in[0] > 0.0F) {",
+            f"    @_{code}_start(&observer, in[1], in[2]);",
+            "}",
+            f"@_{code}_step(&@@_{code.upper()}_GAINS, &observer, v, i{more});",
+            *(f"out[{k}] = observer.{result};" for k, result in enumerate(results)),
+        ),
+        vectors=False,
+        states=(f"@_{code}_t observer;",),
+        starts=(f"@_{code}_start(&observer, 0.0F, 0.0F);",),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Programme:
+    """A harness with its inputs, shape (N,) or (N, M), and what it must return bit for bit,
+    shape (N, width); ``name`` says what it runs, for messages.
+    """
+
+    harness: Harness
     inputs: NDArray[Any]
     model: NDArray[Any]
-    context: dict[str, Any] = field(default_factory=dict)
     name: str = "current reference"
 
     def results(self, content: bytes) -> NDArray[Any] | None:

@@ -10,10 +10,11 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.modulation.registry import MODULATORS
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray
 from dqforge.optimizer.fixed_control.design import FixedControlFit
 from dqforge.optimizer.fixed_control.transforms import IDLE, FixedControl, TurnSteps
-from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, Programme, title
+from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, Harness, Programme, title
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.control.fixed_model import input_names, output_names, row_inputs, row_results
 from dqforge.reports.observers.speed_loop_text import margin_words
@@ -163,14 +164,115 @@ def control_fixed_files(design: Design, fit: FixedControlFit) -> dict[str, bytes
     """
     context, control = control_fixed_context(design, fit), fit.control
     inputs = row_inputs(control, design.export.vectors, _SEED)
-    vectors = np.concatenate([inputs, row_results(control, inputs)], axis=1).tolist()
-    columns = {"inputs": input_names(control), "outputs": output_names(control), "vectors": vectors}
-    name = f"{design.export.prefix}_control_{control.format}"
-    texts = {
-        f"{name}.h": render("control/fixed.h.j2", context),
-        f"{name}_vectors.h": render("control/fixed_vectors.h.j2", context | columns),
-    }
-    return {file: text.encode("ascii") for file, text in texts.items()}
+    vectors = np.concatenate([inputs, row_results(control, inputs)], axis=1)
+    text = render("control/fixed.h.j2", context)
+    return control_fixed_harness(control).files(design, text, vectors)
+
+
+def control_fixed_harness(control: FixedControl) -> Harness:
+    """Every function once."""
+    rows = IntegerRows(control.width, input_names(control), output_names(control))
+    f, number, gains = control.format, rows.number, f"&@@_CONTROL_GAINS_{control.format.upper()}"
+    taken, put = rows.taken, rows.put
+    turned = f"{{ {taken('x')}, {taken('y')} }}"
+    body = [
+        f"const @_dq_{f}_t reference = {{ {taken('ref_d')}, {taken('ref_q')} }};",
+        f"const @_alphabeta_{f}_t vector = {turned};",
+        f"const @_dq_{f}_t turned = {turned};",
+        f"@_measured_{f}_t measured;",
+        f"@_rotation_{f}_t turn;",
+        f"@_alphabeta_{f}_t fixed;",
+        f"@_abc_{f}_t phases;",
+        f"@_dq_{f}_t moving;",
+        f"@_feedforward_{f}_t feed;",
+        f"@_pi_{f}_t pi;",
+        f"@_pi_velocity_{f}_t velocity;",
+        f"@_control_{f}_t control;",
+        f"@_duties_{f}_t duty;",
+        *([f"@_reduced_order_{f}_t observer;"] if control.observer else []),
+        "",
+        *(f"measured.i.{x} = {taken(f'i_{x}')};" for x in "abc"),
+        f"measured.theta_e = (u{number}){rows.arg('theta')};",
+        f"measured.omega_m = {taken('omega')};",
+        f"measured.v_dc = {taken('v_dc')};",
+        f"turn = @_rotation_{f}(measured.theta_e);",
+        put("cosine", "turn.cosine"),
+        put("sine", "turn.sine"),
+        f"fixed = @_clarke_{f}(measured.i);",
+        *(put(f"clarke_{x}", f"fixed.{x}") for x in ("alpha", "beta")),
+        f"phases = @_clarke_inverse_{f}(vector);",
+        *(put(f"inverse_{x}", f"phases.{x}") for x in "abc"),
+        f"moving = @_park_{f}(vector, turn);",
+        *(put(f"park_{x}", f"moving.{x}") for x in "dq"),
+        f"fixed = @_park_inverse_{f}(turned, turn);",
+        *(put(f"back_{x}", f"fixed.{x}") for x in ("alpha", "beta")),
+        f"feed = @_decoupling_{f}({gains}.decoupling, measured.omega_m, turned);",
+        *(put(f"feed_{x}", f"feed.{x}") for x in "dq"),
+    ]
+    for key in control.loops:
+        name, limits = _LOOP_NAMES[key], f"{rows.arg('error')}, {rows.arg('limit')}"
+        one, other = f"&@@_{name}_GAINS_{f.upper()}", f"&@@_{name}_VELOCITY_GAINS_{f.upper()}"
+        body += [
+            f"pi.integral = {rows.arg(f'{key}_integral')};",
+            put(f"{key}_limited", f"@_pi_step_{f}({one}, &pi, {limits})"),
+            put(f"{key}_integral", "pi.integral"),
+            f"velocity.output = {rows.arg(f'{key}_output')};",
+            f"velocity.proportional = {rows.arg(f'{key}_proportional')};",
+            put(f"{key}_velocity", f"@_pi_velocity_step_{f}({other}, &velocity, {limits})"),
+            put(f"{key}_output", "velocity.output"),
+            put(f"{key}_proportional", "velocity.proportional"),
+        ]
+    if control.observer:
+        own = f"&@@_REDUCED_ORDER_GAINS_{f.upper()}"
+        body += [
+            f"observer.zeta = {rows.arg('zeta')};",
+            f"observer.omega_m = {taken('omega_hat')};",
+            *(f"observer.i.{x} = {taken(f'last_{x}')};" for x in "dq"),
+            f"@_reduced_order_step_{f}({own}, &observer, turned, reference);",
+            put("next_zeta", "observer.zeta"),
+            put("next_omega_hat", "observer.omega_m"),
+        ]
+    speed = f"{gains}, &control, measured.omega_m, {taken('speed_ref')}"
+    begun = [
+        *(
+            [f"control.speed.integral = {rows.arg('speed_integral')};"]
+            if "speed_integral" in rows.inputs
+            else []
+        ),
+        f"control.filtered = {rows.arg('filtered')};",
+        f"control.torque = {taken('torque')};",
+        f"control.count = (uint32_t){rows.arg('count')};",
+    ]
+    body += [
+        f"@_control_start_{f}(&control);",
+        *begun,
+        put("speed_loop_torque", f"@_speed_loop_{f}({speed})"),
+        put("speed_loop_filtered", "control.filtered"),
+        put("speed_loop_omega", "control.omega_m"),
+        put("speed_loop_integral", "control.speed.integral"),
+        put("speed_loop_count", f"({rows.wide})control.count"),
+    ]
+    step = f"{gains}, &control, &measured"
+    calls = {"step": f"current_control_{f}({step}, reference)"}
+    if control.reference is not None:
+        calls["torque"] = f"torque_control_{f}({step}, {taken('torque')})"
+        calls["whole"] = f"speed_control_{f}({step}, {taken('speed_ref')})"
+    for kind, call in calls.items():
+        body += [
+            *(f"control.{x}.integral = {rows.arg(f'i_{x}_integral')};" for x in "dq"),
+            *(begun if kind == "whole" else []),
+            f"duty = @_{call};",
+            *(
+                put(f"torque_ref_{x}", f"control.reference.{x}")
+                for x in ("dq" if kind == "torque" else "")
+            ),
+            *(put(f"{kind}_duty_{x}", f"({rows.wide})duty.{x}") for x in "abc"),
+            *(put(f"{kind}_integral_{x}", f"control.{x}.integral") for x in "dq"),
+            *(put(f"{kind}_{x}", f"control.v.{x}") for x in ("alpha", "beta")),
+            *(put(f"{kind}_{x}", f"control.i.{x}") for x in "dq"),
+            *(put(f"{kind}_v_{x}", f"control.v_dq.{x}") for x in "dq"),
+        ]
+    return rows.made(body)
 
 
 def plain_fixed_evidence(fit: FixedControlFit) -> PlainData:
@@ -218,7 +320,7 @@ def control_fixed_programme(control: FixedControl) -> Programme:
     """In 16 bits as many rows as there are angles, so that each comes once."""
     inputs = row_inputs(control, sweep_rows(control.width), SWEEP_SEED)
     results = row_results(control, inputs)
-    return integer_rows(control.width, inputs, results, "fixed-point control")
+    return wide_programme(control_fixed_harness(control), inputs, results, "fixed-point control")
 
 
 def sweep_rows(width: int) -> int:
@@ -226,22 +328,47 @@ def sweep_rows(width: int) -> int:
     return 2**16 if width == 16 else SWEEP_POINTS
 
 
-def integer_rows(width: int, inputs: CodeArray, results: CodeArray, name: str) -> Programme:
-    """The harness of a control in integers on rows of inputs and results, shapes (N, columns).
+def wide_programme(harness: Harness, inputs: CodeArray, results: CodeArray, name: str) -> Programme:
+    """The harness of a control in integers on rows of inputs and results, shapes (N, columns)."""
+    wide = np.dtype(harness.number.removesuffix("_t"))
+    return Programme(harness, inputs.astype(wide), results.astype(wide), name)
 
-    Args:
-        width: Bits of a code; rows hold words of twice that.
-        inputs, results: What goes in, and what must come out.
-        name: What runs, for messages.
-    """
-    wide = np.dtype(f"i{width // 4}")
-    return Programme(
-        "control/fixed_harness.c.j2",
-        inputs.astype(wide),
-        results.astype(wide),
-        {"width": width, "format": f"q{width - 1}"},
-        name=name,
-    )
+
+@dataclass(frozen=True, slots=True)
+class IntegerRows:
+    """Rows of a control in integers whose columns have names; words of twice the width."""
+
+    width: int
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    @property
+    def number(self) -> str:
+        """Type of a code."""
+        return f"int{self.width}_t"
+
+    @property
+    def wide(self) -> str:
+        """Type of a column."""
+        return f"int{2 * self.width}_t"
+
+    def arg(self, name: str) -> str:
+        """A column."""
+        return f"in[{self.inputs.index(name)}]"
+
+    def taken(self, name: str) -> str:
+        """A column as a code."""
+        return f"({self.number}){self.arg(name)}"
+
+    def put(self, name: str, value: str) -> str:
+        """A statement that writes a result."""
+        return f"out[{self.outputs.index(name)}] = {value};"
+
+    def made(self, body: Sequence[str]) -> Harness:
+        """The rows with their body."""
+        told = f"{', '.join(self.inputs)}; {', '.join(self.outputs)}"
+        counts = (len(self.inputs), len(self.outputs))
+        return Harness(f"control_q{self.width - 1}", told, counts, tuple(body), self.wide)
 
 
 # Control functions in fixed point on the terminal and in the report: integers, margins,

@@ -48,7 +48,9 @@ from dqforge.optimizer.solution import Solution
 from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Dq
 from dqforge.reports.c_code.harness import (
     SINGLE,
+    Harness,
     Programme,
+    control_harness,
     single_from,
     title,
 )
@@ -344,13 +346,15 @@ def _results(model: ControlModel, inputs: SingleArray) -> SingleArray:
 def control_programme(model: ControlModel) -> Programme:
     """The harness of the control functions."""
     inputs = control_inputs(model)
-    return Programme(
-        "control/harness.c.j2",
-        inputs,
-        control_results(model, inputs),
-        {"drives": _DRIVES, "injects": model.injects},
-        name="control functions",
-    )
+    results = control_results(model, inputs)
+    return Programme(_harness(model.injects), inputs, results, "control functions")
+
+
+def _harness(injects: bool) -> Harness:
+    added = ("state->added.alpha = in[9];", "state->added.beta = in[10];") if injects else ()
+    duties, voltage = ("duty.a", "duty.b", "duty.c"), ("state->v.alpha", "state->v.beta")
+    told = f"reference d (or the only one) and q{', added voltage' if injects else ''}"
+    return control_harness(_DRIVES, told, 7, 11 if injects else 9, added, "abc", duties + voltage)
 
 
 def _gain_lines(plain: PlainData) -> list[tuple[str, str]]:

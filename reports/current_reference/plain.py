@@ -13,6 +13,7 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Strategy
@@ -43,7 +44,7 @@ from dqforge.optimizer.curves.integer_polynomial import (
     SinglePolynomial,
 )
 from dqforge.optimizer.solution import NegativeHalf, Solution
-from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, Programme, title
+from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, Harness, Programme
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.operating_points.map_tables import plain_curves, plain_speed
 from dqforge.reports.pages.html_text import operation_text
@@ -544,13 +545,13 @@ def _fixed_context(reference: Reference) -> PlainData:
     }
 
 
-def vectors_template(reference: Emitted) -> str:
-    """Template of the test vectors."""
-    return (
-        "current_reference/fixed_vectors.h.j2"
-        if isinstance(reference, FixedReference)
-        else "current_reference/vectors.h.j2"
-    )
+def reference_harness(reference: Emitted) -> Harness:
+    """What the main header does with a torque."""
+    function, number, told = "current_reference", "float", "torque in N m; i_d and i_q in A"
+    if isinstance(reference, FixedReference):
+        function += f"_{reference.format}"
+        number, told = f"int{reference.width}_t", "code of the torque; codes of i_d and i_q"
+    return Harness("", told, (1, 2), (f"@_{function}(in[0], &out[0], &out[1]);",), number)
 
 
 def vector_codes(reference: FixedReference, count: int) -> CodeArray:
@@ -586,21 +587,14 @@ def vector_torques(reference: FloatReference, count: int) -> SingleArray:
     return np.concatenate([special, edges, -edges, random])
 
 
-def vectors_context(solution: Solution) -> PlainData:
-    """Test vectors beside the names that their header needs."""
+def vectors_of(solution: Solution) -> NDArray[Any]:
+    """Inputs and results of the test vectors, shape (N, 3)."""
     design, reference = solution.design, solution.reference
-    context: PlainData = {}
     if isinstance(reference, FixedReference):
         inputs, results = fixed_vectors(reference, design.export.vectors)
-        rows = np.concatenate([inputs[:, np.newaxis], results], axis=1).tolist()
-        context = {"reference": {"width": reference.width, "format": reference.format}}
-    else:
-        torque = vector_torques(reference, design.export.vectors)
-        rows = list(zip(torque, *reference.currents(torque), strict=True))
-    return context | {
-        **title(design),
-        "vectors": rows,
-    }
+        return np.concatenate([inputs[:, np.newaxis], results], axis=1)
+    torque = vector_torques(reference, design.export.vectors)
+    return np.stack([torque, *reference.currents(torque)], axis=1)
 
 
 def fixed_vectors(reference: FixedReference, count: int) -> tuple[CodeArray, CodeArray]:
@@ -642,16 +636,12 @@ def reference_programme(reference: Emitted, vectors: int) -> tuple[Programme, in
         chosen = vector_codes(reference, vectors)
         codes = np.concatenate([chosen, sweep_codes(reference)])
         number = np.dtype(f"i{reference.width // 8}")
-        context = {"width": reference.width, "format": reference.format}
         results = np.stack(reference.codes(codes), axis=1).astype(number)
-        return Programme(
-            "current_reference/fixed_harness.c.j2", codes.astype(number), results, context
-        ), chosen.size
+        return Programme(reference_harness(reference), codes.astype(number), results), chosen.size
     special = vector_torques(reference, vectors)
     torque = np.concatenate([special, sweep_torques(reference)])
-    return Programme(
-        "current_reference/harness.c.j2", torque, np.stack(reference.currents(torque), axis=1)
-    ), special.size
+    results = np.stack(reference.currents(torque), axis=1)
+    return Programme(reference_harness(reference), torque, results), special.size
 
 
 # What a current reference owes to the ends of a flux map, in sentences.

@@ -17,6 +17,7 @@ from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,
+    Harness,
     HeaderKind,
     Programme,
     integer_kinds,
@@ -128,30 +129,54 @@ def fixed_observer_files(design: Design, fit: FixedObserverFit) -> dict[str, byt
         observer.method, observer.gains, observer.width, context["prefix"], context["macro"]
     )
     inputs = row_inputs(observer, design.export.vectors, _SEED)
-    rows = {
-        "inputs": input_names(observer),
-        "outputs": output_names(observer),
-        "words": [asdict(word) for word in observer.method.words],
-        "vectors": np.concatenate([inputs, row_results(observer, inputs)], axis=1).tolist(),
-    }
-    name = f"{design.export.prefix}_observer_{observer.format}"
-    texts = {
-        f"{name}.h": render("fixed_observers/observer.h.j2", context),
-        f"{name}_vectors.h": render("fixed_observers/vectors.h.j2", context | rows),
-    }
-    return {file: text.encode("ascii") for file, text in texts.items()}
+    vectors = np.concatenate([inputs, row_results(observer, inputs)], axis=1)
+    text = render("fixed_observers/observer.h.j2", context)
+    return fixed_observer_harness(observer).files(design, text, vectors)
+
+
+def fixed_observer_harness(observer: FixedPositionObserver) -> Harness:
+    """One sample from a given state; where it has not started, the start and the first sample."""
+    f, code, words, width = (
+        observer.format,
+        observer.method.code,
+        observer.method.words,
+        observer.width,
+    )
+    number, rest, first = f"int{width}_t", 32 - width, 3 + len(words)
+    v, i = (", ".join(f"({number})in[{first + k}]" for k in (begin, begin + 1)) for begin in (0, 2))
+    ends = ("(int64_t)observer.theta_e", "observer.omega_m")
+    results = [
+        "(int64_t)observer.theta",
+        "observer.omega",
+        *(f"observer.{w.name}" for w in words),
+        *ends,
+    ]
+    body = (
+        f"const @_alphabeta_{f}_t v = {{ {v} }};",
+        f"const @_alphabeta_{f}_t i = {{ {i} }};",
+        f"@_{code}_{f}_t observer;",
+        "",
+        f"@_{code}_start_{f}(&observer, (u{number})(in[1] >> {rest}),",
+        f"        ({number})(in[2] >> {rest}));",
+        "if (in[0] != 0) {",
+        "    observer.theta = (uint32_t)in[1];",
+        "    observer.omega = (int32_t)in[2];",
+        *(f"    observer.{w.name} = ({w.type})in[{k}];" for k, w in enumerate(words, 3)),
+        "    observer.started = 1U;",
+        "}",
+        f"@_{code}_step_{f}(&@@_{code.upper()}_GAINS_{f.upper()}, &observer, v, i);",
+        *(f"out[{k}] = {result};" for k, result in enumerate(results)),
+    )
+    told = f"{', '.join(input_names(observer))}; {', '.join(output_names(observer))}"
+    return Harness(f"observer_{f}", told, (first + 4, len(results)), body, "int64_t")
 
 
 def fixed_observer_programme(observer: FixedPositionObserver) -> Programme:
     """The harness of an observer in fixed point, with what its model answers."""
     inputs = row_inputs(observer, SWEEP_POINTS, SWEEP_SEED)
-    return Programme(
-        "fixed_observers/harness.c.j2",
-        inputs.astype("i8"),
-        row_results(observer, inputs).astype("i8"),
-        {"width": observer.width, "format": observer.format},
-        name="fixed-point position observer",
-    )
+    results = row_results(observer, inputs).astype("i8")
+    harness = fixed_observer_harness(observer)
+    return Programme(harness, inputs.astype("i8"), results, "fixed-point position observer")
 
 
 # The position observer in fixed point, as a record.

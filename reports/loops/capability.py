@@ -16,6 +16,7 @@ from dqforge.optimizer.loops.gain_schedule import GAIN_NAMES, GainEvaluator
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,
+    Harness,
     HeaderKind,
     Programme,
     single_from,
@@ -254,31 +255,28 @@ def _context(design: Design, gains: GainSet, schedule: GainSchedule) -> PlainDat
     }
 
 
+GAIN_HARNESS = Harness(
+    "gains",
+    "i_q in A; kp_d, ki_ts_d, kp_q, ki_ts_q in V/A",
+    (1, 4),
+    ("@_current_gains(in[0], &out[0], &out[1], &out[2], &out[3]);",),
+)
+
+
 def gains_files(design: Design, gains: GainSet, schedule: GainSchedule) -> dict[str, bytes]:
     """Names and bytes of the header of gains over the current and of its test vectors."""
-    context, prefix, evaluator = (
-        _context(design, gains, schedule),
-        design.export.prefix,
-        schedule.fit.evaluator,
-    )
+    context, evaluator = _context(design, gains, schedule), schedule.fit.evaluator
     inputs = schedule_inputs(evaluator, design.export.vectors, _SEED)
     vectors = np.concatenate([inputs[:, np.newaxis], evaluator.gains(inputs)], axis=1)
-    texts = {
-        f"{prefix}_gains.h": render("loops/gains.h.j2", context),
-        f"{prefix}_gains_vectors.h": render(
-            "loops/vectors.h.j2", context | {"vectors": [list(row) for row in vectors]}
-        ),
-    }
-    return {name: text.encode("ascii") for name, text in texts.items()}
+    text = render("loops/gains.h.j2", context)
+    return GAIN_HARNESS.files(design, text, vectors)
 
 
 def gains_programme(evaluator: GainEvaluator) -> Programme:
     """The harness of scheduled gains, with what their model answers."""
     half = SWEEP_POINTS // 2
     currents = schedule_inputs(evaluator, half, SWEEP_SEED, patterns=half)
-    return Programme(
-        "loops/harness.c.j2", currents, evaluator.gains(currents), name="gains over the current"
-    )
+    return Programme(GAIN_HARNESS, currents, evaluator.gains(currents), "gains over the current")
 
 
 # Loops in the report.

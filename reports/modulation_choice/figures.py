@@ -18,7 +18,14 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.modulation_choice.rule import Leaf, Rule, SimplifiedChoice
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, PricedRule
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, HeaderKind, Programme, title
+from dqforge.reports.c_code.harness import (
+    SWEEP_POINTS,
+    SWEEP_SEED,
+    Harness,
+    HeaderKind,
+    Programme,
+    title,
+)
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.capability import Capability, Draw, ReportPart
 from dqforge.reports.modulation_choice.rule_model import (
@@ -426,17 +433,24 @@ def rule_header(
     }
     inputs = rule_inputs(model, design.export.vectors, _SEED)
     results = rule_results(model, inputs)
-    vectors = [
-        (torque, speed, int(row[0]), row[2])
-        for (torque, speed), row in zip(inputs, results, strict=True)
-    ]
-    texts = {
-        f"{prefix}_modulation.h": render("modulation_choice/rule.h.j2", context),
-        f"{prefix}_modulation_vectors.h": render(
-            "modulation_choice/vectors.h.j2", context | {"vectors": vectors}
-        ),
-    }
-    return {name: text.encode("ascii") for name, text in texts.items()}
+    vectors = np.concatenate([inputs, results], axis=1)
+    text = render("modulation_choice/rule.h.j2", context)
+    return _HARNESS.files(design, text, vectors)
+
+
+_HARNESS = Harness(
+    "modulation",
+    "torque in N m, mechanical speed in rad/s; number of the choice and of its modulator, "
+    "switching frequency in Hz",
+    (2, 3),
+    (
+        "const @_choice_t choice = @_modulation_choice(in[0], in[1]);",
+        "",
+        "out[0] = (float)(int)choice;",
+        "out[1] = (float)(int)@_modulator(choice);",
+        "out[2] = @_switching_frequency_Hz(choice);",
+    ),
+)
 
 
 def choice_model(choice: ModulationChoice) -> EmittedRule:
@@ -465,12 +479,7 @@ def rule_programme(rule: EmittedRule) -> Programme:
     """The harness of a rule for the modulator, with what its model answers."""
     half = SWEEP_POINTS // 2
     inputs = rule_inputs(rule, half, SWEEP_SEED, patterns=half)
-    return Programme(
-        "modulation_choice/harness.c.j2",
-        inputs,
-        rule_results(rule, inputs),
-        name="choice of modulator",
-    )
+    return Programme(_HARNESS, inputs, rule_results(rule, inputs), "choice of modulator")
 
 
 # The choice of modulator and switching frequency in the report.

@@ -19,7 +19,14 @@ from dqforge.optimizer.observers.judgement import (
     SPEED_LIMIT,
     ObserverJudgement,
 )
-from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, Programme, title
+from dqforge.reports.c_code.harness import (
+    SWEEP_POINTS,
+    SWEEP_SEED,
+    Harness,
+    Programme,
+    observer_harness,
+    title,
+)
 from dqforge.reports.observers.float32_model import (
     gains_from,
     observer_inputs,
@@ -187,9 +194,12 @@ def observer_programme(observer: EmittedObserver) -> Programme:
         observer_inputs(observer.method, observer.gains, SWEEP_POINTS, SWEEP_SEED),
     )
     outputs = observer_outputs(method, observer.gains, inputs)
-    return Programme(
-        "observers/harness.c.j2", inputs, outputs, {"code": method.code}, name="position observer"
-    )
+    return Programme(position_harness(method.code), inputs, outputs, "position observer")
+
+
+def position_harness(code: str) -> Harness:
+    """What the header of a position observer does with a row."""
+    return observer_harness("observer", code, "; angle and speed", 0, ("theta_e", "omega_e"))
 
 
 def observer_gain_bytes(design: Design, observer: PositionObserver) -> bytes:

@@ -19,6 +19,7 @@ from dqforge.reports.c_code.harness import (
     ConstantGroup,
     HeaderKind,
     Programme,
+    observer_harness,
     title,
 )
 from dqforge.reports.capability import Capability, Outcome, ReportPart
@@ -129,17 +130,17 @@ def tracker_files(design: Design, found: TunedTracker, file: str = "observer") -
     return {f"{prefix}_{file}.h": render("observers/observer.h.j2", context).encode("ascii")}
 
 
-def tracker_programme(found: EmittedTracker) -> Programme:
-    """The harness of a tracker, with what its model answers."""
+def tracker_programme(found: EmittedTracker, file: str = "observer") -> Programme:
+    """The harness of a tracker in ``<prefix>_<file>.h``, with what its model answers."""
     inputs = tracker_inputs(found, SWEEP_POINTS, SWEEP_SEED)
     tracker = found.tracker
-    return Programme(
-        "observers/tracker_harness.c.j2",
-        inputs,
-        tracker_outputs(found, inputs),
-        {"code": tracker.code, "further": len(tracker.hears), "injects": tracker.injects},
-        name="position tracker",
-    )
+    told = f"{', further signals' if tracker.hears else ''}; angle and speed"
+    results = ["theta_e", "omega_e"]
+    if tracker.injects:
+        told += ", the voltage that it asks for and the current that it hands on"
+        results += ["added.alpha", "added.beta", "current.alpha", "current.beta"]
+    rows = observer_harness(file, tracker.code, told, len(tracker.hears), tuple(results))
+    return Programme(rows, inputs, tracker_outputs(found, inputs), "position tracker")
 
 
 # Observers in the report.
@@ -256,9 +257,9 @@ def speed_observer_programme(gains: ReducedOrderGains) -> Programme:
     """The harness of a speed observer, with what its model answers."""
     inputs = speed_observer_inputs(gains, SWEEP_POINTS, SWEEP_SEED)
     outputs = speed_observer_outputs(gains, inputs)
-    return Programme(
-        "observers/speed_observer_harness.c.j2", inputs, outputs, name="speed observer"
-    )
+    results = ("omega_m", "omega_e")
+    rows = observer_harness("speed_observer", REDUCED_ORDER, ", angle; both speeds", 1, results)
+    return Programme(rows, inputs, outputs, "speed observer")
 
 
 # The C header ``<prefix>_observer.h`` of an observer or a tracker of the position: one of them.

@@ -50,13 +50,14 @@ PACKAGES = {
     "pyyaml": "design files",
     "rich": "tables in a terminal",
     "scipy": "splines, linear algebra",
+    "tornado": "dqforge serve",
     "typer": "the command line",
     "xarray": "to_xarray of results, from Python",
     "ziglang": "a C and C++ compiler where none is installed",
 }
 
 # Optional parts that a user installs; the others are for work on dqforge itself.
-EXTRAS = ("h5", "explore", "cc")
+EXTRAS = ("h5", "explore", "serve", "cc")
 
 
 @dataclass(frozen=True, slots=True)

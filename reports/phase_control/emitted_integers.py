@@ -16,18 +16,27 @@ from dqforge.optimizer.fixed_control.transforms import IDLE, FixedControl
 from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
 from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
 from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
-from dqforge.reports.c_code.harness import SWEEP_SEED, HeaderKind, Programme, integer_kinds, title
+from dqforge.reports.c_code.harness import (
+    SWEEP_SEED,
+    Harness,
+    HeaderKind,
+    Programme,
+    control_harness,
+    integer_kinds,
+    title,
+)
 from dqforge.reports.capability import Capability, Outcome, ReportPart
 from dqforge.reports.control.fixed_header import (
+    IntegerRows,
     control_fixed_files,
     control_fixed_html,
     control_fixed_programme,
     control_fixed_tables,
     fixed_basics,
-    integer_rows,
     plain_fixed_control,
     plain_fixed_evidence,
     sweep_rows,
+    wide_programme,
 )
 from dqforge.reports.control.fixed_model import fixed_control_from
 from dqforge.reports.control.header import (
@@ -216,25 +225,68 @@ def phase_fixed_files(design: Design, fit: FixedPhaseFit) -> dict[str, bytes]:
     """Names and bytes of the header in one fixed-point format, and of its test vectors."""
     context, control = phase_fixed_context(design, fit), fit.control
     inputs = phase_rows(control, design.export.vectors, _SEED)
-    vectors = np.concatenate([inputs, phase_results(control, inputs)], axis=1).tolist()
-    columns = {
-        "inputs": phase_inputs(control),
-        "outputs": phase_outputs(control),
-        "vectors": vectors,
-    }
-    name = f"{design.export.prefix}_control_{control.format}"
-    texts = {
-        f"{name}.h": render("phase_control/fixed_phase.h.j2", context),
-        f"{name}_vectors.h": render("phase_control/fixed_vectors.h.j2", context | columns),
-    }
-    return {file: text.encode("ascii") for file, text in texts.items()}
+    vectors = np.concatenate([inputs, phase_results(control, inputs)], axis=1)
+    text = render("phase_control/fixed_phase.h.j2", context)
+    return _harness(control).files(design, text, vectors)
+
+
+def _harness(control: FixedPhaseControl) -> Harness:
+    """One step from the state and the samples of a row."""
+    rows = IntegerRows(control.width, phase_inputs(control), phase_outputs(control))
+    f, gains = control.format, f"&@@_CONTROL_GAINS_{control.format.upper()}"
+    arg, taken, put = rows.arg, rows.taken, rows.put
+    parts = {f"integral_{x}": f"integral[{k}]" for k, x in enumerate("dq0")}
+    for n in range(len(control.harmonics)):
+        parts |= {f"harmonic_{n}{x}": f"harmonic[{n}][{k}]" for k, x in enumerate("xy")}
+    axes = {"alpha": "alpha", "beta": "beta", "0": "zero"}
+    measured = ["i.a", "i.b", "i.c", "theta", "omega_m", "v_dc"]
+    names = ["i_a", "i_b", "i_c", "theta", "omega", "v_dc"]
+    if control.midpoint:
+        measured, names = [*measured, "v_m"], [*names, "v_m"]
+    codes = [f"(u{rows.number}){arg(x)}" if x == "theta" else taken(x) for x in names]
+    speed = f"{gains}, &control, measured.omega_m, {taken('speed_reference')}"
+    sinusoids = f"@_sinusoids_{f}({gains}, @_speed_loop_{f}({speed})).q"
+    opened = f"@_open_phase_{f}(&control, (uint8_t){arg('open')});" if control.zero else ""
+    shaped = f"{gains}, &control, &measured, {taken('torque')}, constant"
+    return rows.made(
+        [
+            f"const @_dq_{f}_t constant = {{ {taken('d')}, {taken('q')} }};",
+            f"@_measured_{f}_t measured;",
+            f"@_control_{f}_t control;",
+            f"@_duties_{f}_t duty;",
+            "",
+            *(f"measured.{name} = {code};" for name, code in zip(measured, codes, strict=True)),
+            f"@_control_start_{f}(&control);",
+            *([opened] if opened else []),
+            *(f"control.{place} = {arg(name)};" for name, place in parts.items()),
+            f"duty = @_shaped_control_{f}({shaped});",
+            *(
+                put(f"duty_{leg}", f"({rows.wide})duty.{leg}")
+                for leg in TOPOLOGIES[control.topology].legs
+            ),
+            *(put(name, f"control.{place}") for name, place in parts.items()),
+            *(put(f"v_{name}", f"control.v.{axis}") for name, axis in axes.items()),
+            *(put(f"reference_{name}", f"control.reference.{axis}") for name, axis in axes.items()),
+            f"control.filtered = {arg('speed_filtered')};",
+            f"control.speed.integral = {arg('speed_integral')};",
+            f"control.torque = {taken('speed_torque')};",
+            f"control.count = (uint32_t){arg('speed_count')};",
+            put("sinusoid_q", sinusoids),
+            put("speed_filtered", "control.filtered"),
+            put("speed_integral", "control.speed.integral"),
+            put("speed_torque", "control.torque"),
+            put("speed_count", f"({rows.wide})control.count"),
+            put("speed_omega", "control.omega_m"),
+        ]
+    )
 
 
 def phase_fixed_programme(control: FixedPhaseControl) -> Programme:
     """In 16 bits as many rows as there are angles, so that each comes once."""
     inputs = phase_rows(control, sweep_rows(control.width), SWEEP_SEED)
     results = phase_results(control, inputs)
-    return integer_rows(control.width, inputs, results, "fixed-point control of the phases")
+    name = "fixed-point control of the phases"
+    return wide_programme(_harness(control), inputs, results, name)
 
 
 # The run that proves the control of phase machines: sequences that visit every mode.
@@ -338,18 +390,20 @@ def phase_control_programme(model: PhaseControlModel) -> Programme:
     """The harness of the control functions."""
     inputs = phase_control_inputs(model)
     made = model.structure
-    return Programme(
-        "phase_control/harness.c.j2",
-        inputs,
-        phase_control_results(model, inputs),
-        {
-            "drives": _DRIVES,
-            "legs": list(made.legs),
-            "neutral": made.neutral,
-            "midpoint": made.midpoint,
-        },
-        name="control functions",
+    opens = ("if (in[10] >= 0.0F) {", "    @_open_phase(state, (uint32_t)in[10]);", "}")
+    further = (
+        *(["measured.v_m = in[7];"] if made.midpoint else []),
+        *(opens if made.neutral else []),
     )
+    told = "v_m, reference d (or the only one) and q, phase that opens (-1: none)"
+    results = (
+        *(f"duty.{leg}" for leg in made.legs),
+        "state->v.alpha",
+        "state->v.beta",
+        "state->v_0",
+    )
+    rows = control_harness(_DRIVES, told, 8, 11, further, "duties", results)
+    return Programme(rows, inputs, phase_control_results(model, inputs), "control functions")
 
 
 # The control of a phase machine in fixed point on the terminal and in the report.

@@ -25,6 +25,7 @@ from dqforge.optimizer.losses.drive_budget import PARTS
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,
+    Harness,
     HeaderKind,
     Programme,
     single_from,
@@ -255,7 +256,20 @@ def rule_programme(constants: RuleConstants) -> Programme:
     rows = rule_inputs(constants, SWEEP_POINTS, SWEEP_SEED)
     outputs = rule_outputs(constants, rows)
     name = f"{constants.rule} regulator"
-    return Programme("single_headers/current_feedback/harness.c.j2", rows, outputs, name=name)
+    members = ", ".join(f"in[{k}]" for k in range(1, 9))
+    told = Harness(
+        "current_feedback",
+        "state and inputs; the next state",
+        (9, 1),
+        (
+            f"const @_feedback_inputs_t inputs = {{ {members} }};",
+            "",
+            "out[0] = @_next_state((uint32_t)in[0], &inputs);",
+        ),
+        result="uint32_t",
+        vectors=False,
+    )
+    return Programme(told, rows, outputs, name)
 
 
 def _speed_lines(design: Design, found: CurrentFeedback) -> list[str]:

@@ -20,6 +20,7 @@ from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,
+    Harness,
     HeaderKind,
     Programme,
     single_from,
@@ -262,19 +263,21 @@ def _context(design: Design, fit: WeakeningFit) -> PlainData:
     }
 
 
+WEAKENING_HARNESS = Harness(
+    "weakening",
+    "torque in N m, phase-voltage amplitude in V, electrical speed in rad/s; i_d and i_q in A",
+    (3, 2),
+    ("@_weakening_reference(in[0], in[1], in[2], &out[0], &out[1]);",),
+)
+
+
 def weakening_files(design: Design, fit: WeakeningFit) -> dict[str, bytes]:
     """Names and bytes of the header of field-weakening references and of its test vectors."""
-    context, prefix = _context(design, fit), design.export.prefix
+    context = _context(design, fit)
     inputs = weakening_inputs(fit.step, design.export.vectors, _SEED)
     vectors = np.concatenate([inputs, weakening_currents(fit.step, inputs)], axis=1)
-    texts = {
-        f"{prefix}_weakening.h": render("single_headers/field_weakening/surface.h.j2", context),
-        f"{prefix}_weakening_vectors.h": render(
-            "single_headers/field_weakening/vectors.h.j2",
-            context | {"vectors": [list(v) for v in vectors]},
-        ),
-    }
-    return {name: text.encode("ascii") for name, text in texts.items()}
+    text = render("single_headers/field_weakening/surface.h.j2", context)
+    return WEAKENING_HARNESS.files(design, text, vectors)
 
 
 def weakening_programme(reference: DropReference) -> Programme:
@@ -282,12 +285,7 @@ def weakening_programme(reference: DropReference) -> Programme:
     half = SWEEP_POINTS // 2
     inputs = weakening_inputs(reference, half, SWEEP_SEED, patterns=half)
     results = weakening_currents(reference, inputs)
-    return Programme(
-        "single_headers/field_weakening/harness.c.j2",
-        inputs,
-        results,
-        name="current reference with field weakening",
-    )
+    return Programme(WEAKENING_HARNESS, inputs, results, "current reference with field weakening")
 
 
 # Two-dimensional references in words, alike on the terminal and in the report.

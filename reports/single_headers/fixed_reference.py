@@ -15,6 +15,7 @@ from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,
+    Harness,
     HeaderKind,
     Programme,
     integer_kinds,
@@ -92,30 +93,36 @@ def _context(design: Design, fit: FixedReferenceFit) -> PlainData:
 
 def reference_files(design: Design, fit: FixedReferenceFit) -> dict[str, bytes]:
     """Names and bytes of the header in one fixed-point format, and of its test vectors."""
-    context, mesh = _context(design, fit), fit.reference
+    mesh = fit.reference
     inputs = reference_inputs(mesh, design.export.vectors, _SEED)
-    rows = np.concatenate([inputs, reference_results(mesh, inputs)], axis=1).tolist()
-    name = f"{design.export.prefix}_reference_{mesh.format}"
-    texts = {
-        f"{name}.h": render("single_headers/fixed_reference/reference.h.j2", context),
-        f"{name}_vectors.h": render(
-            "single_headers/fixed_reference/vectors.h.j2", context | {"vectors": rows}
+    rows = np.concatenate([inputs, reference_results(mesh, inputs)], axis=1)
+    text = render("single_headers/fixed_reference/reference.h.j2", _context(design, fit))
+    return mesh_harness(mesh).files(design, text, rows)
+
+
+def mesh_harness(mesh: CurrentMesh) -> Harness:
+    """What the header does with a row of codes."""
+    number, f = f"int{mesh.width}_t", mesh.format
+    return Harness(
+        f"reference_{f}",
+        "codes of torque, DC-link voltage and speed; i_d and i_q",
+        (3, 2),
+        (
+            f"const @_dq_{f}_t found = @_reference_{f}(in[0], in[1], in[2]);",
+            "",
+            "out[0] = found.d;",
+            "out[1] = found.q;",
         ),
-    }
-    return {file: text.encode("ascii") for file, text in texts.items()}
+        number,
+    )
 
 
 def reference_programme(mesh: CurrentMesh) -> Programme:
     """The harness of a reference on many codes."""
     inputs = reference_inputs(mesh, SWEEP_POINTS, SWEEP_SEED)
     number = np.dtype(f"i{mesh.width // 8}")
-    return Programme(
-        "single_headers/fixed_reference/harness.c.j2",
-        inputs.astype(number),
-        reference_results(mesh, inputs).astype(number),
-        {"width": mesh.width, "format": mesh.format},
-        name="fixed-point reference",
-    )
+    results = reference_results(mesh, inputs).astype(number)
+    return Programme(mesh_harness(mesh), inputs.astype(number), results, "fixed-point reference")
 
 
 # Current references in fixed point in words, for the header, the terminal and the report.

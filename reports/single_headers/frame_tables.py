@@ -16,6 +16,7 @@ from dqforge.optimizer.frame_tables import COLUMNS, DENSE, FrameCandidate, Frame
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,
+    Harness,
     HeaderKind,
     Programme,
     singles_from,
@@ -236,10 +237,21 @@ def frame_files(design: Design, found: FrameTables) -> dict[str, bytes]:
 def frame_programme(model: FrameModel) -> Programme:
     """The harness of the frames, with what their model answers."""
     inputs, results = model_results(model)
-    context = {"members": list(COLUMNS)}
-    return Programme(
-        "single_headers/frame_tables/harness.c.j2", inputs, results, context, name="frames"
+    count = len(COLUMNS)
+    voltages = ", ".join(f"&out[{k}]" for k in range(count, count + 3))
+    rows = Harness(
+        "frames",
+        "angle, currents and speed; frames and decoupling voltages",
+        (5, count + 3),
+        (
+            "const @_frames_t frames = @_frames(in[0]);",
+            "",
+            *(f"out[{k}] = frames.{name};" for k, name in enumerate(COLUMNS)),
+            f"@_decoupling(&frames, in[1], in[2], in[3], in[4], {voltages});",
+        ),
+        vectors=False,
     )
+    return Programme(rows, inputs, results, "frames")
 
 
 # Tables of the frames dqx and dqy, as a record.

@@ -14,7 +14,14 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
-from dqforge.reports.c_code.harness import SWEEP_SEED, HeaderKind, Programme, single_from, title
+from dqforge.reports.c_code.harness import (
+    SWEEP_SEED,
+    Harness,
+    HeaderKind,
+    Programme,
+    single_from,
+    title,
+)
 from dqforge.reports.capability import Capability, Outcome, ReportPart
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, significant, symbols
@@ -330,18 +337,41 @@ def measurement_files(design: Design, found: MeasuredSpeed) -> dict[str, bytes]:
 def measurement_programme(numbers: EdgeNumbers) -> Programme:
     """The harness of the header, with what its model answers."""
     events = edge_events(numbers, EVENTS, SWEEP_SEED)
-    context = {
-        "method": numbers.method,
-        "widths": [width for width, _ in numbers.codes],
-        "sample": SAMPLE,
-        "start": START,
-    }
-    return Programme(
-        "single_headers/speed_measurement/harness.c.j2",
-        events,
-        edge_rows(numbers, events),
-        context,
-        name="speed measurement",
+    return Programme(_harness(numbers), events, edge_rows(numbers, events), "speed measurement")
+
+
+def _harness(numbers: EdgeNumbers) -> Harness:
+    name, gains = "@_speed_measurement", "&@@_SPEED_MEASUREMENT_GAINS"
+    widths = [width for width, _ in numbers.codes]
+    counts = numbers.method == "counts"
+    edge = [
+        "} else {",
+        f"    {name}_edge({gains}, &state, in[1], (in[2] > 0U) ? 1 : -1);",
+    ]
+    return Harness(
+        "speed_measurement",
+        "kind of the event and two words; bits of the speed in rad/s, and its codes",
+        (3, 1 + len(widths)),
+        (
+            "float speed;",
+            "",
+            f"if (in[0] == {START}U) {{",
+            f"    {name}_start(&state);",
+            f"}} else if (in[0] == {SAMPLE}U) {{",
+            f"    {name}_sample({'' if counts else f'{gains}, '}&state, in[1]);",
+            *([] if counts else edge),
+            "}",
+            f"speed = {name}_rad_per_s({gains}, &state);",
+            "memcpy(&out[0], &speed, sizeof speed);",
+            *(
+                f"out[{k}] = (uint32_t)(int32_t){name}_q{width - 1}(&state);"
+                for k, width in enumerate(widths, 1)
+            ),
+        ),
+        number="uint32_t",
+        vectors=False,
+        states=(f"{name}_t state;",),
+        starts=(f"{name}_start(&state);",),
     )
 
 

@@ -17,7 +17,14 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.six_step.control import FAULTS, STAGES, SixStepGains
 from dqforge.optimizer.six_step.sectors import BlockGains
-from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, HeaderKind, Programme, title
+from dqforge.reports.c_code.harness import (
+    SWEEP_POINTS,
+    SWEEP_SEED,
+    Harness,
+    HeaderKind,
+    Programme,
+    title,
+)
 from dqforge.reports.capability import Capability, Draw, Outcome, ReportPart
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
@@ -189,7 +196,43 @@ def six_step_programme(emitted: EmittedSixStep) -> Programme:
     """
     inputs = six_step_inputs(emitted.gains, SWEEP_POINTS, SWEEP_SEED)
     outputs = six_step_outputs(emitted.gains, inputs)
-    return Programme("six_step/harness.c.j2", inputs, outputs, name="six-step control")
+    return Programme(_HARNESS, inputs, outputs, "six-step control")
+
+
+_GAINS = "&@@_SIX_STEP_GAINS, &drive"
+_HARNESS = Harness(
+    "six_step",
+    "reset, torque mode, voltages, currents, link, reference; stage, fault, sector, legs, duty "
+    "cycle, angle, speed, torque, chopped leg",
+    (10, 10),
+    (
+        "const @_abc_t v = { in[2], in[3], in[4] };",
+        "const @_abc_t i = { in[5], in[6], in[7] };",
+        "@_six_step_legs_t legs;",
+        "",
+        "if (in[0] > 0.0F) {",
+        f"    @_six_step_reset({_GAINS});",
+        "}",
+        "if (in[1] > 0.0F) {",
+        "    out[8] = @_six_step_torque_control(&drive, in[9]);",
+        "} else {",
+        f"    out[8] = @_six_step_speed_control({_GAINS}, in[9]);",
+        "}",
+        f"legs = @_six_step_step({_GAINS}, v, i, in[8]);",
+        "out[0] = (float)drive.stage;",
+        "out[1] = (float)drive.fault;",
+        "out[2] = (float)drive.sector;",
+        "out[3] = (float)legs.high;",
+        "out[4] = (float)legs.low;",
+        "out[5] = legs.duty;",
+        "out[6] = drive.observer.theta_e;",
+        "out[7] = drive.observer.omega_e;",
+        "out[9] = (float)legs.chopped;",
+    ),
+    vectors=False,
+    states=("@_six_step_t drive;",),
+    starts=(f"@_six_step_reset({_GAINS});",),
+)
 
 
 # A six-step drive as tables, as plain data, and in the report.

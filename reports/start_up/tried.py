@@ -10,7 +10,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.estimators import TRACKERS
 from dqforge.optimizer.steps.step_arithmetic import cast
-from dqforge.reports.c_code.harness import SINGLE, Programme, single_from
+from dqforge.reports.c_code.harness import SINGLE, Harness, Programme, single_from
 from dqforge.reports.observers.position_header import observer_from
 from dqforge.reports.observers.tracker_header import (
     tracker_from,
@@ -95,19 +95,59 @@ def start_up_programme(tried: TriedStart) -> Programme:
     """
     model = tried.model
     inputs, outputs = recorded(model, tried.v_dc)
-    return Programme(
-        "start_up/harness.c.j2",
-        inputs,
-        outputs,
-        {
-            "code": model.method.code,
-            "low": "" if model.low is None else model.low[0].code,
-            "members": MEMBERS,
-            "hears": model.hears,
-            "seen": HEARING if model.hears else SEEN,
-            "outputs": OUTPUTS,
-        },
-        name="start-up",
+    return Programme(_harness(model), inputs, outputs, "start-up")
+
+
+# What comes out of a step, beside the duty cycles and the gate.
+_RESULTS = (
+    "output.duty.a",
+    "output.duty.b",
+    "output.duty.c",
+    "(float)output.gate",
+    "(float)drive.state",
+    "(float)drive.fault",
+    "drive.theta_e",
+    "drive.omega_e",
+    "drive.observer.theta_e",
+    "drive.reference",
+    "drive.control.v.alpha",
+    "drive.control.v.beta",
+    "drive.emf",
+)
+
+
+def _harness(model: StartUpModel) -> Harness:
+    seen = HEARING if model.hears else SEEN
+    members = [
+        f"    settings.{member.name} = {'(uint32_t)' if member.whole else ''}in[{column}];"
+        for column, member in enumerate(MEMBERS, seen)
+    ]
+    sample = ["i.a", "i.b", "i.c", "v_dc"]
+    codes = [model.method.code, *([] if model.low is None else [model.low[0].code])]
+    gains = ", ".join(f"&@@_{code.upper()}_GAINS" for code in codes)
+    return Harness(
+        "startup",
+        "start flag, i_a, i_b, i_c, v_dc, reference, command, "
+        f"{'sum of the phase voltages, ' if model.hears else ''}all settings; duty cycles, gate, "
+        "state, fault, angle, speed, observed angle, reference, voltage, EMF",
+        (seen + len(MEMBERS), OUTPUTS),
+        (
+            "@_startup_sample_t sample;",
+            "@_startup_output_t output;",
+            "",
+            "if (in[0] > 0.0F) {",
+            *members,
+            "    @_startup_init(&drive);",
+            "}",
+            *(f"sample.{name} = in[{column}];" for column, name in enumerate(sample, 1)),
+            *(["sample.u = in[7];"] if model.hears else []),
+            f"output = @_startup_step(&@@_CONTROL_GAINS, &settings, {gains}, &drive, &sample,",
+            "                         in[5], (in[6] > 0.5F) ? 1U : 0U);",
+            *(f"out[{k}] = {result};" for k, result in enumerate(_RESULTS)),
+        ),
+        vectors=False,
+        states=("static @_startup_t drive;", "static @_startup_settings_t settings;"),
+        starts=("@_startup_init(&drive);", "settings = @@_STARTUP_SETTINGS;"),
     )
 
 
@@ -117,6 +157,4 @@ def start_observer_programme(tracker: EmittedTracker) -> Programme:
     Args:
         tracker: The estimator.
     """
-    found = tracker_programme(tracker)
-    context = {**found.context, "file": LOW_FILE}
-    return replace(found, context=context, name="estimator from standstill on")
+    return replace(tracker_programme(tracker, LOW_FILE), name="estimator from standstill on")

@@ -211,8 +211,7 @@ class TargetRun:
 
 def harness_of(part: Programme, prefix: str) -> bytes:
     """C source of a harness, its ``main`` renamed."""
-    text = render(part.template, {"prefix": prefix, "macro": prefix.upper()} | part.context)
-    return f"#define main harness_main\n{text}".encode("ascii")
+    return f"#define main harness_main\n{part.harness.source(prefix)}".encode("ascii")
 
 
 def reached(files: Mapping[str, bytes], sources: Iterable[bytes]) -> set[str]:

@@ -20,7 +20,6 @@ from dqforge.reports.operating_system.host_compiler import (
     compile_program,
     find_compiler,
 )
-from dqforge.reports.pages.templating import render
 
 if TYPE_CHECKING:
     from dqforge.optimizer.current_reference.forms import Emitted
@@ -171,9 +170,7 @@ def verify_files(
                 checks.append(Check(compiler.standard, 0, compiler.package))
                 continue
             for part in parts:
-                harness = render(
-                    part.template, {"prefix": prefix, "macro": prefix.upper()} | part.context
-                )
+                harness = part.harness.source(prefix)
                 (folder / "harness.c").write_text(harness, encoding="ascii", newline="\n")
                 program = compile_program(
                     there,

@@ -21,7 +21,14 @@ from dqforge.optimizer.waveforms.firmware_fit import (
     PhasePolynomials,
     PhaseReference,
 )
-from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, HeaderKind, Programme, title
+from dqforge.reports.c_code.harness import (
+    SWEEP_POINTS,
+    SWEEP_SEED,
+    Harness,
+    HeaderKind,
+    Programme,
+    title,
+)
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.capability import Capability, Draw, Quantity, ReportPart
 from dqforge.reports.pages.answer import Table
@@ -489,27 +496,29 @@ def _context(design: Design, fit: PhaseFit) -> PlainData:
 
 def waveform_files(design: Design, fit: PhaseFit) -> dict[str, bytes]:
     """Names and bytes of the header of phase currents and of its test vectors."""
-    context, prefix = _context(design, fit), design.export.prefix
+    context = _context(design, fit)
     inputs = waveform_inputs(fit.reference, max(design.export.vectors, 64), _SEED)
     currents = model_currents(fit.reference, inputs)
     vectors = np.concatenate([inputs, currents], axis=1)
-    more = {"vectors": [list(row) for row in vectors], "inputs": inputs.shape[1]}
     template = (
         "waveforms/waveform.h.j2" if context["polynomials"] is None else "waveforms/salient.h.j2"
     )
-    texts = {
-        f"{prefix}_waveform.h": render(template, context),
-        f"{prefix}_waveform_vectors.h": render("waveforms/vectors.h.j2", context | more),
-    }
-    return {name: text.encode("ascii") for name, text in texts.items()}
+    return _harness(inputs.shape[1]).files(design, render(template, context), vectors)
+
+
+def _harness(inputs: int) -> Harness:
+    turn = "the turn" if inputs == 2 else "sine and cosine"
+    told = f"torque in N m, then {turn}; i_a, i_b and i_c in A"
+    given = ", ".join(f"in[{k}]" for k in range(inputs))
+    call = f"@_phase_currents({given}, &out[0], &out[1], &out[2]);"
+    return Harness("waveform", told, (inputs, 3), (call,))
 
 
 def waveform_programme(reference: PhaseReference) -> Programme:
     """The harness of phase currents, with what their model answers."""
     inputs = waveform_inputs(reference, SWEEP_POINTS, SWEEP_SEED)
-    return Programme(
-        "waveforms/harness.c.j2", inputs, model_currents(reference, inputs), name="phase currents"
-    )
+    results = model_currents(reference, inputs)
+    return Programme(_harness(inputs.shape[1]), inputs, results, "phase currents")
 
 
 # Phase currents in the report: what the rules cost, and what the firmware evaluates.

@@ -12,7 +12,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.c_code.harness import HeaderKind, Programme, single_from, title
+from dqforge.reports.c_code.harness import Harness, HeaderKind, Programme, single_from, title
 from dqforge.reports.capability import Capability, Draw, Outcome, Quantity, ReportPart, Tile
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import quantity
@@ -121,8 +121,14 @@ def read_model(own: Mapping[str, Any], _: Mapping[str, Any]) -> EnergyModel:
 def energy_programme(model: EnergyModel) -> Programme:
     speeds = np.linspace(-2000.0, 2000.0, 4001, dtype=np.float32)
     energies = ((model.half_inertia * speeds) * speeds)[:, np.newaxis]
-    template = str(HERE / "kinetic_energy_harness.c.j2")
-    return Programme(template, speeds, energies, name="kinetic energy")
+    harness = Harness(
+        "kinetic_energy",
+        "speed in rad/s; energy in J",
+        (1, 1),
+        ("out[0] = @_kinetic_energy_J(in[0]);",),
+        vectors=False,
+    )
+    return Programme(harness, speeds, energies, "kinetic energy")
 
 
 KINETIC_ENERGY = Capability(

@@ -59,7 +59,7 @@ from dqforge.machines.entries.rules import Quantity, QuantityRule, si_of
 from dqforge.machines.errors import KeyPath, about
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import (
-    SINGLE_OBSERVERS,
+    LEARNED_OBSERVERS,
     SPEED_OBSERVER,
     AxisGainRule,
     CurrentFrame,
@@ -348,7 +348,7 @@ def check_observer_format(
     Raises `InputError` with a position.
     """
     method = None if control.observer is None else control.observer.method
-    if method in SINGLE_OBSERVERS and not set(export.control) <= {"float32"}:
+    if method in LEARNED_OBSERVERS and not set(export.control) <= {"float32"}:
         message = (
             f"control.observer: the method '{method}' is not there in fixed point; write "
             "export.control: float32, or method: flux"

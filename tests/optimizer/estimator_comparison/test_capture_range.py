@@ -27,8 +27,7 @@ from dqforge.optimizer.estimator_comparison.candidate import (
 from dqforge.optimizer.observers.conditions import loads_at
 from dqforge.optimizer.observers.solve import solve_observer
 from dqforge.optimizer.observers.tuning import PositionObserver
-from dqforge.reports.observers.position_header import observer_files
-from dqforge.reports.pages.templating import render
+from dqforge.reports.observers.position_header import observer_files, position_harness
 
 
 def design_of(method: ObserverMethodName) -> tuple[Design, PositionObserver]:
@@ -42,10 +41,9 @@ def design_of(method: ObserverMethodName) -> tuple[Design, PositionObserver]:
 
 def compiled(folder: Path, design: Design, observer: PositionObserver) -> Path:
     """The harness of the emitted header, as a programme."""
-    context = {"prefix": "bench001", "macro": "BENCH001", "code": observer.method.code}
     for name, content in observer_files(design, observer).items():
         (folder / name).write_bytes(content)
-    (folder / "run.c").write_text(render("observers/harness.c.j2", context))
+    (folder / "run.c").write_text(position_harness(observer.method.code).source("bench001"))
     command = ["cc", "-std=c99", "-O1", "-ffp-contract=off", "run.c", "-o", "run", "-lm"]
     subprocess.run(command, cwd=folder, check=True)
     return folder / "run"

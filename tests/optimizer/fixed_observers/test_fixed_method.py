@@ -12,8 +12,8 @@ import pytest
 from fixed_drives import BENCH, SideBySide, beside, fitted, motion, observed_design, turned
 
 from dqforge.machines.names import (
+    LEARNED_OBSERVERS,
     OBSERVER_KEYS,
-    SINGLE_OBSERVERS,
     SIX_STEP_METHODS,
     SPEED_OBSERVER,
     TRACKER_NAMES,
@@ -36,6 +36,7 @@ SAMPLES = 1500
 # Degrees and rpm in 16 bits: what docs/methods/position-observers.md states.
 Q15_LIMITS = {
     "extended-emf": (0.015, 0.2),
+    "smo": (0.015, 0.2),
     "flux": (0.015, 0.2),
     "open-loop-flux": (0.015, 0.2),
     "matsui-voltage": (0.015, 0.7),
@@ -81,7 +82,7 @@ def true_errors(run: SideBySide) -> tuple[float, float]:
 
 def test_every_observer_with_a_key_is_there_in_integers() -> None:
     """All but those in single precision alone, trackers and those of six-step drives."""
-    single = {*SINGLE_OBSERVERS, *TRACKER_NAMES, *SIX_STEP_METHODS}
+    single = {*LEARNED_OBSERVERS, *TRACKER_NAMES, *SIX_STEP_METHODS}
     assert {*FIXED_METHODS, SPEED_OBSERVER} | single == set(OBSERVER_KEYS)
 
 

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from dqforge.machines.errors import VerificationError
-from dqforge.reports.c_code.harness import Programme
+from dqforge.reports.c_code.harness import Harness, Programme
 
 MODEL = np.array([[1.0, np.nan], [-0.0, 4.0]], dtype=np.float32)
-PART = Programme("current_reference/harness.c.j2", np.array([0.5, 0.75], dtype=np.float32), MODEL)
+ROWS = Harness(
+    "", "torque; i_d and i_q", (1, 2), ("@_current_reference(in[0], &out[0], &out[1]);",)
+)
+PART = Programme(ROWS, np.array([0.5, 0.75], dtype=np.float32), MODEL)
 
 
 def test_results_have_the_shape_of_the_model_or_are_none() -> None:

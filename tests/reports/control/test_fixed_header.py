@@ -26,6 +26,7 @@ from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
 from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS, sine_error
 from dqforge.reports.control.fixed_header import (
     control_fixed_files,
+    control_fixed_harness,
     plain_fixed_control,
     plain_fixed_evidence,
 )
@@ -36,7 +37,6 @@ from dqforge.reports.control.fixed_model import (
     row_inputs,
     row_results,
 )
-from dqforge.reports.pages.templating import render
 from dqforge.reports.run import export_design, verify_folder
 from dqforge.reports.verification.host import WARNINGS
 
@@ -88,13 +88,7 @@ def run_rows(
     control = fit.control
     for name, content in control_fixed_files(design, fit).items():
         (folder / name).write_bytes(content)
-    context = {
-        "prefix": "drive",
-        "macro": "DRIVE",
-        "width": control.width,
-        "format": control.format,
-    }
-    (folder / "main.c").write_text(render("control/fixed_harness.c.j2", context))
+    (folder / "main.c").write_text(control_fixed_harness(control).source("drive"))
     command = ["gcc", "-O2", *STRICT, *flags, "main.c", "-o", "main"]
     subprocess.run(command, cwd=folder, check=True, timeout=120)
     wide = np.dtype(f"i{control.width // 4}")

@@ -20,8 +20,8 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.certificates.current_reference import Certificate
 from dqforge.optimizer.current_reference.forms import PENALTY_FROM, FixedReference
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.reports.current_reference.plain import reference_harness
 from dqforge.reports.main_header import header_files
-from dqforge.reports.pages.templating import render
 
 INPUTS = 3_000_000
 CHUNK = 1_000_000
@@ -73,12 +73,7 @@ def exact_currents(machine: LinearMachine, torque: FloatArray) -> tuple[FloatArr
 def compiled(folder: Path, solution: Solution, flags: list[str]) -> Path:
     for name, content in header_files(solution).items():
         (folder / name).write_bytes(content)
-    reference, context = solution.fit.reference, {"prefix": "drive", "macro": "DRIVE"}
-    template = "current_reference/harness.c.j2"
-    if isinstance(reference, FixedReference):
-        template = "current_reference/fixed_harness.c.j2"
-        context |= {"width": str(reference.width), "format": reference.format}
-    (folder / "main.c").write_text(render(template, context))
+    (folder / "main.c").write_text(reference_harness(solution.reference).source("drive"))
     command = ["gcc", "-O2", *flags, "-w", "main.c", "-lm", "-o", "main"]
     subprocess.run(command, cwd=folder, check=True, timeout=60)
     return folder / "main"

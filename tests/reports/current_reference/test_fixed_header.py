@@ -21,9 +21,14 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.current_reference.plain import from_plain, sweep_codes, to_plain, vector_codes
+from dqforge.reports.current_reference.plain import (
+    from_plain,
+    reference_harness,
+    sweep_codes,
+    to_plain,
+    vector_codes,
+)
 from dqforge.reports.main_header import header_files
-from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.host import WARNINGS, verify_files
 
 CASES: dict[str, tuple[LinearMachine, FitSettings]] = {
@@ -137,13 +142,7 @@ def test_no_code_meets_undefined_behaviour(solution: Solution, tmp_path: Path) -
     reference = integers(solution)
     for name, content in header_files(solution).items():
         (tmp_path / name).write_bytes(content)
-    context = {
-        "prefix": "drive",
-        "macro": "DRIVE",
-        "width": reference.width,
-        "format": reference.format,
-    }
-    (tmp_path / "main.c").write_text(render("current_reference/fixed_harness.c.j2", context))
+    (tmp_path / "main.c").write_text(reference_harness(reference).source("drive"))
     sanitize = ["-fsanitize=undefined", "-fno-sanitize-recover=all"]
     command = ["gcc", "-std=c99", "-O2", *WARNINGS, *sanitize, "main.c", "-o", "main"]
     subprocess.run(command, cwd=tmp_path, check=True, timeout=60)

@@ -25,6 +25,7 @@ from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
 )
 from dqforge.reports.fixed_observers.fixed_observer_header import (
     fixed_observer_files,
+    fixed_observer_harness,
     plain_fixed_observer,
     plain_observer_evidence,
 )
@@ -35,7 +36,6 @@ from dqforge.reports.fixed_observers.fixed_observer_model import (
     row_inputs,
     row_results,
 )
-from dqforge.reports.pages.templating import render
 from dqforge.reports.run import export_design, verify_folder
 from dqforge.reports.verification.host import WARNINGS
 
@@ -68,8 +68,7 @@ def run_rows(fit: FixedObserverFit, name: str, folder: Path, rows: CodeArray) ->
     for file, content in fixed_observer_files(design, fit).items():
         (folder / file).write_bytes(content)
     prefix = design.export.prefix
-    context = {"prefix": prefix, "macro": prefix.upper(), "format": observer.format}
-    (folder / "main.c").write_text(render("fixed_observers/harness.c.j2", context))
+    (folder / "main.c").write_text(fixed_observer_harness(observer).source(prefix))
     subprocess.run(["gcc", "-O2", *STRICT, "main.c", "-o", "main"], cwd=folder, check=True)
     done = subprocess.run(
         [folder / "main"], input=rows.astype("i8").tobytes(), capture_output=True, check=False

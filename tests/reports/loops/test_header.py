@@ -18,13 +18,13 @@ from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.loops.gain_schedule import GainEvaluator
 from dqforge.reports.loops.capability import (
+    GAIN_HARNESS,
     evaluator_from,
     gains_files,
     plain_evaluator,
     schedule_inputs,
 )
 from dqforge.reports.pages.answer import write_all
-from dqforge.reports.pages.templating import render
 from dqforge.reports.run import RunOutput, export_design, read_folder, run_design, verify_folder
 from dqforge.reports.verification.host import WARNINGS
 
@@ -92,7 +92,7 @@ def test_compiled_code_equals_the_model_bit_for_bit(
     output, model = exported(form), evaluator(form)
     write_all(tmp_path, output.files)
     prefix = output.solution.design.export.prefix
-    harness = render("loops/harness.c.j2", {"prefix": prefix, "macro": prefix.upper()})
+    harness = GAIN_HARNESS.source(prefix)
     (tmp_path / "harness.c").write_text(harness, encoding="ascii")
     flags = ["-O2", "-ffp-contract=off", "-Wshadow", "-Wsign-conversion", "-Wundef", *WARNINGS]
     subprocess.run(

@@ -23,7 +23,6 @@ from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.observers.float32_model import EmittedTracker
 from dqforge.reports.observers.tracker_header import plain_tracker_gains
-from dqforge.reports.pages.templating import render
 from dqforge.reports.phase_control.emitted_integers import emitted_control_plain
 from dqforge.reports.run import emitted_files
 from dqforge.reports.simulation.design_run import (
@@ -84,8 +83,7 @@ def folder_with(path: Path, loop: str) -> Path:
     part = answered(loop)
     for name, content in controller_files(solution(loop)).items():
         (path / name).write_bytes(content)
-    main = render(part.template, {"prefix": "drive", "macro": "DRIVE"} | part.context)
-    (path / "main.c").write_text(main, encoding="ascii")
+    (path / "main.c").write_text(part.harness.source("drive"), encoding="ascii")
     return path
 
 

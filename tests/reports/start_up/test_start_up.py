@@ -21,7 +21,6 @@ from dqforge.reports.c_code.harness import single_from
 from dqforge.reports.control.header import plain_control
 from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.observers.position_header import emitted, plain_observer
-from dqforge.reports.pages.templating import render
 from dqforge.reports.simulation.design_run import controller_files
 from dqforge.reports.start_up.float32_model import RESTING, F, Fault, State
 from dqforge.reports.start_up.header import (
@@ -72,8 +71,7 @@ def folder_with(path: Path, main: str) -> Path:
 
 
 def harness() -> str:
-    part = answered()
-    return render(part.template, {"prefix": "drive", "macro": "DRIVE"} | part.context)
+    return answered().rows.source("drive")
 
 
 def test_every_state_and_every_fault_is_met() -> None:

@@ -46,9 +46,11 @@ from dqforge.optimizer.fixed_observers.kit import (
 )
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.steps.step_arithmetic import Member
-from dqforge.reports.fixed_observers.fixed_observer_header import fixed_observer_files
+from dqforge.reports.fixed_observers.fixed_observer_header import (
+    fixed_observer_files,
+    fixed_observer_harness,
+)
 from dqforge.reports.fixed_observers.fixed_observer_model import row_inputs, row_results
-from dqforge.reports.pages.templating import render
 from dqforge.reports.steps.integer_text import integer_observer_text
 from dqforge.reports.verification.host import WARNINGS
 
@@ -178,8 +180,7 @@ def test_the_c_of_a_step_is_the_step(width: int, tmp_path: Path) -> None:
     for file, content in fixed_observer_files(design, fit).items():
         (tmp_path / file).write_bytes(content)
     prefix = design.export.prefix
-    context = {"prefix": prefix, "macro": prefix.upper(), "format": observer.format}
-    (tmp_path / "main.c").write_text(render("fixed_observers/harness.c.j2", context))
+    (tmp_path / "main.c").write_text(fixed_observer_harness(observer).source(prefix))
     strict = ["-std=c99", "-O2", *WARNINGS, "-Wsign-conversion", "-Wshadow"]
     checked = ["-fsanitize=undefined", "-fno-sanitize-recover=all", "-Wno-overlength-strings"]
     command = [program("gcc"), *strict, *checked, "main.c", "-o", "run"]

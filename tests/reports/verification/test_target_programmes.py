@@ -27,7 +27,7 @@ from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import VerificationError
-from dqforge.machines.names import SINGLE_OBSERVERS, ObserverMethodName
+from dqforge.machines.names import LEARNED_OBSERVERS, ObserverMethodName
 from dqforge.optimizer.observers.methods import ekf as ekf_method
 from dqforge.optimizer.observers.methods.ekf import ekf, ekf_gains
 from dqforge.optimizer.observers.methods.registry import METHODS
@@ -182,7 +182,7 @@ def test_every_header_gives_the_bits_of_its_model_on_the_core(name: str, target:
 @pytest.mark.parametrize("method", METHODS)
 def test_every_position_observer_runs_on_the_core(method: ObserverMethodName) -> None:
     drive = within_a_percent(on_observer(catalogue.load(BENCH), ObserverSettings(method=method)))
-    single = method in SINGLE_OBSERVERS  # these are not there in integers
+    single = method in LEARNED_OBSERVERS  # these are not there in integers
     export = replace(drive.export, control=("float32",) if single else ("q15", "q31"))
     output = export_design(replace(drive, export=export), verify=False)
     kinds, parts = parts_of(output)
@@ -195,19 +195,19 @@ def test_every_position_observer_runs_on_the_core(method: ObserverMethodName) ->
 
 
 @pytest.mark.parametrize(
-    ("kind", "room", "pattern", "by"),
+    ("kind", "pattern", "by"),
     [
-        ("observer", "observers", r"_wrap\(observer->theta_e \+ ", "_wrap(observer->theta_e - "),
-        pytest.param("control", "control", r"zero = 0\.5F", "zero = 0.51F", marks=pytest.mark.slow),
+        ("observer", r"_wrap\(observer->theta_e \+ ", "_wrap(observer->theta_e - "),
+        pytest.param("control", r"zero = 0\.5F", "zero = 0.51F", marks=pytest.mark.slow),
     ],
 )
-def test_a_changed_header_differs_on_the_core(kind: str, room: str, pattern: str, by: str) -> None:
+def test_a_changed_header_differs_on_the_core(kind: str, pattern: str, by: str) -> None:
     output = exported("control and position observer")
     _, parts = parts_of(output)
     files = headers(output)
     text, count = re.subn(pattern, by, files[f"bench001_{kind}.h"].decode("ascii"), count=1)
     assert count == 1
-    own = [part for part in parts if part.template == f"{room}/harness.c.j2"]
+    own = [part for part in parts if part.harness.header == kind]
     assert len(own) == 1
     with pytest.raises(
         VerificationError,

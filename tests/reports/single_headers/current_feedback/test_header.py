@@ -25,7 +25,6 @@ from dqforge.optimizer.current_feedback import (
     speed_loop,
 )
 from dqforge.reports.c_code.numbers import float_literal
-from dqforge.reports.pages.templating import render
 from dqforge.reports.run import export_design, verify_folder
 from dqforge.reports.single_headers.current_feedback import (
     plain_rule,
@@ -63,7 +62,7 @@ def test_compiled_rule_equals_its_model_bit_for_bit(rule: SampledRuleName, tmp_p
     assert again == constants
     part = rule_programme(again)
     (tmp_path / header[0]).write_bytes(header[1])
-    (tmp_path / "harness.c").write_text(render(part.template, {"prefix": "fb", "macro": "FB"}))
+    (tmp_path / "harness.c").write_text(part.harness.source("fb"))
     command = [program("cc"), "-std=c99", "-O2", "-ffp-contract=off", *WARNINGS, "harness.c"]
     subprocess.run([*command, "-lm", "-o", "harness"], cwd=tmp_path, check=True, timeout=60)
     done = subprocess.run(

@@ -25,8 +25,8 @@ from dqforge.optimizer.field_weakening.fit import WeakeningFit, fit_weakening
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE
 from dqforge.optimizer.operating_points.points import optimal_points
 from dqforge.reports.c_code.numbers import rounded_up
-from dqforge.reports.pages.templating import render
 from dqforge.reports.single_headers.field_weakening import (
+    WEAKENING_HARNESS,
     least_voltage_text,
     percent,
     plain_weakening,
@@ -86,9 +86,7 @@ def write(name: str, folder: Path) -> None:
 def compiled(name: str, folder: Path, inputs: SingleArray, *flags: str) -> SingleArray:
     """Currents by the compiled C, shape (N, 2)."""
     write(name, folder)
-    harness = render(
-        "single_headers/field_weakening/harness.c.j2", {"prefix": "drive", "macro": "DRIVE"}
-    )
+    harness = WEAKENING_HARNESS.source("drive")
     (folder / "harness.c").write_text(harness, encoding="ascii")
     command = ["cc", "-O2", *WARNINGS, *flags, "-o", "harness", "harness.c", "-lm"]
     subprocess.run(command, cwd=folder, check=True, timeout=60)

@@ -21,10 +21,10 @@ from dqforge.optimizer.fixed_control.arithmetic import CodeArray
 from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
 from dqforge.optimizer.fixed_reference.mesh import CurrentMesh
 from dqforge.reports.c_code.numbers import rounded_up
-from dqforge.reports.pages.templating import render
 from dqforge.reports.run import export_design, verify_folder
 from dqforge.reports.single_headers.fixed_mesh_reading import mesh_from
 from dqforge.reports.single_headers.fixed_reference import (
+    mesh_harness,
     plain_mesh,
     reference_files,
     reference_inputs,
@@ -60,9 +60,7 @@ def compiled(
     mesh = fit.reference
     for file, content in reference_files(weakened_design(name), fit).items():
         (folder / file).write_bytes(content)
-    context = {"prefix": "drive", "macro": "DRIVE", "width": mesh.width, "format": mesh.format}
-    harness = render("single_headers/fixed_reference/harness.c.j2", context)
-    (folder / "main.c").write_text(harness, encoding="ascii")
+    (folder / "main.c").write_text(mesh_harness(mesh).source("drive"), encoding="ascii")
     command = ["gcc", "-O2", *STRICT, *flags, "main.c", "-o", "main"]
     subprocess.run(command, cwd=folder, check=True, timeout=60)
     number = np.dtype(f"i{mesh.width // 8}")
@@ -116,8 +114,7 @@ def test_a_change_of_the_code_is_found(text: str, other: str | None, tmp_path: P
     for file, content in reference_files(design, fit).items():
         (tmp_path / file).write_bytes(content)
     (tmp_path / name).write_text(source.replace(text, other))
-    context = {"prefix": "drive", "macro": "DRIVE", "width": 16, "format": "q15"}
-    (tmp_path / "main.c").write_text(render("single_headers/fixed_reference/harness.c.j2", context))
+    (tmp_path / "main.c").write_text(mesh_harness(fit.reference).source("drive"))
     subprocess.run(["gcc", "-O1", "main.c", "-o", "main"], cwd=tmp_path, check=True, timeout=60)
     done = subprocess.run(
         [tmp_path / "main"],

@@ -16,7 +16,6 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.frame_tables import COLUMNS, fit_frames
-from dqforge.reports.pages.templating import render
 from dqforge.reports.single_headers.frame_tables import (
     MEANINGS,
     FrameModel,
@@ -46,8 +45,7 @@ def compiled(folder: Path, content: bytes, language: str) -> NDArray[Any]:
         pytest.skip(f"no compiler for {language}")
     prefix, part = DESIGN.export.prefix, frame_programme(MODEL)
     (folder / f"{prefix}_frames.h").write_bytes(content)
-    harness = render(part.template, {"prefix": prefix, "macro": prefix.upper()} | part.context)
-    (folder / "main.c").write_text(harness, encoding="ascii")
+    (folder / "main.c").write_text(part.harness.source(prefix), encoding="ascii")
     kind = "c" if language == "c99" else "c++"
     flags = ["-O2", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-ffp-contract=off"]
     subprocess.run(

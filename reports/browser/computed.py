@@ -1,0 +1,126 @@
+"""What a page of `dqforge serve` asks for, computed in a process of its own."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from dqforge.machines.design import catalogue
+from dqforge.machines.errors import DqforgeError, InputError
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.reports.pages.answer import Answer
+
+Options = Mapping[str, str]
+
+
+def _check(design: Design, _: Options) -> Answer:
+    from dqforge.reports.answers.check import answer_check
+
+    return answer_check(design)
+
+
+def _mtpa(design: Design, options: Options) -> Answer:
+    from dqforge.reports.answers.mtpa import Request, answer_mtpa
+
+    speed, torque = options.get("speed") or None, options.get("torque") or None
+    return answer_mtpa(design, Request(speed, torque, None, "svpwm", "0 %"))
+
+
+def _tune(design: Design, _: Options) -> Answer:
+    from dqforge.reports.answers.tune import answer_tune
+
+    return answer_tune(design)
+
+
+def _losses(design: Design, _: Options) -> Answer:
+    from dqforge.reports.answers.losses import LossRequest, answer_losses
+
+    chart = None if design.losses is not None else ""
+    return answer_losses(design, LossRequest(chart), choice=False)
+
+
+def _dqy(design: Design, options: Options) -> Answer:
+    from dqforge.reports.answers.dqy import WaveformRequest, answer_dqy
+
+    speed, torque = options.get("speed") or None, options.get("torque") or None
+    return answer_dqy(design, WaveformRequest(torque, speed, None, None))
+
+
+def _simulate(design: Design, _: Options) -> Answer:
+    from dqforge.reports.answers.simulate import answer_simulate
+
+    return answer_simulate(design, None, switched=False)
+
+
+# What can be asked for, in the order of its buttons.
+ASKED: dict[str, Callable[[Design, Options], Answer]] = {
+    "check": _check,
+    "mtpa": _mtpa,
+    "tune": _tune,
+    "losses": _losses,
+    "dqy": _dqy,
+    "simulate": _simulate,
+}
+
+
+def answered(path: str, kind: str, settings: Sequence[str], options: Options) -> dict[str, Any]:
+    """An answer as tables of text, notes, and a figure as SVG; or ``error``, what is wrong.
+
+    Args:
+        path: The design file.
+        kind: A name in `ASKED`.
+        settings: Keys that are set for this answer alone, as by ``--set``.
+        options: ``speed`` and ``torque`` as texts with units.
+    """
+    from dqforge.reports.pages.figures_style import to_svg
+
+    try:
+        answer = ASKED[kind](catalogue.load_design(path, settings), options)
+        figure = None if answer.figure is None else to_svg(answer.figure())
+    except DqforgeError as error:
+        return {"error": str(error)}
+    tables = [
+        {"title": table.title, "columns": table.columns, "rows": table.rows, "notes": table.notes}
+        for table in answer.tables
+    ]
+    return {"tables": tables, "notes": answer.notes, "figure": figure, "name": answer.name}
+
+
+def files_of(path: str, firmware: str) -> dict[str, Any]:
+    """A ZIP archive of headers, or of another firmware's files; or ``error``."""
+    from dqforge.reports.answers.run import answer_export
+
+    try:
+        design = catalogue.load_design(path)
+        answer = answer_export(design, verify=True, firmware=[firmware] if firmware else None)
+    except DqforgeError as error:
+        return {"error": str(error)}
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in sorted((answer.files.contents if answer.files else {}).items()):
+            archive.writestr(zipfile.ZipInfo(name), content)
+    name = f"{design.export.prefix}_{firmware or 'headers'}.zip"
+    return {"name": name, "content": packed.getvalue()}
+
+
+def report_of(path: str) -> dict[str, Any]:
+    """The report of a whole run; or ``error``."""
+    from dqforge.reports.run import run_design
+
+    try:
+        output = run_design(catalogue.load_design(path), verify=True)
+        return {"content": output.files["report.html"]}
+    except KeyError:
+        raise InputError("the run made no report") from None
+    except DqforgeError as error:
+        return {"error": str(error)}
+
+
+def warm() -> None:
+    """Load what every answer needs, before the first is asked for."""
+    import dqforge.reports.answers.tune
+    import dqforge.reports.pages.figures_style  # noqa: F401

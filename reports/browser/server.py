@@ -1,0 +1,306 @@
+"""The server of `dqforge serve`: this machine alone, behind a token, one design folder."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+import socket
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict
+from hmac import compare_digest
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from tornado.httpserver import HTTPServer
+from tornado.httputil import HTTPServerRequest
+from tornado.web import Application, HTTPError, RequestHandler
+
+from dqforge.machines.design import catalogue
+from dqforge.machines.design.sheet_values import SHEET_VALUES
+from dqforge.machines.errors import DqforgeError
+from dqforge.reports.browser import computed
+from dqforge.reports.browser.design_folder import (
+    LARGEST_UPLOAD,
+    ChangedElsewhereError,
+    DesignFolder,
+    fields_of,
+    known_keys,
+)
+from dqforge.reports.firmware.target import TARGETS
+from dqforge.reports.pages.templating import render
+
+HOST = "127.0.0.1"
+_COOKIE = "dqforge"
+_WORKERS = 2
+
+# Scripts, styles and requests of the page's own server; pictures also as data within it.
+_OWN_ALONE = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
+    "connect-src 'self'; form-action 'none'; frame-ancestors 'none'; base-uri 'none'"
+)
+# The report brings its scripts and styles along and asks nobody.
+_REPORT_ALONE = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
+    "font-src data:; form-action 'none'; frame-ancestors 'none'; base-uri 'none'"
+)
+
+
+class Work:
+    """Answers, computed in processes of their own, which begin anew where one of them breaks."""
+
+    def __init__(self) -> None:
+        self._pool = self._made()
+
+    @staticmethod
+    def _made() -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(_WORKERS, get_context("spawn"), computed.warm)
+
+    async def done(self, function: Callable[..., dict[str, Any]], *args: Any) -> dict[str, Any]:
+        """What a function of `computed` gives."""
+        try:
+            return await asyncio.wrap_future(self._pool.submit(function, *args))
+        except BrokenProcessPool:
+            self._pool = self._made()
+            return {"error": "the computation broke off; ask once more"}
+
+    def end(self) -> None:
+        """Leave the processes to themselves: they end with this one."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+
+class _Guarded(RequestHandler):
+    """A request from the page that this server gave out, and from nobody else."""
+
+    folder: DesignFolder
+    work: Work
+
+    def initialize(self, folder: DesignFolder, work: Work) -> None:
+        self.folder, self.work = folder, work
+
+    def set_default_headers(self) -> None:
+        self.set_header("Content-Security-Policy", _OWN_ALONE)
+        self.set_header("X-Content-Type-Options", "nosniff")
+        self.set_header("Referrer-Policy", "no-referrer")
+        self.set_header("Cache-Control", "no-store")
+        self.clear_header("Server")
+
+    def prepare(self) -> None:
+        """Refuse other hosts, requests without the token, and changes from other pages."""
+        place: str = self.application.settings["place"]
+        if self.request.host != place:
+            raise HTTPError(403)
+        if not compare_digest(self.get_cookie(_COOKIE, ""), self.application.settings["token"]):
+            raise HTTPError(403)
+        if self.request.method not in {"GET", "HEAD"}:
+            origin = self.request.headers.get("Origin", "")
+            if origin != f"http://{place}":
+                raise HTTPError(403)
+
+    def write_error(self, status_code: int, **_: Any) -> None:
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        said = {403: "open the address that 'dqforge serve' has printed", 404: "not here"}
+        self.finish(said.get(status_code, "this went wrong; what was saved is kept") + "\n")
+
+    def answer(self, found: dict[str, Any]) -> None:
+        """Write data as JSON."""
+        self.set_header("Content-Type", "application/json; charset=utf-8")
+        self.finish(json.dumps(found))
+
+    def asked(self) -> dict[str, Any]:
+        """The data of the request."""
+        try:
+            found = json.loads(self.request.body)
+        except ValueError:
+            raise HTTPError(400) from None
+        if not isinstance(found, dict):
+            raise HTTPError(400)
+        return found
+
+
+class _Enter(RequestHandler):
+    """The address that is printed: its token becomes a cookie of this page alone."""
+
+    def get(self) -> None:
+        """Let in who has the token."""
+        settings = self.application.settings
+        given = self.get_query_argument("token", "")
+        if self.request.host != settings["place"] or not compare_digest(given, settings["token"]):
+            raise HTTPError(403)
+        self.set_cookie(_COOKIE, given, httponly=True, samesite="Strict", path="/")
+        self.redirect("/")
+
+
+class _Page(_Guarded):
+    def get(self) -> None:
+        """The page."""
+        context = {
+            "sheet": [asdict(value) | {"label": value.label} for value in SHEET_VALUES],
+            "asked": list(computed.ASKED),
+            "targets": {name: target.title for name, target in sorted(TARGETS.items())},
+            "library": [*catalogue.names(), *catalogue.motors()],
+            "keys": known_keys(),
+            "folder": str(self.folder.folder),
+        }
+        self.finish(render("browser/page.html.j2", context))
+
+
+class _Part(_Guarded):
+    """The page's style and script."""
+
+    def get(self, name: str) -> None:
+        """One of them."""
+        kind = {"page.css": "text/css", "page.js": "text/javascript"}[name]
+        self.set_header("Content-Type", f"{kind}; charset=utf-8")
+        self.finish(render(f"browser/{name}.j2", {}))
+
+
+class _State(_Guarded):
+    def get(self) -> None:
+        """What the design file says."""
+        self.answer(self._state())
+
+    def post(self, what: str) -> None:
+        """Change it."""
+        asked = self.asked()
+        revision = str(asked.get("revision", ""))
+        try:
+            if what == "text":
+                self.folder.save(str(asked["text"]), revision)
+            elif what == "set":
+                self.folder.change([str(one) for one in asked["settings"]], revision)
+            elif what == "new":
+                sheet = {str(key): str(text) for key, text in dict(asked["sheet"]).items()}
+                self.folder.begin(sheet, revision)
+            else:
+                self.folder.template(str(asked["machine"]), revision)
+        except ChangedElsewhereError:
+            state = self._state()
+            said = "the design was changed elsewhere; this is what it says now"
+            self.answer(state | {"error": said, "stale": True})
+        except DqforgeError as error:
+            self.answer({"error": str(error)})
+        except (KeyError, TypeError, ValueError):
+            raise HTTPError(400) from None
+        else:
+            self.answer(self._state())
+
+    def _state(self) -> dict[str, Any]:
+        text = self.folder.text()
+        try:
+            fields = [asdict(field) for field in fields_of(text)]
+        except DqforgeError as error:
+            return {
+                "text": text,
+                "revision": self.folder.revision(),
+                "fields": [],
+                "error": str(error),
+            }
+        return {"text": text, "revision": self.folder.revision(), "fields": fields}
+
+
+class _Answer(_Guarded):
+    async def post(self) -> None:
+        """An answer for the design, with keys that are set for it alone."""
+        asked = self.asked()
+        kind, settings = asked.get("kind"), asked.get("settings", [])
+        options = asked.get("options", {})
+        if (
+            kind not in computed.ASKED
+            or not isinstance(settings, list)
+            or not isinstance(options, dict)
+        ):
+            raise HTTPError(400)
+        path = str(self.folder.path)
+        texts = {str(key): str(value) for key, value in options.items()}
+        made = [str(one) for one in settings]
+        self.answer(await self.work.done(computed.answered, path, kind, made, texts))
+
+
+class _Upload(_Guarded):
+    def post(self, name: str) -> None:
+        """Take a file."""
+        try:
+            self.answer({"name": self.folder.upload(name, self.request.body)})
+        except DqforgeError as error:
+            self.answer({"error": str(error)})
+
+
+class _Files(_Guarded):
+    async def get(self) -> None:
+        """Headers, or the files of a firmware, as a download."""
+        firmware = self.get_query_argument("for", "")
+        if firmware and firmware not in TARGETS:
+            raise HTTPError(404)
+        found = await self.work.done(computed.files_of, str(self.folder.path), firmware)
+        if "error" in found:
+            self.answer(found)
+            return
+        self.set_header("Content-Type", "application/zip")
+        self.set_header(
+            "Content-Disposition", f"attachment; filename*=UTF-8''{quote(found['name'])}"
+        )
+        self.finish(found["content"])
+
+
+class _Report(_Guarded):
+    async def get(self) -> None:
+        """The report of a whole run."""
+        found = await self.work.done(computed.report_of, str(self.folder.path))
+        if "error" in found:
+            self.set_header("Content-Type", "text/plain; charset=utf-8")
+            self.finish(found["error"] + "\n")
+            return
+        self.set_header("Content-Security-Policy", _REPORT_ALONE)
+        self.set_header("Content-Type", "text/html; charset=utf-8")
+        self.finish(found["content"])
+
+
+class Server:
+    """A server that listens, with the address to open."""
+
+    def __init__(self, folder: Path, port: int) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._socket.bind((HOST, port))
+        self._socket.listen(64)
+        self._socket.setblocking(False)
+        place = f"{HOST}:{self._socket.getsockname()[1]}"
+        token = secrets.token_urlsafe(24)
+        self.address = f"http://{place}/enter?token={token}"
+        self._work = Work()
+        parts: dict[str, Any] = {"folder": DesignFolder(folder), "work": self._work}
+        self._application = Application(
+            [
+                (r"/enter", _Enter),
+                (r"/", _Page, parts),
+                (r"/(page\.css|page\.js)", _Part, parts),
+                (r"/api/state", _State, parts),
+                (r"/api/(text|set|new|template)", _State, parts),
+                (r"/api/answer", _Answer, parts),
+                (r"/api/upload/([^/]+)", _Upload, parts),
+                (r"/files\.zip", _Files, parts),
+                (r"/report", _Report, parts),
+            ],
+            token=token,
+            place=place,
+            log_function=_silent,
+        )
+
+    async def serve(self, ended: asyncio.Event) -> None:
+        """Answer until the event is set."""
+        server = HTTPServer(self._application, max_buffer_size=LARGEST_UPLOAD)
+        server.add_sockets([self._socket])
+        try:
+            await ended.wait()
+        finally:
+            server.stop()
+            self._work.end()
+
+
+def _silent(_: RequestHandler | HTTPServerRequest) -> None:
+    """No line per request."""
