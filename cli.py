@@ -336,7 +336,7 @@ def serve(
 
     On this machine alone, behind a token. The design file is the only state.
     """
-    from dqforge.reports.browser.command import serve as served
+    from dqforge.reports.browser.server import serve as served
 
     served(folder, port, opening=not quiet)
 

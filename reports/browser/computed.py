@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.errors import DqforgeError, InputError
+from dqforge.reports import answers
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -18,42 +19,32 @@ Options = Mapping[str, str]
 
 
 def _check(design: Design, _: Options) -> Answer:
-    from dqforge.reports.answers.check import answer_check
-
-    return answer_check(design)
+    return answers.check.answer_check(design)
 
 
 def _mtpa(design: Design, options: Options) -> Answer:
-    from dqforge.reports.answers.mtpa import Request, answer_mtpa
-
     speed, torque = options.get("speed") or None, options.get("torque") or None
-    return answer_mtpa(design, Request(speed, torque, None, "svpwm", "0 %"))
+    return answers.mtpa.answer_mtpa(
+        design, answers.mtpa.Request(speed, torque, None, "svpwm", "0 %")
+    )
 
 
 def _tune(design: Design, _: Options) -> Answer:
-    from dqforge.reports.answers.tune import answer_tune
-
-    return answer_tune(design)
+    return answers.tune.answer_tune(design)
 
 
 def _losses(design: Design, _: Options) -> Answer:
-    from dqforge.reports.answers.losses import LossRequest, answer_losses
-
     chart = None if design.losses is not None else ""
-    return answer_losses(design, LossRequest(chart), choice=False)
+    return answers.losses.answer_losses(design, answers.losses.LossRequest(chart), choice=False)
 
 
 def _dqy(design: Design, options: Options) -> Answer:
-    from dqforge.reports.answers.dqy import WaveformRequest, answer_dqy
-
     speed, torque = options.get("speed") or None, options.get("torque") or None
-    return answer_dqy(design, WaveformRequest(torque, speed, None, None))
+    return answers.dqy.answer_dqy(design, answers.dqy.WaveformRequest(torque, speed, None, None))
 
 
 def _simulate(design: Design, _: Options) -> Answer:
-    from dqforge.reports.answers.simulate import answer_simulate
-
-    return answer_simulate(design, None, switched=False)
+    return answers.simulate.answer_simulate(design, None, switched=False)
 
 
 # What can be asked for, in the order of its buttons.
@@ -92,11 +83,11 @@ def answered(path: str, kind: str, settings: Sequence[str], options: Options) ->
 
 def files_of(path: str, firmware: str) -> dict[str, Any]:
     """A ZIP archive of headers, or of another firmware's files; or ``error``."""
-    from dqforge.reports.answers.run import answer_export
-
     try:
         design = catalogue.load_design(path)
-        answer = answer_export(design, verify=True, firmware=[firmware] if firmware else None)
+        answer = answers.run.answer_export(
+            design, verify=True, firmware=[firmware] if firmware else None
+        )
     except DqforgeError as error:
         return {"error": str(error)}
     packed = io.BytesIO()
@@ -122,5 +113,6 @@ def report_of(path: str) -> dict[str, Any]:
 
 def warm() -> None:
     """Load what every answer needs, before the first is asked for."""
-    import dqforge.reports.answers.tune
     import dqforge.reports.pages.figures_style  # noqa: F401
+
+    assert answers.tune is not None

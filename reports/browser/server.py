@@ -1,11 +1,14 @@
-"""The server of `dqforge serve`: this machine alone, behind a token, one design folder."""
+"""`dqforge serve`: a page in the browser of this machine, behind a token, for one design folder."""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import secrets
+import signal
 import socket
+import sys
+import webbrowser
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -22,7 +25,7 @@ from tornado.web import Application, HTTPError, RequestHandler
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.sheet_values import SHEET_VALUES
-from dqforge.machines.errors import DqforgeError
+from dqforge.machines.errors import DqforgeError, InputError
 from dqforge.reports.browser import computed
 from dqforge.reports.browser.design_folder import (
     LARGEST_UPLOAD,
@@ -48,6 +51,44 @@ _REPORT_ALONE = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
     "font-src data:; form-action 'none'; frame-ancestors 'none'; base-uri 'none'"
 )
+
+
+def serve(folder: Path, port: int, *, opening: bool) -> None:
+    """Serve a design folder to a browser on this machine.
+
+    Args:
+        folder: Holds the design file, or will.
+        port: Of the loopback address; 0: a free one.
+        opening: Whether the page is opened in the browser.
+
+    Raises:
+        InputError: The folder is a file, or the port is taken.
+    """
+    if folder.is_file():
+        raise InputError(
+            f"{folder} is a file; give the folder of a design, {folder.parent} perhaps"
+        )
+    try:
+        server = Server(folder, port)
+    except OSError as error:
+        reason = error.strerror or "it cannot be had"
+        raise InputError(f"--port: {port}: {reason}; leave it out for a free one") from None
+    sys.stdout.write(f"{folder / 'design.yaml'} in the browser: {server.address}\nCtrl-C ends it\n")
+    sys.stdout.flush()
+    if opening:
+        webbrowser.open(server.address)
+    asyncio.run(_until_ended(server))
+
+
+async def _until_ended(server: Server) -> None:
+    ended = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        try:
+            loop.add_signal_handler(number, ended.set)
+        except NotImplementedError:  # Windows: Ctrl-C is an exception there
+            signal.signal(number, lambda *_: loop.call_soon_threadsafe(ended.set))
+    await server.serve(ended)
 
 
 class Work:

@@ -71,7 +71,7 @@ def folder_with(path: Path, main: str) -> Path:
 
 
 def harness() -> str:
-    return answered().rows.source("drive")
+    return answered().harness.source("drive")
 
 
 def test_every_state_and_every_fault_is_met() -> None:
