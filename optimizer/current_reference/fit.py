@@ -45,7 +45,6 @@ from dqforge.optimizer.curves.integer_polynomial import CodeScale, fit_fixed
 from dqforge.optimizer.curves.single_precision import (
     PiecewisePolynomial,
     SinglePolynomial,
-    multiply_add,
 )
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint, domain_end
 
@@ -498,7 +497,7 @@ def reference_bytes(reference: Emitted) -> int:
     for name in reference.form.__dataclass_fields__:
         value = getattr(reference.form, name)
         if isinstance(value, SinglePolynomial):
-            end = value.evaluate(np.array([reference.torque_max]), multiply_add)
+            end = value.evaluate(np.array([reference.torque_max]))
             constants.update(
                 float(constant) for constant in (*value.coefficients.flat, *value.starts, *end)
             )

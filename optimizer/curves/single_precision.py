@@ -7,16 +7,21 @@ readings are modelled.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from math import comb
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.steps import angle_functions
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair
 
+_T = TypeVar("_T")
 SingleArray = NDArray[np.float32]
 
 
@@ -45,6 +50,87 @@ def fused_multiply_add(factor: SingleArray, other: SingleArray, addend: SingleAr
     towards = np.where((remainder > 0.0) == (total > 0.0), 1, -1)
     odd = np.where((remainder != 0.0) & is_even, bits + towards, bits)
     return odd.view(np.float64).astype(np.float32)
+
+
+class Contracted(Arithmetic):
+    """Single precision of a compiler that rounds a product and the sum behind it once."""
+
+    def multiply_add(self, a: Reals | float, b: Reals, c: Reals | float) -> Reals:
+        """The number a b + c, rounded once."""
+        parts = (np.asarray(part, dtype=np.float32) for part in (a, b, c))
+        return fused_multiply_add(*np.broadcast_arrays(*parts))
+
+
+def _wrapped(theta: Reals) -> Reals:
+    return angle_functions.wrap(SINGLE, theta)
+
+
+def _rotated(theta: Reals) -> Pair:
+    return angle_functions.rotation(SINGLE, theta)
+
+
+# Steps as the emitted C has them, without and with contraction.
+SINGLE = Arithmetic(np.float32, _wrapped, _rotated)
+CONTRACTED = Contracted(np.float32, _wrapped, _rotated)
+
+
+def compiled(*, fused: bool) -> Arithmetic:
+    """Single precision without or with contraction of products and sums."""
+    return CONTRACTED if fused else SINGLE
+
+
+def horner(
+    o: Arithmetic, row: Sequence[Any] | SingleArray, x: Reals, last: Reals | None = None
+) -> Any:
+    """A polynomial by Horner's rule from the highest power on; what is zero is not added.
+
+    Args:
+        o: The arithmetic.
+        row: Ascending coefficients, at least two.
+        x: The argument, any shape.
+        last: What the last product takes instead of it.
+    """
+    *rest, value = (float(coefficient) for coefficient in row)
+    found: Any = value
+    for power in range(len(rest) - 1, -1, -1):
+        by = last if power == 0 and last is not None else x
+        found = o.multiply_add(found, by, rest[power]) if rest[power] != 0.0 else found * by
+    return found
+
+
+def in_segments(
+    o: Arithmetic,
+    name: str | tuple[str, ...],
+    starts: SingleArray,
+    t: Reals,
+    of: Callable[[int, Reals], _T],
+    end: Sequence[Any] = (),
+) -> _T:
+    """What one of several segments gives.
+
+    Args:
+        o: The arithmetic.
+        name: As of `Arithmetic.cases`.
+        starts: First edges of the segments, shape (S,); the first is 0.
+        t: The argument, any shape.
+        of: Of the number of a segment and its own variable, t - start.
+        end: What holds in the last segment, a condition; further conditions with what they give;
+            and what is given elsewhere. Empty where the last segment has no end.
+    """
+
+    def within(number: int) -> Callable[[], _T]:
+        start = float(starts[number])
+        return lambda: of(number, o.let("x", t - start) if number else t)
+
+    conditions = [t < float(start) for start in starts[1:]]
+    branches = [(holds, within(number)) for number, holds in enumerate(conditions)]
+    last = within(len(starts) - 1)
+    if end:
+        inside, *further, otherwise = end
+        branches += [(inside, last), *further]
+    else:
+        otherwise = last
+    return o.cases(name, *branches, otherwise=otherwise) if branches else last()
 
 
 def _round_in_turn(row: FloatArray, width: float) -> None:
@@ -93,29 +179,30 @@ class SinglePolynomial:
                 _round_in_turn(row, width)
         return cls(piecewise.edges[:-1].astype(np.float32), coefficients.astype(np.float32))
 
-    def evaluate(
-        self,
-        argument: SingleArray,
-        muladd: MultiplyAdd = multiply_add,
-        odd_in: SingleArray | None = None,
-    ) -> SingleArray:
-        """Value at non-negative float32 arguments, shape (N,), with the given multiply-add.
+    def within(self, o: Arithmetic, number: int, x: Reals) -> Any:
+        """The step of one segment: its value at ``x`` from its start, any shape."""
+        return horner(o, self.coefficients[number], x)
 
-        With ``odd_in``, the arguments with their signs, the curve is continued as an odd function:
-        where the constant of the first segment is zero its last product takes the signed argument,
+    def odd_within(self, o: Arithmetic, number: int, x: Reals, t: Reals) -> Any:
+        """The same, continued as an odd function of ``t``, the argument with its sign.
+
+        Where the constant of the first segment is zero its last product takes the signed argument,
         elsewhere the result is negated.
         """
-        segment = np.searchsorted(self.starts[1:], argument, side="right")
-        local = argument - self.starts[segment]
-        rows = self.coefficients[segment]
-        through_zero = (segment == 0) & (rows[:, 0] == 0.0)
-        value = rows[:, -1]
-        for power in range(rows.shape[1] - 2, -1, -1):
-            factor = local if odd_in is None or power > 0 else np.where(through_zero, odd_in, local)
-            value = np.where(
-                rows[:, power] == 0.0, value * factor, muladd(value, factor, rows[:, power])
-            )
-        return value if odd_in is None else np.where((odd_in < 0.0) & ~through_zero, -value, value)
+        row = self.coefficients[number]
+        if number == 0 and row[0] == 0.0:
+            return horner(o, row, x, t)
+        size = o.let("size", horner(o, row, x))
+        return o.choose(t < 0.0, -size, size)
+
+    def step(self, o: Arithmetic, name: str, t: Reals) -> Any:
+        """Its value at non-negative arguments, any shape, under a name."""
+        return in_segments(o, name, self.starts, t, lambda number, x: self.within(o, number, x))
+
+    def evaluate(self, argument: SingleArray, o: Arithmetic = SINGLE) -> SingleArray:
+        """Value at non-negative float32 arguments, shape (N,), as it is compiled."""
+        found: SingleArray = self.step(o, "", np.asarray(argument, dtype=np.float32))
+        return found
 
 
 # Piecewise polynomials on [0, end], each segment in its own variable x = t - start.

@@ -19,16 +19,15 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.forms import PENALTY_FROM
 from dqforge.optimizer.curves.single_precision import (
-    MultiplyAdd,
     PiecewisePolynomial,
     SingleArray,
     SinglePolynomial,
-    fused_multiply_add,
-    multiply_add,
+    compiled,
 )
 from dqforge.optimizer.linear_programme import least_cost
 from dqforge.optimizer.operating_points.mtpa_locus import Active, mtpa_locus, region_that_holds
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic
 
 # Levelling of torque and flux errors over two linear families of currents: Gauss-Newton steps in a
 # rising p-norm.
@@ -198,20 +197,20 @@ class SingleSurface:
         """Number of coefficients."""
         return sum(row.size for row in self.rows)
 
-    def evaluate(self, x: SingleArray, y: SingleArray, muladd: MultiplyAdd) -> SingleArray:
+    def evaluate(self, x: SingleArray, y: SingleArray, o: Arithmetic) -> SingleArray:
         """Value at float32 arguments, both shape (N,): Horner's rule in y over Horner's rule in
         x.
         """
-        value = self._row(len(self.rows) - 1, x, muladd)
+        value = self._row(len(self.rows) - 1, x, o)
         for power in range(len(self.rows) - 2, -1, -1):
-            value = muladd(value, y, self._row(power, x, muladd))
+            value = o.multiply_add(value, y, self._row(power, x, o))
         return value
 
-    def _row(self, power: int, x: SingleArray, muladd: MultiplyAdd) -> SingleArray:
+    def _row(self, power: int, x: SingleArray, o: Arithmetic) -> SingleArray:
         row = self.rows[power]
         value = np.full(x.shape, row[-1])
         for coefficient in row[-2::-1]:
-            value = muladd(value, x, np.asarray(coefficient))
+            value = o.multiply_add(value, x, np.asarray(coefficient))
         return value
 
 
@@ -262,14 +261,14 @@ class WeakeningReference:
         NaN as a torque counts as none; NaN as a flux linkage as no torque at the least flux
         linkage, which keeps the voltage limit at every speed of the design.
         """
-        muladd = fused_multiply_add if fused else multiply_add
+        o = compiled(fused=fused)
         torque, flux = np.asarray(torque, dtype=np.float32), np.asarray(flux, dtype=np.float32)
         with np.errstate(invalid="ignore", under="ignore"):
             t = np.where(torque < 0.0, -torque, torque)
             t = np.where(np.isnan(torque) | np.isnan(flux), np.float32(0.0), t)
             a = np.where(flux >= self.flux_min, flux, self.flux_min)
             a = np.where(a > self.flux_max, self.flux_max, a)
-            most = self.limit.evaluate(a - self.flux_min, muladd)
+            most = self.limit.evaluate(a - self.flux_min, o)
             return np.where(t > most, most, t), a
 
     def weakened(
@@ -277,14 +276,14 @@ class WeakeningReference:
         t: SingleArray,
         delta: SingleArray,
         base: tuple[SingleArray, SingleArray],
-        muladd: MultiplyAdd,
+        o: Arithmetic,
     ) -> tuple[SingleArray, SingleArray]:
         """Currents in A where MTPA currents ``base`` in A take ``delta`` Wb too much,
         shape (N,).
         """
         x, y = t - self.torque_mid, delta - self.excess_mid
-        i_d = muladd(delta, self.surface_d.evaluate(x, y, muladd), base[0])
-        return i_d, muladd(delta * t, self.surface_q.evaluate(x, y, muladd), base[1])
+        i_d = o.multiply_add(delta, self.surface_d.evaluate(x, y, o), base[0])
+        return i_d, o.multiply_add(delta * t, self.surface_q.evaluate(x, y, o), base[1])
 
     def currents(
         self, torque: SingleArray, flux: SingleArray, *, fused: bool = False
@@ -294,12 +293,12 @@ class WeakeningReference:
 
         ``fused`` models a compiler that contracts products and sums.
         """
-        muladd = fused_multiply_add if fused else multiply_add
+        o = compiled(fused=fused)
         t, a = self.limited(torque, flux, fused=fused)
         with np.errstate(invalid="ignore", under="ignore"):
-            i_d, i_q = self.d.evaluate(t, muladd), self.q.evaluate(t, muladd)
-            delta = self.flux.evaluate(t, muladd) - a
-            weakened_d, weakened_q = self.weakened(t, delta, (i_d, i_q), muladd)
+            i_d, i_q = self.d.evaluate(t, o), self.q.evaluate(t, o)
+            delta = self.flux.evaluate(t, o) - a
+            weakened_d, weakened_q = self.weakened(t, delta, (i_d, i_q), o)
             weakens = delta > 0.0
             i_d, i_q = np.where(weakens, weakened_d, i_d), np.where(weakens, weakened_q, i_q)
             return i_d, np.where(np.asarray(torque, dtype=np.float32) < 0.0, -i_q, i_q)

@@ -16,10 +16,8 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.current_reference.forms import PENALTY_FROM
 from dqforge.optimizer.curves.single_precision import (
-    MultiplyAdd,
     SingleArray,
-    fused_multiply_add,
-    multiply_add,
+    compiled,
 )
 from dqforge.optimizer.field_weakening.form import (
     LEAST_SHARE,
@@ -29,6 +27,7 @@ from dqforge.optimizer.field_weakening.form import (
 )
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic
 
 # Share of the design's voltage from which the errors of the voltage are stated.
 LEAST_VOLTAGE = 0.8
@@ -372,7 +371,7 @@ class DropReference:
         flux = np.where(some, np.where(flux < high, flux, high), _ZERO)
         return np.asarray(np.where(squared >= top * top, high, flux))
 
-    def _first(self, left: SingleArray, omega: SingleArray, muladd: MultiplyAdd) -> SingleArray:
+    def _first(self, left: SingleArray, omega: SingleArray, o: Arithmetic) -> SingleArray:
         """Flux linkage that suffices whatever the current: bounds of the current stand for it."""
         flux = self.available(left - self.reserve, omega)
         if self.near is None:
@@ -380,7 +379,9 @@ class DropReference:
         constant, slope = self.near
         rest = left - constant
         some = rest > _ZERO
-        found = np.sqrt(np.where(some, rest, _ZERO) / muladd(omega, omega, np.asarray(slope)))
+        found = np.sqrt(
+            np.where(some, rest, _ZERO) / o.multiply_add(omega, omega, np.asarray(slope))
+        )
         found = np.where(found < self.surface.flux_max, found, self.surface.flux_max)
         return np.asarray(np.where(some & (found > flux), found, flux))
 
@@ -394,7 +395,7 @@ class DropReference:
         counts as none; NaN as voltage or speed as no voltage, which gives no torque at the least
         flux linkage.
         """
-        muladd = fused_multiply_add if fused else multiply_add
+        o = compiled(fused=fused)
         torque, v_max, omega_e = (
             np.asarray(part, dtype=np.float32) for part in (torque, v_max, omega_e)
         )
@@ -416,10 +417,10 @@ class DropReference:
             for step in range(STEPS):
                 if step == STEPS - 1:  # no torque at all, where none of the others could be had
                     trial = np.where(open_ones & ~(low > _ZERO), _ZERO, trial)
-                flux = self._first(muladd(-per, trial, room), omega, muladd)
+                flux = self._first(o.multiply_add(-per, trial, room), omega, o)
                 above = flux >= self.surface.flux_min
                 limit = self.surface.limit.evaluate(
-                    np.where(above, flux - self.surface.flux_min, _ZERO), muladd
+                    np.where(above, flux - self.surface.flux_min, _ZERO), o
                 )
                 fits = above & (trial <= limit) & open_ones
                 low, a = np.where(fits, trial, low), np.where(fits, flux, a)
@@ -427,7 +428,7 @@ class DropReference:
                 open_ones &= ~(fits & ~(trial < asked))
                 trial = np.where(open_ones, _HALF * (low + high), trial)
             a = np.where(a > _ZERO, a, self.surface.flux_min)
-            return low, a, muladd(-per, low, room), omega
+            return low, a, o.multiply_add(-per, low, room), omega
 
     def currents(
         self, torque: SingleArray, v_max: SingleArray, omega_e: SingleArray, *, fused: bool = False
@@ -435,20 +436,20 @@ class DropReference:
         """(i_d, i_q) in A as the emitted C returns them, bit for bit, for any float32 inputs,
         shape (N,).
         """
-        muladd = fused_multiply_add if fused else multiply_add
+        o = compiled(fused=fused)
         t, a, left, omega = self.granted(torque, v_max, omega_e, fused=fused)
         surface = self.surface
         with np.errstate(invalid="ignore", under="ignore", over="ignore", divide="ignore"):
-            base_d, base_q = surface.d.evaluate(t, muladd), surface.q.evaluate(t, muladd)
-            taken = surface.flux.evaluate(t, muladd)
+            base_d, base_q = surface.d.evaluate(t, o), surface.q.evaluate(t, o)
+            taken = surface.flux.evaluate(t, o)
             weakens = taken > a
             i_d, i_q = base_d, base_q
             for _ in range(self.passes):
                 delta = np.where(taken > a, taken - a, _ZERO)
-                weak_d, weak_q = surface.weakened(t, delta, (base_d, base_q), muladd)
+                weak_d, weak_q = surface.weakened(t, delta, (base_d, base_q), o)
                 i_d, i_q = np.where(weakens, weak_d, base_d), np.where(weakens, weak_q, base_q)
-                used = muladd(i_d, i_d, i_q * i_q)
-                more = self.available(muladd(-used, np.asarray(self.square), left), omega)
+                used = o.multiply_add(i_d, i_d, i_q * i_q)
+                more = self.available(o.multiply_add(-used, np.asarray(self.square), left), omega)
                 a = np.where(more > a, more, a)
             return i_d, np.where(np.asarray(torque, dtype=np.float32) < _ZERO, -i_q, i_q)
 

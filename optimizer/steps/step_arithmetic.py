@@ -180,6 +180,10 @@ class Arithmetic(Floats):
         found: _T = self._merged(condition, then(), otherwise())
         return found
 
+    def multiply_add(self, a: Reals | float, b: Reals, c: Reals | float) -> Reals:
+        """The number a b + c, which a compiler may round once (``-ffp-contract``)."""
+        return np.asarray(a * b + c)
+
     def whole(self, a: Reals) -> Reals:
         """Numbers without what is behind the point, as integers of the firmware (``long``)."""
         return np.asarray(a).astype(np.int32)

@@ -108,7 +108,8 @@ class Block:
         """Statements that are no declarations."""
         if self.declared is None:
             self.declared = len(self.lines)
-            self.lines += [""] if self.lines else []
+            remarked = self.lines and self.lines[-1].lstrip().startswith("/*")
+            self.lines += [""] if self.lines and not remarked else []
         self.lines += lines
 
 
@@ -116,7 +117,8 @@ class Block:
 class Functions:
     """What steps have needed so far: ``texts`` and ``results`` of functions, by name, and which
     members of their arguments they change, ``members`` of records, and ``vectors`` that are
-    declared nowhere else. A function with a result and no text stands elsewhere.
+    declared nowhere else. A function with a result and no text stands elsewhere; those of
+    ``filled`` put the numbers of such a vector through pointers.
     """
 
     texts: dict[str, str] = field(default_factory=dict)
@@ -124,6 +126,7 @@ class Functions:
     changes: dict[str, list[frozenset[str]]] = field(default_factory=dict)
     members: set[Origin] = field(default_factory=set)
     vectors: dict[str, type[Any]] = field(default_factory=dict)
+    filled: dict[str, type[Any]] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -218,6 +221,11 @@ class StepReader(Arithmetic):
         for term in rest:
             found = found + term if term.minus is None else found - term.minus
         return found
+
+    def multiply_add(self, a: Any, b: Any, c: Any) -> Any:
+        """A product and a sum; a negative is subtracted."""
+        less = not isinstance(c, Expression) and np.signbit(c)
+        return self.total("", self.product("", a, b), expression(-c).negative() if less else c)
 
     def negative(self, a: Any) -> Any:
         """The number with the other sign."""
@@ -500,6 +508,8 @@ class StepReader(Arithmetic):
         if name not in self.functions.results:
             self.write(name, function, args)
         changes = self.functions.changes.get(name, [])
+        if name in self.functions.filled:
+            return cast("_T", self._filling(name, args))
         if not any(changes):
             return cast("_T", self._called(name, args, self.functions.results[name]))
         self.write_state()
@@ -518,6 +528,19 @@ class StepReader(Arithmetic):
             self.block.work([f"{self.block.indent}{self._open.bare()};"])
             return cast("_T", None)
         return cast("_T", result)
+
+    def _filling(self, name: str, arguments: Sequence[Any]) -> Any:
+        """A call that gives variables their values through pointers."""
+        kind: Any = self.functions.filled[name]
+        parts = [expression(part) for part in arguments]
+        self.take(parts)
+        for own in kind._fields:
+            self.block.take(own)
+            self.block.variable("float", own)
+        texts = [*(part.bare() for part in parts), *(f"&{own}" for own in kind._fields)]
+        begin = f"{self.prefix}_{name}("
+        self.block.work(folded(begin, ", ".join(texts), ");", self.block.indent))
+        return kind(*map(Expression, kind._fields))
 
     def _called(self, name: str, arguments: Sequence[Any], kind: type[Any] | None) -> Any:
         texts, parts = [], list[Expression]()
@@ -554,7 +577,13 @@ class StepReader(Arithmetic):
         return next(((text, outer) for own, text, outer in self._records if own is value), None)
 
     def write(
-        self, name: str, function: Callable[..., Any], arguments: Sequence[Any], text: str = ""
+        self,
+        name: str,
+        function: Callable[..., Any],
+        arguments: Sequence[Any],
+        text: str = "",
+        into: Sequence[str] = (),
+        names: Sequence[str] = (),
     ) -> None:
         """Write a function.
 
@@ -563,13 +592,16 @@ class StepReader(Arithmetic):
             function: Of an arithmetic and the arguments.
             arguments: As of `parameter`.
             text: What is said of it, empty for its own sentence.
+            into: Pointers that take the numbers of the result, behind the arguments; none where it
+                is returned.
+            names: Of the parameters, none where they are those of the function.
         """
-        names = list(inspect.signature(function).parameters)[1:]
-        inner = StepReader(self.prefix, self.functions, Block("    ", set(names)))
+        names = names or list(inspect.signature(function).parameters)[1:]
+        inner = StepReader(self.prefix, self.functions, Block("    ", {*names, *into}))
         inside = [inner.parameter(n, item) for n, item in zip(names, arguments, strict=True)]
         result = function(inner, *(value for _, value in inside))
         inner.write_state()
-        kind, end = inner.returned(result)
+        kind, end = inner.returned(result, into)
         changes = [
             frozenset(place[len(n) + 2 :] for place in inner._changed if place.startswith(f"{n}->"))
             for n in names
@@ -578,15 +610,17 @@ class StepReader(Arithmetic):
             text.removeprefix("const ") if changed else text
             for (text, _), changed in zip(inside, changes, strict=True)
         )
+        parameters = ", ".join([parameters, *(f"float *{pointer}" for pointer in into)])
+        said = text or sentence(function)
         body = inner.block.lines
         used = set(re.findall(r"\w+", " ".join([*body, *end])))
         inner.block.first([f"    (void){n};" for n in names if n not in used])
         lines = [
-            *comment(text or sentence(function)),
+            *(comment(said) if said else []),
             *folded(f"static inline {kind} {self.prefix}_{name}(", parameters, ")", ""),
             "{",
             *body,
-            *([""] if body and end and inner.block.declared is None else []),
+            *([""] if body and end and (into or inner.block.declared is None) else []),
             *end,
             "}",
         ]
@@ -594,14 +628,22 @@ class StepReader(Arithmetic):
         none = type(None) if result is None else None
         self.functions.results[name] = type(result) if isinstance(result, tuple) else none
         self.functions.changes[name] = changes
+        if into:
+            self.functions.filled[name] = type(result)
 
-    def returned(self, result: Any) -> tuple[str, list[str]]:
-        """Type of what a function returns, and the statements that return it."""
+    def returned(self, result: Any, into: Sequence[str] = ()) -> tuple[str, list[str]]:
+        """Type of what a function returns, and the statements that return it, or put it through
+        pointers.
+        """
         end = Block(self.block.indent, set())
         if result is None:
             return "void", []
         parts = tuple(map(expression, result if isinstance(result, tuple) else (result,)))
         self.take(parts)
+        if into:
+            for pointer, part in zip(into, parts, strict=True):
+                end.add(f"*{pointer} = ", part.bare())
+            return "void", end.lines
         if not isinstance(result, tuple):
             end.add("return ", parts[0].bare())
             return parts[0].kind, end.lines
