@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import cache
 from math import comb
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +55,7 @@ def fused_multiply_add(factor: SingleArray, other: SingleArray, addend: SingleAr
 class Contracted(Arithmetic):
     """Single precision of a compiler that rounds a product and the sum behind it once."""
 
-    def multiply_add(self, a: Reals | float, b: Reals, c: Reals | float) -> Reals:
+    def multiply_add(self, a: Reals | float, b: Reals | float, c: Reals | float) -> Reals:
         """The number a b + c, rounded once."""
         parts = (np.asarray(part, dtype=np.float32) for part in (a, b, c))
         return fused_multiply_add(*np.broadcast_arrays(*parts))
@@ -130,7 +130,12 @@ def in_segments(
         branches += [(inside, last), *further]
     else:
         otherwise = last
-    return o.cases(name, *branches, otherwise=otherwise) if branches else last()
+    if branches:
+        return cast("_T", o.cases(name, *branches, otherwise=otherwise))
+    found: Any = last()
+    if isinstance(name, tuple):
+        return cast("_T", tuple(o.let(own, part) for own, part in zip(name, found, strict=True)))
+    return cast("_T", o.let(name, found) if name else found)
 
 
 def _round_in_turn(row: FloatArray, width: float) -> None:

@@ -15,7 +15,7 @@ from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.curves.single_precision import SingleArray, SinglePolynomial
 from dqforge.optimizer.field_weakening.fit import DomainBorders, SurfaceTrial, WeakeningFit
 from dqforge.optimizer.field_weakening.form import SingleSurface, WeakeningReference
-from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE, STEPS, DropReference
+from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE, DropReference
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
@@ -35,6 +35,7 @@ from dqforge.reports.pages.html_text import HtmlTable, Row, count, symbols
 from dqforge.reports.pages.templating import AGAINST, plain_certificate, render
 from dqforge.reports.pages.templating import WEAKENING as CHAPTER
 from dqforge.reports.plain_data import PlainData, shortest
+from dqforge.reports.single_headers.weakening_text import weakening_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -168,28 +169,6 @@ def weakening_currents(step: DropReference, inputs: SingleArray) -> SingleArray:
     return np.stack(step.currents(*(inputs[:, column].copy() for column in range(3))), axis=1)
 
 
-def _ladder(variable: str, plain: PlainData, targets: Mapping[str, str]) -> PlainData:
-    """Segments of curves on the same edges as the template prints them.
-
-    ``targets`` maps C names to curves.
-    """
-    first = plain[next(iter(targets.values()))]
-    ends = [row["start"] for row in first[1:]] + [None]
-    return {
-        "variable": variable,
-        "segments": [
-            {
-                "start": row["start"],
-                "end": end,
-                "polynomials": [
-                    (target, plain[name][place]["coefficients"]) for target, name in targets.items()
-                ],
-            }
-            for place, (row, end) in enumerate(zip(first, ends, strict=True))
-        ],
-    }
-
-
 def _comment(fit: WeakeningFit) -> list[str]:
     domain = fit.domain
     return [
@@ -236,39 +215,36 @@ def _comment(fit: WeakeningFit) -> list[str]:
     ]
 
 
-def _context(design: Design, fit: WeakeningFit) -> PlainData:
-    plain = plain_weakening(fit.step)
+def _preamble(design: Design, fit: WeakeningFit) -> list[str]:
     rpm = fit.settings.omega_m * 30.0 / np.pi
-    return {
-        **title(design),
-        "form": plain,
-        "drop": plain["drop"],
-        "trials": STEPS,
-        "ladders": [
-            _ladder("f", plain, {"limit": "limit"}),
-            _ladder("t", plain, {"i_d": "d", "i_q": "q", "taken": "flux"}),
-        ],
-        "preamble": [
-            (
-                f"{design.machine.pole_pairs} pole pairs, {design.i_max:.6g} A (peak), up to "
-                f"{rpm:.6g} rpm."
-            ),
-            (
-                "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated "
-                "errors hold either way."
-            ),
-        ],
-        "comment": _comment(fit),
-    }
+    return [
+        (
+            f"{design.machine.pole_pairs} pole pairs, {design.i_max:.6g} A (peak), up to "
+            f"{rpm:.6g} rpm."
+        ),
+        (
+            "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated "
+            "errors hold either way."
+        ),
+    ]
 
 
 def weakening_files(design: Design, fit: WeakeningFit) -> dict[str, bytes]:
     """Names and bytes of the header of field-weakening references and of its test vectors."""
-    context, prefix = _context(design, fit), design.export.prefix
+    context, prefix = title(design), design.export.prefix
+    body = weakening_text(fit.step, _comment(fit), prefix)
+    header = {"part": "weakening", "subject": "current references with field weakening"}
+    includes = ["<math.h> /* sqrtf */"]
     inputs = weakening_inputs(fit.step, design.export.vectors, _SEED)
     vectors = np.concatenate([inputs, weakening_currents(fit.step, inputs)], axis=1)
     texts = {
-        f"{prefix}_weakening.h": render("single_headers/field_weakening/surface.h.j2", context),
+        f"{prefix}_weakening.h": render(
+            "c_code/header.h.j2",
+            context
+            | header
+            | {"preamble": _preamble(design, fit), "includes": includes}
+            | {"body": body, "vectors": True},
+        ),
         f"{prefix}_weakening_vectors.h": render(
             "single_headers/field_weakening/vectors.h.j2",
             context | {"vectors": [list(v) for v in vectors]},

@@ -28,6 +28,10 @@ class Index(Expression):
         parts = (own, self) if swapped else (self, own)
         return place(f" {sign} ".join(part.operand() for part in parts), atom=False)
 
+    def _compared(self, sign: str, other: Any) -> Condition:
+        parts = self, other if isinstance(other, Index) else place(f"{int(other)}U")
+        return Condition((joined(f" {sign} ".join(part.operand() for part in parts), *parts),))
+
 
 def place(text: str, **more: Any) -> Index:
     """A place by its text."""

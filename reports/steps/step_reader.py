@@ -25,7 +25,7 @@ from dqforge.optimizer.steps.step_arithmetic import (
     Rotation,
 )
 from dqforge.reports.c_code.numbers import comment_text
-from dqforge.reports.steps.counted_loops import Index, filled, item, reached, summed
+from dqforge.reports.steps.counted_loops import Index, filled, item, place, reached, summed
 from dqforge.reports.steps.record_text import (
     LINE,
     SHARED,
@@ -224,8 +224,11 @@ class StepReader(Arithmetic):
 
     def multiply_add(self, a: Any, b: Any, c: Any) -> Any:
         """A product and a sum; a negative is subtracted."""
+        product = self.product("", a, b)
+        if product.minus is not None:
+            return c - product.minus
         less = not isinstance(c, Expression) and np.signbit(c)
-        return self.total("", self.product("", a, b), expression(-c).negative() if less else c)
+        return self.total("", product, expression(-c).negative() if less else c)
 
     def negative(self, a: Any) -> Any:
         """The number with the other sign."""
@@ -258,6 +261,11 @@ class StepReader(Arithmetic):
     def real(self, a: Any) -> Any:
         """An integer as a number."""
         return joined(f"(float){a.operand()}", a, kind="float")
+
+    def differ(self, a: Any, b: Any) -> Any:
+        """Whether conditions differ."""
+        text = f"({a.text()}) != ({b.text()})"
+        return Condition((joined(text, *a.terms, *b.terms),))
 
     def is_number(self, a: Any) -> Any:
         """Whether it equals itself."""
@@ -314,6 +322,47 @@ class StepReader(Arithmetic):
     def each(self, name: str, count: int, of: Callable[[Any], Any]) -> tuple[Any, ...]:
         """An array that a counted loop fills."""
         return filled(self, name, count, of)
+
+    def repeated(
+        self,
+        state: Any,
+        count: Any,
+        of: Callable[[Any], None],
+        until: Callable[[], Any] | None = None,
+    ) -> None:
+        """A counted loop over variables that it changes, with a break where it ends before."""
+        outer, (name,) = self.block, inspect.signature(of).parameters
+        own = [
+            _Kept(state, member.name, member.name, expression(getattr(state, member.name)))
+            for member in fields(state)
+        ]
+        for kept in own:
+            self.take([kept.value])
+            outer.take(kept.place)
+            outer.variable("float", kept.place)
+        for kept in own:
+            outer.work(folded(f"{kept.place} = ", kept.value.bare(), ";", outer.indent))
+            kept.renewed()
+        self._kept += own
+        if f"{outer.indent}unsigned int {name};" not in outer.lines:
+            outer.take(name)
+            outer.variable("unsigned int", name)
+        self.block = inner = outer.inner()
+        of(place(name))
+        self.write_state()
+        if until is not None:
+            ends = until()
+            self.take(ends.terms)
+            head = folded("if (", ends.text(), ") {", inner.indent)
+            inner.work([*head, f"{inner.indent}    break;", f"{inner.indent}}}"])
+        self.block = outer
+        outer.inside |= inner.names - outer.names
+        end = count.operand() if isinstance(count, Index) else f"{count}U"
+        head = [f"{outer.indent}for ({name} = 0U; {name} < {end}; {name}++) {{"]
+        outer.work([*head, *inner.lines, f"{outer.indent}}}"])
+        del self._kept[-len(own) :]
+        for kept in own:
+            setattr(state, kept.member, Expression(kept.place))
 
     def summed(self, name: str, first: Any, count: int, of: Callable[[Any], Any]) -> Any:
         """A variable to which a counted loop adds."""
