@@ -123,8 +123,12 @@ class Arithmetic(Floats):
         """
         return function(self, *args, **kwargs)
 
-    def at(self, table: Sequence[Any], place: Any) -> Reals:
-        """The number of an array at a place, which counts from 0, or is one place per drive."""
+    def at(self, table: Sequence[Any], place: Any, column: int | None = None) -> Reals:
+        """The number of an array at a place, which counts from 0, or is one place per drive; of an
+        array of rows the number in a column.
+        """
+        if column is not None:
+            return np.asarray(np.asarray(table)[place, column])
         if isinstance(place, int):
             found: Reals = table[place]
             return found
@@ -193,6 +197,12 @@ class Arithmetic(Floats):
                 going = going & ~until()
             if not np.any(going):
                 break
+
+    def placed(self, name: str, a: Reals, most: int) -> Any:  # noqa: ARG002
+        """Places of an array: what numbers from 0 on are without what is behind the point, at most
+        ``most``.
+        """
+        return np.minimum(np.asarray(a).astype(np.intp), most)
 
     def reached(self, name: str, conditions: Sequence[Any]) -> Any:  # noqa: ARG002
         """How many conditions hold, of which each one implies those before it: a place."""

@@ -25,7 +25,15 @@ from dqforge.optimizer.steps.step_arithmetic import (
     Rotation,
 )
 from dqforge.reports.c_code.numbers import comment_text
-from dqforge.reports.steps.counted_loops import Index, filled, item, place, reached, summed
+from dqforge.reports.steps.counted_loops import (
+    Index,
+    filled,
+    item,
+    place,
+    placed,
+    reached,
+    summed,
+)
 from dqforge.reports.steps.record_text import (
     LINE,
     SHARED,
@@ -313,11 +321,12 @@ class StepReader(Arithmetic):
         kind = next((part.kind for part in (a, b) if isinstance(part, Expression)), "float")
         parts = expression(a, kind), expression(b, kind)
         text = " : ".join(part.operand(signed=True) for part in parts)
-        return joined(f"({condition.text()}) ? {text}", *condition.terms, *parts, kind=kind)
+        found = joined(f"({condition.text()}) ? {text}", *condition.terms, *parts, kind=kind)
+        return place(found.text, atom=False) if isinstance(parts[0], Index) else found
 
-    def at(self, table: Sequence[Any], place: Any) -> Any:
+    def at(self, table: Sequence[Any], place: Any, column: int | None = None) -> Any:
         """A number of an array."""
-        return item(table, place)
+        return item(table, place, column)
 
     def each(self, name: str, count: int, of: Callable[[Any], Any]) -> tuple[Any, ...]:
         """An array that a counted loop fills."""
@@ -367,6 +376,10 @@ class StepReader(Arithmetic):
     def summed(self, name: str, first: Any, count: int, of: Callable[[Any], Any]) -> Any:
         """A variable to which a counted loop adds."""
         return summed(self, name, first, count, of)
+
+    def placed(self, name: str, a: Any, most: int) -> Any:
+        """A variable that takes a number as a place."""
+        return placed(self, name, a, most)
 
     def reached(self, name: str, conditions: Sequence[Any]) -> Any:
         """A variable that is raised by one condition after the other."""
