@@ -11,8 +11,15 @@ import numpy as np
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.frame_tables import COLUMNS, DENSE, FrameCandidate, FrameTable, FrameTables
+from dqforge.optimizer.curves.single_precision import SINGLE, SingleArray
+from dqforge.optimizer.frame_tables import (
+    COLUMNS,
+    DENSE,
+    FrameCandidate,
+    FrameTable,
+    FrameTables,
+    decoupling,
+)
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,
@@ -28,6 +35,7 @@ from dqforge.reports.pages.html_text import HtmlTable, Row, ceiling, share
 from dqforge.reports.pages.templating import WAVEFORMS as CHAPTER
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
+from dqforge.reports.single_headers.frames_text import frames_text
 
 _MOST_ROWS = 1 << 17
 _INPUTS = 5  # Turn, electrical speed, and currents of dqy.
@@ -46,15 +54,9 @@ class FrameModel:
         shape (M, 5).
         """
         turn, omega, i_d, i_q, i_0 = inputs.T
-        found = self.table.values(np.ascontiguousarray(turn))
-        at = dict(zip(COLUMNS, found, strict=True))
         with np.errstate(invalid="ignore", over="ignore", under="ignore"):
-            sums = [
-                ((at[f"c_{axis}d"] * i_d) + (at[f"c_{axis}q"] * i_q)) + (at[f"c_{axis}0"] * i_0)
-                for axis in "dq0"
-            ]
-            sums[1] = sums[1] + at["emf"]
-            volts = [omega * total for total in sums]
+            found = self.table.step(SINGLE, np.ascontiguousarray(turn), self.table.entries)
+            volts = decoupling(SINGLE, found, omega, i_d, i_q, i_0)
         return np.ascontiguousarray(np.stack([*found, *volts]).T, dtype=np.float32)
 
 
@@ -177,24 +179,6 @@ def plain_frames(found: FrameTables) -> PlainData:
 
 # The C header of the frames dqx and dqy, as text.
 
-# What the members of the structure are, in the order of `COLUMNS`.
-MEANINGS = {
-    "a_x": "sqrt(3/2) over the length of the alpha-beta vector of the shape: dqx is divided by it",
-    "a_y": "sqrt(3/2) over the length of its alpha-beta-0 vector: dqy is divided by it",
-    "theta_x": "angle from dq to dqx, rad",
-    "theta_y": "angle from dqx to dqy, rad",
-    "turn_x": "1 + d theta_x / d theta: speed of dqx over the electrical speed",
-    "rate_y": "d theta_y / d theta",
-    "growth_x": "(d a_x / d theta) / a_x, 1/rad",
-    "growth_y": "(d a_y / d theta) / a_y, 1/rad",
-    "emf": "back-EMF of the q axis of dqy over the electrical speed, Wb",
-    **{
-        f"c_{row}{column}": f"coupling of the {row} axis with the current of the {column} axis, H"
-        for row in "dq0"
-        for column in "dq0"
-    },
-}
-
 
 def _error_lines(found: FrameTables) -> list[str]:
     table, errors = found.chosen.table, found.chosen.errors
@@ -213,24 +197,37 @@ def _error_lines(found: FrameTables) -> list[str]:
     ]
 
 
-def _context(design: Design, found: FrameTables) -> PlainData:
-    table, span = found.chosen.table, "electrical" if found.turns == 1 else "mechanical"
-    return {
-        **title(design),
-        "span": span,
-        "members": [{"name": name, "meaning": MEANINGS[name]} for name in COLUMNS],
-        "rows": [[shortest(value) for value in row] for row in table.entries],
-        "size": table.size,
-        "parts": table.parts,
-        "phi_m": shortest(np.float32(found.scale)),
-        "lines": _error_lines(found),
-    }
+_PREAMBLE = [
+    (
+        "C. C. Lemes Filho, UFG 2025 (paper 002), chapters 2 to 4, with its misprints corrected. "
+        "Power-invariant: the"
+    ),
+    (
+        "matrices are orthogonal, currents and voltages of dqx are divided by a_x, those of dqy by "
+        "a_y. The back-EMF is"
+    ),
+    (
+        "omega_e phi_m F(theta); 1 N m takes i_qy = 1 / (pole pairs * phi_m * sqrt(3/2)), and "
+        "i_dy = i_0y = 0."
+    ),
+    "",
+]
 
 
 def frame_files(design: Design, found: FrameTables) -> dict[str, bytes]:
     """Name and bytes of the header."""
-    text = render("single_headers/frame_tables/frames.h.j2", _context(design, found))
-    return {f"{design.export.prefix}_frames.h": text.encode("ascii")}
+    span, prefix = "electrical" if found.turns == 1 else "mechanical", design.export.prefix
+    compiling = "Compile with -ffp-contract=off to equal the model bit for bit; the stated errors"
+    context = {
+        "part": "frames",
+        "subject": "frames dqx and dqy",
+        "preamble": [*_PREAMBLE, *_error_lines(found), f"{compiling} hold either way."],
+        "includes": [],
+        "body": frames_text(found.chosen.table, found.scale, span, prefix),
+        "vectors": False,
+    }
+    text = render("c_code/header.h.j2", title(design) | context)
+    return {f"{prefix}_frames.h": text.encode("ascii")}
 
 
 def frame_programme(model: FrameModel) -> Programme:

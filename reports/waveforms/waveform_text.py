@@ -5,22 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.steps.step_arithmetic import Abc, Arithmetic
 from dqforge.optimizer.waveforms.firmware_fit import PhaseReference, PhaseTable
+from dqforge.reports.c_code.number_rows import number_rows
 from dqforge.reports.c_code.numbers import comment_text, float_literal
 from dqforge.reports.steps.step_reader import Block, Functions, StepReader
 from dqforge.reports.steps.symbols import Expression
-
-
-def table_rows(entries: SingleArray, count: int) -> list[str]:
-    """Rows of an initialiser, with so many numbers to a line."""
-    lines = []
-    for row in entries:
-        texts = [float_literal(float(value)) for value in row]
-        parts = (texts[at : at + count] for at in range(0, len(texts), count))
-        lines += ["    {", *(f"        {', '.join(part)}," for part in parts), "    },"]
-    return lines
 
 
 def waveform_text(reference: PhaseReference, lines: Sequence[str], span: str, prefix: str) -> str:
@@ -44,7 +34,7 @@ def waveform_text(reference: PhaseReference, lines: Sequence[str], span: str, pr
             f"/* Phase currents over the {span} turn, A/(N m); the last entry repeats the first. */"
         )
         head = f"static const float {name}[{count}][{width}] = {{"
-        parts.append("\n".join([said, head, *table_rows(form.entries, 8), "};"]))
+        parts.append("\n".join([said, head, *number_rows(form.entries, 8), "};"]))
 
     def phase_currents(o: Arithmetic, torque: Reals, *turned: Reals) -> Abc:
         return reference.step(o, torque, turned, Expression(end), rows)
