@@ -25,8 +25,15 @@ from dqforge.machines.phase_machines.frame_transforms import (
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine, grid
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import POWER_INVARIANT, Reals
-from dqforge.optimizer.curves.interpolation import between, interval, rest, within_turn
-from dqforge.optimizer.curves.single_precision import CONTRACTED, SINGLE, SingleArray
+from dqforge.optimizer.curves.single_precision import (
+    CONTRACTED,
+    SINGLE,
+    SingleArray,
+    between,
+    interval,
+    rest,
+    within_turn,
+)
 from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Member
 
 SIZES = (48, 96, 192, 384, 768, 1536)  # Intervals of an electrical period.

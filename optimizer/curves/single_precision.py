@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.steps import angle_functions
 from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair
 
 _T = TypeVar("_T")
@@ -62,10 +61,14 @@ class Contracted(Arithmetic):
 
 
 def _wrapped(theta: Reals) -> Reals:
+    from dqforge.optimizer.steps import angle_functions  # No reference asks for it.
+
     return angle_functions.wrap(SINGLE, theta)
 
 
 def _rotated(theta: Reals) -> Pair:
+    from dqforge.optimizer.steps import angle_functions
+
     return angle_functions.rotation(SINGLE, theta)
 
 
@@ -136,6 +139,37 @@ def in_segments(
     if isinstance(name, tuple):
         return cast("_T", tuple(o.let(own, part) for own, part in zip(name, found, strict=True)))
     return cast("_T", o.let(name, found) if name else found)
+
+
+# Straight lines between the places of a table over a turn, as steps of the firmware.
+
+
+def within_turn(o: Arithmetic, turn: Reals) -> Reals:
+    """A turn from 0 to below 1; 0 of others and of not-a-number."""
+    return o.choose((turn >= 0.0) & (turn < 1.0), turn, 0.0)
+
+
+def interval(o: Arithmetic, x: Reals, size: int) -> tuple[Any, Reals]:
+    """The interval that a place lies in, and the place counted in intervals.
+
+    Args:
+        o: The arithmetic.
+        x: Places from 0 to below 1, shape (M,).
+        size: Number of intervals.
+    """
+    place = o.let("x", x * float(size))
+    k = o.placed("k", place, size - 1)
+    return k, place
+
+
+def rest(o: Arithmetic, k: Any, place: Reals) -> Reals:
+    """Where a place is in its interval, from 0 to 1."""
+    return o.let("f", place - o.real(k))
+
+
+def between(o: Arithmetic, f: Reals, low: Reals, high: Reals) -> Reals:
+    """The number at a place from 0 to 1 between two."""
+    return o.multiply_add(f, high - low, low)
 
 
 def _round_in_turn(row: FloatArray, width: float) -> None:

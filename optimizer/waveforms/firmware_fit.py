@@ -20,12 +20,15 @@ from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.curves.interpolation import between, interval, rest, within_turn
 from dqforge.optimizer.curves.single_precision import (
     CONTRACTED,
     SINGLE,
     SingleArray,
+    between,
     compiled,
+    interval,
+    rest,
+    within_turn,
 )
 from dqforge.optimizer.steps.step_arithmetic import Abc, Arithmetic
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits, make_problem
