@@ -10,7 +10,7 @@ from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.float_control.duties import Duties, centred_duties
-from dqforge.optimizer.float_control.overmodulation import Overmodulated
+from dqforge.optimizer.float_control.hexagon_step import Overmodulated
 from dqforge.optimizer.float_control.records import (
     UNKNOWN_SQUARE,
     Control,

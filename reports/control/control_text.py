@@ -12,7 +12,7 @@ from dqforge.machines.modulation.registry import METHODS, MODULATORS
 from dqforge.machines.names import ModulationName, OvermodulationName
 from dqforge.optimizer.float_control.current_control import ControlSteps
 from dqforge.optimizer.float_control.duties import Duties, centred_duties
-from dqforge.optimizer.float_control.overmodulation import overmodulation_step
+from dqforge.optimizer.float_control.hexagon_step import overmodulation_step
 from dqforge.optimizer.float_control.records import (
     NUMBERS,
     Control,
@@ -24,13 +24,9 @@ from dqforge.optimizer.float_control.records import (
 )
 from dqforge.optimizer.float_control.speed_loop import speed_loop
 from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Dq, Rotation
+from dqforge.reports.steps.kept_members import vector
 from dqforge.reports.steps.record_text import member_name, record_structs
-from dqforge.reports.steps.step_reader import (
-    Block,
-    Functions,
-    StepReader,
-    vector,
-)
+from dqforge.reports.steps.step_reader import Block, Functions, StepReader
 from dqforge.reports.steps.symbols import Expression
 
 # Functions that steps call by their names: of `dqforge.reports.steps.control_types`, and those of

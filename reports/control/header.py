@@ -30,7 +30,7 @@ from dqforge.optimizer.dynamic_references.solve import DynamicReferences
 from dqforge.optimizer.field_weakening.voltage_region import DropReference
 from dqforge.optimizer.float_control.current_control import ControlSteps, Numbers
 from dqforge.optimizer.float_control.duties import Duties
-from dqforge.optimizer.float_control.overmodulation import overmodulation_step
+from dqforge.optimizer.float_control.hexagon_step import overmodulation_step
 from dqforge.optimizer.float_control.records import (
     NUMBERS,
     Control,

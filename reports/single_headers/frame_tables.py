@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, make_dataclass
 from typing import Any
 
 import numpy as np
@@ -11,15 +11,18 @@ import numpy as np
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import Reals
 from dqforge.optimizer.curves.single_precision import SINGLE, SingleArray
 from dqforge.optimizer.frame_tables import (
     COLUMNS,
     DENSE,
     FrameCandidate,
+    Frames,
     FrameTable,
     FrameTables,
     decoupling,
 )
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,
@@ -28,14 +31,17 @@ from dqforge.reports.c_code.harness import (
     singles_from,
     title,
 )
-from dqforge.reports.c_code.numbers import rounded_up
+from dqforge.reports.c_code.number_rows import number_rows
+from dqforge.reports.c_code.numbers import float_literal, rounded_up
 from dqforge.reports.capability import Capability, Quantity, ReportPart
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, ceiling, share
 from dqforge.reports.pages.templating import WAVEFORMS as CHAPTER
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
-from dqforge.reports.single_headers.frames_text import frames_text
+from dqforge.reports.steps.record_text import vector_struct
+from dqforge.reports.steps.step_reader import Block, Functions, StepReader
+from dqforge.reports.steps.symbols import Expression
 
 _MOST_ROWS = 1 << 17
 _INPUTS = 5  # Turn, electrical speed, and currents of dqy.
@@ -212,6 +218,54 @@ _PREAMBLE = [
     ),
     "",
 ]
+
+
+# The frames where a function takes them by their address.
+_BY_ADDRESS: Any = make_dataclass("Frames", [(n, float) for n in Frames._fields], frozen=True)
+_NUMBER: Any = 0.0
+
+
+def frames_text(table: FrameTable, scale: float, span: str, prefix: str) -> str:
+    """Constants, types and functions of the header.
+
+    Args:
+        table: What is read.
+        scale: Largest back-EMF of a phase over the electrical speed, in Wb.
+        span: The turn that the angle is of, ``electrical`` or ``mechanical``.
+        prefix: Before the names of functions, in capitals before those of constants.
+    """
+    functions, count, width = Functions(), table.size + 1, len(Frames._fields)
+    reader, number = StepReader(prefix, functions, Block("", set())), Expression("number")
+    rows = [Expression("", whole=f"{prefix}_frames_table")]
+
+    def frames(o: Arithmetic, turn: Reals) -> Frames:
+        return table.step(o, turn, rows)
+
+    said = (
+        f"The frames by linear interpolation. turn: {span} angle of the d axis from phase a over "
+        "2 pi, 0 to below 1; others count as 0."
+    )
+    reader.write("frames", frames, [number], said)
+    record = _BY_ADDRESS(*[_NUMBER] * width)
+    reader.write("decoupling", decoupling, [record, *[number] * 4], into=["v_d", "v_q", "v_0"])
+    phi_m, macro = float_literal(scale), prefix.upper()
+    what = "largest back-EMF of a phase over the electrical speed"
+    part = " of a third of the turn, with which all of it repeats" if table.parts == 3 else ""
+    held = part or " of the turn"
+    parts = [
+        f"#define {macro}_FRAMES_PHI_M_WB ({phi_m}) /* {what} */",
+        "\n".join(vector_struct(Frames, prefix)),
+        "\n".join(
+            [
+                f"/* {table.size} intervals{held}; the last row repeats the first. */",
+                f"static const float {prefix}_frames_table[{count}][{width}] = {{",
+                *number_rows(table.entries, 9),
+                "};",
+            ]
+        ),
+        *functions.texts.values(),
+    ]
+    return "\n\n".join(parts)
 
 
 def frame_files(design: Design, found: FrameTables) -> dict[str, bytes]:

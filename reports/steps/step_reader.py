@@ -34,6 +34,15 @@ from dqforge.reports.steps.counted_loops import (
     reached,
     summed,
 )
+from dqforge.reports.steps.kept_members import (
+    Assignment,
+    Kept,
+    assignments,
+    handed_on,
+    members_at,
+    vector,
+    whole_of,
+)
 from dqforge.reports.steps.record_text import (
     LINE,
     SHARED,
@@ -137,39 +146,6 @@ class Functions:
     filled: dict[str, type[Any]] = field(default_factory=dict)
 
 
-@dataclass(slots=True)
-class _Kept:
-    """A member of a state: where it stands in C, and its value there."""
-
-    record: Any
-    member: str
-    place: str
-    value: Any
-    kind: str = "float"
-    version: int = 0
-
-    @property
-    def set_to(self) -> Any:
-        """What the step has made of it."""
-        return getattr(self.record, self.member)
-
-    def targets(self) -> set[str]:
-        """What is no longer to be read when it changes."""
-        parts = self.value if isinstance(self.value, tuple) else (self.value,)
-        return {name for part in parts for name in part.reads}
-
-    def renewed(self) -> None:
-        """Let it be read as it is from now on."""
-        self.version += 1
-        mark = f"#{self.version}"
-        if isinstance(self.value, tuple):
-            self.value = vector(type(self.value), self.place, state=True, mark=mark)
-        else:
-            reads = frozenset({self.place + mark})
-            self.value = Expression(self.place, reads=reads, kind=self.kind)
-        setattr(self.record, self.member, self.value)
-
-
 class StepReader(Arithmetic):
     """Writes what a step computes into ``block``.
 
@@ -186,7 +162,7 @@ class StepReader(Arithmetic):
         self.prefix, self.functions, self.block = prefix, functions, block
         self.branches: tuple[str, list[tuple[Block, Any]]] | None = None
         self._records: list[tuple[Any, str, frozenset[Origin]]] = []
-        self._kept: list[_Kept] = []
+        self._kept: list[Kept] = []
         self._dead: set[str] = set()
         self._changed: set[str] = set()
         self._open: Expression | None = None  # a call that changes the state, till it is written
@@ -342,7 +318,7 @@ class StepReader(Arithmetic):
         """A counted loop over variables that it changes, with a break where it ends before."""
         outer, (name,) = self.block, inspect.signature(of).parameters
         own = [
-            _Kept(state, member.name, member.name, expression(getattr(state, member.name)))
+            Kept(state, member.name, member.name, expression(getattr(state, member.name)))
             for member in fields(state)
         ]
         for kept in own:
@@ -406,12 +382,12 @@ class StepReader(Arithmetic):
         if isinstance(value, tuple):
             parts = tuple(map(expression, value))
             if not hasattr(value, "_fields"):
-                if text := _whole(value):
+                if text := whole_of(value):
                     self._declare("float *const", name, text, meaning, parts)
                 else:
                     self._array(name, parts, meaning)
                 return tuple(Expression(f"{name}[{n}]", whole=name) for n in range(len(value)))
-            text = _whole(value)
+            text = whole_of(value)
             kind = f"{self.prefix}_{c_name(type(value))}_t"
             if text or not self._listed(kind, name, parts, meaning):
                 text = text or f"{{ {', '.join(part.bare() for part in parts)} }}"
@@ -474,7 +450,7 @@ class StepReader(Arithmetic):
         )
         return cast("_T", found if isinstance(name, tuple) else found[0] if found else None)
 
-    def _renew(self, kept: _Kept) -> None:
+    def _renew(self, kept: Kept) -> None:
         self._dead |= kept.targets()
         self._changed.add(kept.place)
         kept.renewed()
@@ -534,7 +510,7 @@ class StepReader(Arithmetic):
         self.block.work([])
         if not isinstance(value, tuple):
             self.block.add(f"{name} = ", parts[0].bare())
-        elif text := _whole(value):
+        elif text := whole_of(value):
             self.block.add(f"{name} = ", text)
         else:
             for axis, part in zip(kind_fields(value), parts, strict=True):
@@ -614,7 +590,7 @@ class StepReader(Arithmetic):
                 if not any(self.functions.changes.get(name, [])):
                     parts.append(Expression(place[0], reads=self._state_of(place[0])))
             elif isinstance(argument, tuple):
-                texts.append(_handed_on(argument))
+                texts.append(handed_on(argument))
                 parts += [expression(part) for part in argument]
             else:
                 parts.append(expression(argument))
@@ -710,7 +686,7 @@ class StepReader(Arithmetic):
             end.add("return ", parts[0].bare())
             return parts[0].kind, end.lines
         own = c_name(type(result))
-        kind, whole = f"{self.prefix}_{own}_t", _whole(result)
+        kind, whole = f"{self.prefix}_{own}_t", whole_of(result)
         if type(result) not in SHARED:
             self.functions.vectors[own] = type(result)
         if whole:
@@ -766,7 +742,7 @@ class StepReader(Arithmetic):
         self._records.append((found, address, outer))
         if not like.__dataclass_params__.frozen:
             self._kept += [
-                _Kept(found, member, name, values[member], kind) for member, name, kind in kept
+                Kept(found, member, name, values[member], kind) for member, name, kind in kept
             ]
         return found
 
@@ -781,56 +757,6 @@ class StepReader(Arithmetic):
         return found[0][1]
 
 
-def vector(kind: type[Any], name: str, *, state: bool = False, mark: str = "") -> Any:
-    """A vector by its name in C; ``state`` of a member of the state, ``mark`` tells when it is
-    read.
-    """
-    texts = [f"{name}.{n}" for n in kind._fields]
-    reads = [frozenset({text + mark} if state else ()) for text in texts]
-    return kind(
-        *(Expression(text, reads=own, whole=name) for text, own in zip(texts, reads, strict=True))
-    )
-
-
-def members_at(address: str) -> str:
-    """What the members of a record begin with."""
-    return f"{address[1:]}." if address.startswith("&") else f"{address}->"
-
-
-@dataclass(frozen=True, slots=True)
-class Assignment:
-    """A statement ``place = text``, what it reads, and whose reading it ends."""
-
-    place: str
-    text: str
-    reads: frozenset[str]
-    targets: set[str]
-
-
-def assignments(
-    place: str, value: Any, parts: Sequence[Expression], before: Any
-) -> list[Assignment]:
-    """Statements that give a number or vector of the state its value, without what it has.
-
-    Args:
-        place: In C.
-        value, before: What it is to be, and what it is.
-        parts: The numbers of the value.
-    """
-    old = tuple(before) if isinstance(before, tuple) else (before,)
-    whole = _whole(value) if isinstance(value, tuple) else ""
-    if whole:
-        reads = frozenset[str]().union(*(part.reads for part in parts))
-        targets = {name for part in old for name in part.reads}
-        return [] if whole == place else [Assignment(place, whole, reads, targets)]
-    places = [f"{place}.{axis}" for axis in kind_fields(value)] if len(old) > 1 else [place]
-    return [
-        Assignment(own, part.bare(), part.reads, set(last.reads))
-        for own, part, last in zip(places, parts, old, strict=True)
-        if part.text != own
-    ]
-
-
 def ordered(open_: list[Assignment], block: Block) -> None:
     """Write assignments to what changes, none before another one that reads the old value."""
     while open_:
@@ -843,24 +769,3 @@ def ordered(open_: list[Assignment], block: Block) -> None:
             raise ValueError(f"{open_[0].place} is needed after it changed: name it by `let`")
         block.add(f"{free[0].place} = ", free[0].text)
         open_.remove(free[0])
-
-
-def _whole(value: Any) -> str:
-    """The vector or array whose parts these are, in their order; else nothing."""
-    places = {part.whole for part in value if isinstance(part, Expression)}
-    if len(places) != 1:
-        return ""
-    (place,) = places
-    names = (
-        [f"{place}.{n}" for n in kind_fields(value)]
-        if hasattr(value, "_fields")
-        else [f"{place}[{n}]" for n in range(len(value))]
-    )
-    return place if [getattr(part, "text", "") for part in value] == names else ""
-
-
-def _handed_on(value: Any) -> str:
-    text = _whole(value)
-    if not text:
-        raise ValueError("a vector is handed on by its name: name it by `let`")
-    return text

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -11,7 +11,9 @@ import numpy as np
 from dqforge.machines.design.design import Design
 from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.transforms import Reals
 from dqforge.optimizer.solution import Solution
+from dqforge.optimizer.steps.step_arithmetic import Abc, Arithmetic
 from dqforge.optimizer.waveforms.comparison import RuleCurrents, WaveformComparison
 from dqforge.optimizer.waveforms.confirmation import Confirmation
 from dqforge.optimizer.waveforms.firmware_fit import (
@@ -19,22 +21,25 @@ from dqforge.optimizer.waveforms.firmware_fit import (
     PhaseFit,
     PhasePolynomials,
     PhaseReference,
+    PhaseTable,
 )
 from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, HeaderKind, Programme, title
-from dqforge.reports.c_code.numbers import rounded_up
+from dqforge.reports.c_code.number_rows import number_rows
+from dqforge.reports.c_code.numbers import comment_text, float_literal, rounded_up
 from dqforge.reports.capability import Capability, Draw, Quantity, ReportPart
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, ceiling, quantity, share, symbols
 from dqforge.reports.pages.templating import WAVEFORMS as CHAPTER
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData
+from dqforge.reports.steps.step_reader import Block, Functions, StepReader
+from dqforge.reports.steps.symbols import Expression
 from dqforge.reports.waveforms.float32_model import (
     model_currents,
     phase_reference_from,
     plain_phase_reference,
     waveform_inputs,
 )
-from dqforge.reports.waveforms.waveform_text import waveform_text
 
 RULE_TEXT = {
     "dq": "dq: sinusoidal",
@@ -392,6 +397,45 @@ def _comment(design: Design, fit: PhaseFit) -> list[str]:
         *_angle_lines(design, plain_phase_reference(fit.reference)["form"]),
         *_error_lines(fit),
     ]
+
+
+def waveform_text(reference: PhaseReference, lines: Sequence[str], span: str, prefix: str) -> str:
+    """Constants and the function of the header.
+
+    Args:
+        reference: What is evaluated.
+        lines: What is said of it behind its first sentence.
+        span: The turn that a table spans, ``electrical`` or ``mechanical``.
+        prefix: Before the names of functions, in capitals before those of constants.
+    """
+    end, form = f"{prefix.upper()}_WAVEFORM_TORQUE_MAX_NM", reference.form
+    most = float_literal(float(reference.torque_max))
+    parts = [f"#define {end} ({most}) /* end of the torque domain, N m */"]
+    name, rows = f"{prefix}_waveform_table", list[tuple[Expression, ...]]()
+    angle = ["sine", "cosine"]
+    if isinstance(form, PhaseTable):
+        angle, (count, width) = ["turn"], form.entries.shape
+        rows = [(Expression("", whole=f"{name}[{row}]"),) for row in range(count)]
+        said = (
+            f"/* Phase currents over the {span} turn, A/(N m); the last entry repeats the first. */"
+        )
+        head = f"static const float {name}[{count}][{width}] = {{"
+        parts.append("\n".join([said, head, *number_rows(form.entries, 8), "};"]))
+
+    def phase_currents(o: Arithmetic, torque: Reals, *turned: Reals) -> Abc:
+        return reference.step(o, torque, turned, Expression(end), rows)
+
+    functions = Functions()
+    StepReader(prefix, functions, Block("", set())).write(
+        "phase_currents",
+        phase_currents,
+        [Expression("number")] * (1 + len(angle)),
+        into=["i_a_A", "i_b_A", "i_c_A"],
+        names=["torque_Nm", *angle],
+    )
+    said_lines = (f" * {comment_text(line)}".rstrip() for line in lines)
+    comment = ["/* Phase currents for a torque and an electrical angle.", " *", *said_lines, " */"]
+    return "\n\n".join([*parts, "\n".join([*comment, *functions.texts.values()])])
 
 
 def waveform_files(design: Design, fit: PhaseFit) -> dict[str, bytes]:
