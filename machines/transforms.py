@@ -171,10 +171,10 @@ class Floats:
         """Whether a >= b; false for not-a-number."""
         return a >= b
 
-    def choose(self, condition: Any, a: Reals, b: Reals) -> Reals:
+    def choose(self, condition: Any, a: Reals | float, b: Reals | float) -> Reals:
         """Numbers a where the condition holds, else b; Python floats get the type of numbers."""
-        a, b = (self.number(x) if isinstance(x, float) else x for x in (a, b))
-        return np.where(condition, a, b)
+        x, y = (self.number(part) if isinstance(part, float) else part for part in (a, b))
+        return np.where(condition, x, y)
 
     def where_above(
         self,

@@ -4,6 +4,8 @@ that holds.
 
 from __future__ import annotations
 
+from typing import Annotated, Any, NamedTuple
+
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
@@ -22,17 +24,82 @@ from dqforge.machines.phase_machines.frame_transforms import (
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine, grid
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import tables_obstacle
-from dqforge.machines.transforms import POWER_INVARIANT
-from dqforge.optimizer.curves.integer_polynomial import (
-    MultiplyAdd,
+from dqforge.machines.transforms import POWER_INVARIANT, Reals
+from dqforge.optimizer.curves.single_precision import (
+    CONTRACTED,
+    SINGLE,
     SingleArray,
-    fused_multiply_add,
-    multiply_add,
+    between,
+    interval,
+    rest,
+    within_turn,
 )
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Member
 
 SIZES = (48, 96, 192, 384, 768, 1536)  # Intervals of an electrical period.
 _FLOAT_BYTES = 4
 _LEAST_SCALE = 1e-9
+
+
+class Frames(NamedTuple):
+    """The frames at an angle."""
+
+    a_x: Annotated[
+        Reals,
+        Member(
+            "sqrt(3/2) over the length of the alpha-beta vector of the shape: dqx is divided by it"
+        ),
+    ]
+    a_y: Annotated[
+        Reals,
+        Member("sqrt(3/2) over the length of its alpha-beta-0 vector: dqy is divided by it"),
+    ]
+    theta_x: Annotated[Reals, Member("angle from dq to dqx, rad")]
+    theta_y: Annotated[Reals, Member("angle from dqx to dqy, rad")]
+    turn_x: Annotated[
+        Reals,
+        Member("1 + d theta_x / d theta: speed of dqx over the electrical speed"),
+    ]
+    rate_y: Annotated[Reals, Member("d theta_y / d theta")]
+    growth_x: Annotated[Reals, Member("(d a_x / d theta) / a_x, 1/rad")]
+    growth_y: Annotated[Reals, Member("(d a_y / d theta) / a_y, 1/rad")]
+    emf: Annotated[Reals, Member("back-EMF of the q axis of dqy over the electrical speed, Wb")]
+    c_dd: Annotated[Reals, Member("coupling of the d axis with the current of the d axis, H")]
+    c_dq: Annotated[Reals, Member("coupling of the d axis with the current of the q axis, H")]
+    c_d0: Annotated[Reals, Member("coupling of the d axis with the current of the 0 axis, H")]
+    c_qd: Annotated[Reals, Member("coupling of the q axis with the current of the d axis, H")]
+    c_qq: Annotated[Reals, Member("coupling of the q axis with the current of the q axis, H")]
+    c_q0: Annotated[Reals, Member("coupling of the q axis with the current of the 0 axis, H")]
+    c_0d: Annotated[Reals, Member("coupling of the 0 axis with the current of the d axis, H")]
+    c_0q: Annotated[Reals, Member("coupling of the 0 axis with the current of the q axis, H")]
+    c_00: Annotated[Reals, Member("coupling of the 0 axis with the current of the 0 axis, H")]
+
+
+class DqyVoltages(NamedTuple):
+    """Voltages of dqy, divided by a_y, in V."""
+
+    d: Reals
+    q: Reals
+    zero: Reals
+
+
+def decoupling(
+    o: Arithmetic,  # noqa: ARG001
+    frames: Frames,
+    omega_e: Reals,
+    i_d: Reals,
+    i_q: Reals,
+    i_0: Reals,
+) -> DqyVoltages:
+    """Voltages of dqy that the turning frame and the back-EMF make, divided by a_y, in V:
+    omega_e (C i + e). omega_e: electrical speed in rad/s; i_d, i_q, i_0: currents of dqy, divided
+    by a_y, in A.
+    """
+    at = frames
+    d = ((at.c_dd * i_d) + (at.c_dq * i_q)) + (at.c_d0 * i_0)
+    q = ((at.c_qd * i_d) + (at.c_qq * i_q)) + (at.c_q0 * i_0)
+    zero = ((at.c_0d * i_d) + (at.c_0q * i_q)) + (at.c_00 * i_0)
+    return DqyVoltages(omega_e * d, omega_e * (q + at.emf), omega_e * zero)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,22 +124,28 @@ class FrameTable:
         """Bytes of constants."""
         return _FLOAT_BYTES * int(self.entries.size)
 
-    def values(self, turn: SingleArray, muladd: MultiplyAdd = multiply_add) -> SingleArray:
-        """What the emitted C reads, shape (18, M), at turns from 0 to below 1, shape (M,).
+    def step(self, o: Arithmetic, turn: Reals, rows: Any) -> Frames:
+        """The frames by linear interpolation.
 
-        Others, and NaN, count as 0.
+        Args:
+            o: The arithmetic.
+            turn: From 0 to below 1, shape (M,); others, and NaN, count as 0.
+            rows: What stands for ``entries``.
         """
-        inside = (turn >= 0.0) & (turn < 1.0)
-        x = np.where(inside, turn, np.float32(0.0)).astype(np.float32)
+        x = within_turn(o, turn)
         if self.parts == 3:
-            x = x * np.float32(3.0)
-            x = np.where(x >= 2.0, x - np.float32(2.0), x)
-            x = np.where(x >= 1.0, x - np.float32(1.0), x).astype(np.float32)
-        place = x * np.float32(self.size)
-        index = np.minimum(place.astype(np.int64), self.size - 1)
-        share = place - index.astype(np.float32)
-        before, behind = self.entries[index].T, self.entries[index + 1].T
-        return np.asarray(muladd(share, behind - before, before), dtype=np.float32)
+            thirds = o.let("thirds", x * 3.0)
+            left = o.let("left", o.choose(thirds >= 2.0, thirds - 2.0, thirds))
+            x = o.choose(left >= 1.0, left - 1.0, left)
+        k, place = interval(o, x, self.size)
+        f = rest(o, k, place)
+        columns = range(len(Frames._fields))
+        return Frames(*(between(o, f, o.at(rows, k, n), o.at(rows, k + 1, n)) for n in columns))
+
+    def values(self, turn: SingleArray, o: Arithmetic = SINGLE) -> SingleArray:
+        """What the emitted C reads, shape (18, M), at any turns, shape (M,)."""
+        with np.errstate(invalid="ignore"):
+            return np.stack(self.step(o, turn, self.entries))
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +208,8 @@ def errors_of(exact: ExactFrames, table: FrameTable, turns: int) -> FrameErrors:
     count = exact.columns.shape[1]
     turn, theta = (np.arange(count) / count).astype(np.float32), grid(count, turns)
     worst = np.zeros(5)
-    for muladd in (multiply_add, fused_multiply_add):
-        found = table.values(turn, muladd).astype(np.float64)
+    for o in (SINGLE, CONTRACTED):
+        found = table.values(turn, o).astype(np.float64)
         away = dict(zip(COLUMNS, np.max(np.abs(found - exact.columns), axis=1), strict=True))
         size = dict(zip(COLUMNS, np.max(np.abs(exact.columns), axis=1), strict=True))
         worst = np.maximum(
@@ -213,7 +286,7 @@ LEAST_LENGTH = 0.05
 ANGLES = ("a_x", "a_y", "theta_x", "theta_y")
 RATES = ("turn_x", "rate_y", "growth_x", "growth_y")
 COUPLING = ("c_dd", "c_dq", "c_d0", "c_qd", "c_qq", "c_q0", "c_0d", "c_0q", "c_00")
-COLUMNS = (*ANGLES, *RATES, "emf", *COUPLING)
+COLUMNS = Frames._fields
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,6 +16,7 @@ from dqforge.reports.current_reference.plain import (
     to_plain,
     vectors_of,
 )
+from dqforge.reports.current_reference.reference_text import reference_functions
 from dqforge.reports.loops.figures import loop_constants
 from dqforge.reports.observers.tracker_header import observer_constants
 from dqforge.reports.pages.templating import render
@@ -169,6 +170,9 @@ def header_context(solution: Solution, dialect: Dialect = NEUTRAL) -> PlainData:
     """
     design = solution.design
     plain, groups = to_plain(solution.reference), constant_groups(solution)
+    names, reference = names_of(dialect, groups), reference_context(solution, plain)
+    if plain["format"] == "float32":
+        reference["functions"] = reference_functions(plain, names, design.export.prefix)
     return {
         **title(design),
         "preamble": [
@@ -178,8 +182,8 @@ def header_context(solution: Solution, dialect: Dialect = NEUTRAL) -> PlainData:
             *(line for evidence in design.flux_evidence for line in evidence.short()),
         ],
         "groups": entries_of(dialect, groups),
-        "names": names_of(dialect, groups),
-        "reference": reference_context(solution, plain),
+        "names": names,
+        "reference": reference,
     }
 
 

@@ -13,7 +13,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.certificates.ball import Local, Task, pieces
 from dqforge.optimizer.certificates.current_reference import UNKNOWN, Interval
 from dqforge.optimizer.current_reference.forms import CurrentReference, Polynomials
-from dqforge.optimizer.curves.integer_polynomial import SinglePolynomial
+from dqforge.optimizer.curves.single_precision import SinglePolynomial
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint
 
 

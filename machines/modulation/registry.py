@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from importlib import import_module
 from pkgutil import iter_modules
 from types import MappingProxyType
-from typing import Any, TypeVar, get_args
+from typing import Any, NamedTuple, TypeVar, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -179,88 +179,184 @@ def overmodulated(name: OvermodulationName, vector: Pair[Reals], v_dc: Reals) ->
     """What the duty cycles make of voltage vectors: the same within the circle in the hexagon,
     beyond it a vector on the hexagon or within, by the method.
 
-    The operations and their order are those of the emitted C, of which this is the model in
-    float32.
-
     Args:
         name: The method; ``none`` leaves the vectors as they are.
         vector: Alpha and beta in V, arrays of one floating-point type and shape (...).
         v_dc: DC-link voltage in V, of the same type, shape (...). Without it nothing is changed.
     """
-    if name == "none":
+    o = Floats(vector.x.dtype.type)
+    if name == "none" or not np.any(_beyond(_square(vector), v_dc)):
         return vector
-    square = (vector.x * vector.x) + (vector.y * vector.y)
-    number = square.dtype.type
-    beyond = (v_dc > number(0.0)) & (square > number(1.0 / 3.0) * (v_dc * v_dc))
-    if not np.any(beyond):
-        return vector
-    inner = Pair(*(np.where(beyond, axis, number(0.5)) for axis in vector))
-    link = np.where(beyond, v_dc, number(1.0))
-    index = np.sqrt(np.where(beyond, square, number(1.0))) / link
-    made = _on_hexagon(METHODS[name], inner, link, index)
-    return Pair(*(np.where(beyond, new, old) for new, old in zip(made, vector, strict=True)))
+    return on_hexagon(o, METHODS[name], vector, v_dc, lambda v: clarke_inverse(o, v))
 
 
-def _on_hexagon(
-    method: HexagonMethod, vector: Pair[Reals], v_dc: Reals, index: Reals
-) -> Pair[Reals]:
-    """Vectors that all lie beyond the circle in the hexagon; ``index`` is their length over
-    v_dc.
+def _square(vector: tuple[Any, Any]) -> Reals:
+    found: Reals = (vector[0] * vector[0]) + (vector[1] * vector[1])
+    return found
+
+
+def _beyond(square: Reals, v_dc: Reals) -> Any:
+    """Whether voltages, given squared, lie beyond the circle in the hexagon."""
+    return (v_dc > 0.0) & (square > (1.0 / 3.0) * (v_dc * v_dc))
+
+
+_Vector = TypeVar("_Vector", bound=tuple[Any, Any])
+
+
+def on_hexagon(
+    o: Floats,
+    method: HexagonMethod,
+    vector: _Vector,
+    v_dc: Reals,
+    phases: Callable[[_Vector], Any],
+) -> _Vector:
+    """The step of `overmodulated`, which is emitted.
+
+    Args:
+        o: The arithmetic.
+        method: The method.
+        vector: Alpha and beta in V, any shape.
+        v_dc: DC-link voltage in V.
+        phases: Stationary coordinates to phases.
     """
-    number = index.dtype.type
-    middle, side, in_middle = _nearest_side(vector)
-    span = np.abs(side)
-    held = ~(index < number(method.turning))
-    gain = _polynomial(method.arc, number(method.arc_end) - index) / index
-    hold = _polynomial(method.hold, number(SIX_STEP) - index)
-    hold = np.where(hold < number(LEAST_HOLD), number(LEAST_HOLD), hold)
-    inside = ~held & ~(gain * span > v_dc)
-    if method.radial:
-        gain = np.where(inside, gain, v_dc / span)
-        turned = ~held
-        along = (middle * v_dc) / (span * hold)
-    else:
-        turned = inside
-        along = np.where(held, middle / (index * hold), gain * middle)
-    corner = number(1.0 / 3.0) * v_dc
-    along = np.where(along > corner, corner, np.where(along < -corner, -corner, along))
-    whole = np.where(side < number(0.0), -v_dc, v_dc)
-    x, y = _on_side(along, whole, in_middle)
-    return Pair(np.where(turned, gain * vector.x, x), np.where(turned, gain * vector.y, y))
+    square = o.let("square", _square(vector))
+
+    def outer() -> _Vector:
+        side = _nearest_side(o, phases(vector))
+        index = o.let("index", o.root(square) / v_dc)
+        return (_shortened if method.radial else _moved)(o, method, vector, v_dc, index, side)
+
+    return o.cases("made", (_beyond(square, v_dc), outer), otherwise=lambda: vector)
 
 
-def _polynomial(coefficients: tuple[float, ...], distance: Reals) -> Reals:
-    """A polynomial of the root of a distance, which counts as 0 where it is negative."""
-    number = distance.dtype.type
-    root = np.sqrt(np.where(distance > number(0.0), distance, number(0.0)))
-    value = np.full_like(root, coefficients[-1])
+class _Side(NamedTuple):
+    """The side of the hexagon that a vector is nearest to.
+
+    Args:
+        along: Voltage of the phase between the two others.
+        across: Difference of these.
+        span: Its magnitude.
+        is_a, is_b: Whether that phase is a, and, where it is not, whether it is b.
+    """
+
+    along: Reals
+    across: Reals
+    span: Reals
+    is_a: Callable[[], Any]
+    is_b: Callable[[], Any]
+
+
+def _nearest_side(o: Floats, phases: Any) -> _Side:
+    v = o.let("v", phases)
+    ab, bc, ca = o.let("ab", v[0] - v[1]), o.let("bc", v[1] - v[2]), o.let("ca", v[2] - v[0])
+    sizes = [
+        o.let(f"{name}_size", o.magnitude(x)) for name, x in (("ab", ab), ("bc", bc), ("ca", ca))
+    ]
+
+    def is_a() -> Any:
+        return (sizes[1] >= sizes[0]) & (sizes[1] >= sizes[2])
+
+    def is_b() -> Any:
+        return sizes[2] >= sizes[0]
+
+    along, across = o.cases(
+        ("middle", "side"),
+        (is_a(), lambda: (v[0], bc)),
+        (is_b(), lambda: (v[1], -ca)),
+        otherwise=lambda: (v[2], ab),
+    )
+    return _Side(along, across, o.let("span", o.magnitude(across)), is_a, is_b)
+
+
+def _gain(o: Floats, method: HexagonMethod, index: Reals) -> Reals:
+    """Radius of the circle that is fed over that of the vector, below the turning."""
+    root = o.let("root", o.root(method.arc_end - index))
+    return _polynomial(method.arc, root) / index
+
+
+def _hold(o: Floats, method: HexagonMethod, index: Reals) -> Reals:
+    """What the corners are held by, from the turning on."""
+    left = o.let("left", SIX_STEP - index)
+    root = o.let("root", o.root(o.choose(left > 0.0, left, 0.0)))
+    hold = o.let("hold", _polynomial(method.hold, root))
+    return o.let("held", o.choose(hold < LEAST_HOLD, LEAST_HOLD, hold))
+
+
+def _shortened(
+    o: Floats, method: HexagonMethod, vector: _Vector, v_dc: Reals, index: Reals, side: _Side
+) -> _Vector:
+    """The vector shortened along its direction, or its place stretched along the side."""
+
+    def turned() -> _Vector:
+        full = o.let("full", _gain(o, method, index))
+        gain = o.let("gain", o.choose(full * side.span > v_dc, v_dc / side.span, full))
+        return _scaled(vector, gain)
+
+    def held() -> _Vector:
+        along = (side.along * v_dc) / (side.span * _hold(o, method, index))
+        return _on_side(o, vector, along, v_dc, side)
+
+    return o.cases("limited", (index < method.turning, turned), otherwise=held)
+
+
+def _moved(
+    o: Floats, method: HexagonMethod, vector: _Vector, v_dc: Reals, index: Reals, side: _Side
+) -> _Vector:
+    """The vector of the circle that is fed, or its nearest point of the hexagon."""
+
+    def turned() -> tuple[Reals, Reals]:
+        gain = o.let("grown", _gain(o, method, index))
+        return gain, gain * side.along
+
+    def held() -> tuple[Reals, Reals]:
+        return o.full(0.0, index), side.along / (index * _hold(o, method, index))
+
+    gain, along = o.cases(("gain", "place"), (index < method.turning, turned), otherwise=held)
+    inside = (index < method.turning) & (gain * side.span <= v_dc)
+    return o.cases(
+        "limited",
+        (inside, lambda: _scaled(vector, gain)),
+        otherwise=lambda: _on_side(o, vector, along, v_dc, side),
+    )
+
+
+def _like(vector: _Vector, x: Reals, y: Reals) -> _Vector:
+    """Components as a vector of the same kind."""
+    kind: Any = type(vector)
+    return cast("_Vector", kind(x, y))
+
+
+def _scaled(vector: _Vector, gain: Reals) -> _Vector:
+    return _like(vector, gain * vector[0], gain * vector[1])
+
+
+def _polynomial(coefficients: tuple[float, ...], root: Reals) -> Reals:
+    """A polynomial, lowest power first."""
+    value: Any = coefficients[-1]
     for coefficient in coefficients[-2::-1]:
-        value = number(coefficient) + (value * root)
-    return np.asarray(value)
+        value = coefficient + (value * root)
+    found: Reals = value
+    return found
 
 
-def _nearest_side(vector: Pair[Reals]) -> tuple[Reals, Reals, tuple[Any, Any]]:
-    """Voltage of the phase between the two others, the difference of these, and whether that
-    phase is a, and whether it is b.
-    """
-    v = clarke_inverse(Floats(vector.x.dtype.type), vector)
-    ab, bc, ca = v.a - v.b, v.b - v.c, v.c - v.a
-    is_a = (np.abs(bc) >= np.abs(ab)) & (np.abs(bc) >= np.abs(ca))
-    is_b = ~is_a & (np.abs(ca) >= np.abs(ab))
-    middle = np.where(is_a, v.a, np.where(is_b, v.b, v.c))
-    side = np.where(is_a, bc, np.where(is_b, -ca, ab))
-    return middle, side, (is_a, is_b)
+def _on_side(o: Floats, vector: _Vector, along: Reals, v_dc: Reals, side: _Side) -> _Vector:
+    """The vector of a voltage of the middle phase and the whole voltage between the two others."""
+    place, corner = o.let("along", along), o.let("corner", (1.0 / 3.0) * v_dc)
+    lower = o.let("lower", o.choose(place < -corner, -corner, place))
+    middle = o.let("clamped", o.choose(place > corner, corner, lower))
+    whole = o.let("whole", o.choose(side.across < 0.0, -v_dc, v_dc))
+    root = 1.0 / math.sqrt(3.0)
 
+    def far(*, is_b: bool) -> _Vector:
+        across = o.let("across", ((0.5 * whole) + (1.5 * middle)) * root)
+        return _like(vector, 0.5 * (whole - middle), across if is_b else -across)
 
-def _on_side(along: Reals, whole: Reals, in_middle: tuple[Any, Any]) -> Pair[Reals]:
-    """Alpha and beta of a voltage of the middle phase and a difference of the two others."""
-    number = along.dtype.type
-    is_a, is_b = in_middle
-    half, root = number(0.5), number(1.0 / math.sqrt(3.0))
-    x = np.where(is_a, along, half * (whole - along))
-    across = ((half * whole) + (number(1.5) * along)) * root
-    y = np.where(is_a, root * whole, np.where(is_b, across, -across))
-    return Pair(x, y)
+    return o.cases(
+        "on_side",
+        (side.is_a(), lambda: _like(vector, middle, root * whole)),
+        (side.is_b(), lambda: far(is_b=True)),
+        otherwise=lambda: far(is_b=False),
+    )
 
 
 # Zero sequence of all modulators, written once for every kind of number

@@ -26,7 +26,8 @@ from dqforge.optimizer.current_reference.forms import (
     ReluctanceClosedForm,
     TorqueExact,
 )
-from dqforge.optimizer.curves.integer_polynomial import FixedPolynomial, SinglePolynomial
+from dqforge.optimizer.curves.integer_polynomial import FixedPolynomial
+from dqforge.optimizer.curves.single_precision import SinglePolynomial
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 if TYPE_CHECKING:

@@ -41,13 +41,8 @@ from dqforge.optimizer.curves.fitting import (
     fit_curve,
     squared_error_integral,
 )
-from dqforge.optimizer.curves.integer_polynomial import (
-    CodeScale,
-    PiecewisePolynomial,
-    SinglePolynomial,
-    fit_fixed,
-    multiply_add,
-)
+from dqforge.optimizer.curves.integer_polynomial import CodeScale, fit_fixed
+from dqforge.optimizer.curves.single_precision import PiecewisePolynomial, SinglePolynomial
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint, domain_end
 
 # Torques at which the errors are kept over the torque, some more where a reference has breakpoints.
@@ -499,7 +494,7 @@ def reference_bytes(reference: Emitted) -> int:
     for name in reference.form.__dataclass_fields__:
         value = getattr(reference.form, name)
         if isinstance(value, SinglePolynomial):
-            end = value.evaluate(np.array([reference.torque_max]), multiply_add)
+            end = value.evaluate(np.array([reference.torque_max]))
             constants.update(
                 float(constant) for constant in (*value.coefficients.flat, *value.starts, *end)
             )

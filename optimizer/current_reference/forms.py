@@ -4,7 +4,8 @@ as the emitted C has it.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +14,16 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import copper_loss
 from dqforge.machines.names import NumberFormat
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.curves.integer_polynomial import (
-    CodeArray,
-    CodeScale,
-    FixedPolynomial,
-    MultiplyAdd,
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.curves.integer_polynomial import CodeArray, CodeScale, FixedPolynomial
+from dqforge.optimizer.curves.single_precision import (
     SingleArray,
     SinglePolynomial,
-    fused_multiply_add,
-    multiply_add,
+    compiled,
+    in_segments,
 )
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Dq
 
 # Bits of the numbers of each fixed-point format.
 FIXED_WIDTHS: dict[NumberFormat, int] = {"q15": 16, "q31": 32}
@@ -125,9 +125,74 @@ class FixedReference:
 # Each form is the list of float32 operations that the header spells out, so that the errors stated
 # for it are those of the very arithmetic that runs.
 
+CurrentStep = Callable[[Arithmetic, Reals], Dq]  # From a torque in N m to currents in A.
+
 # Share of the largest torque from which the relative loss penalty is stated; below it both losses
 # vanish.
 PENALTY_FROM = 0.05
+
+
+class Asked(NamedTuple):
+    """A torque that is asked for: ``torque`` in N m, its magnitude ``t``, and where the domain
+    ends, as the firmware has it and as a number.
+    """
+
+    torque: Reals
+    t: Reals
+    end: Any
+    last: np.float32
+
+
+def _asked(o: Arithmetic, torque: Reals, end: Any, last: np.float32) -> Asked:
+    return Asked(torque, o.let("t", o.magnitude(torque)), end, last)
+
+
+def _beyond(o: Arithmetic, torque: Reals, end: Any) -> Reals:
+    """The end of the domain next to a torque, 0 for not-a-number."""
+    above = o.let("above", o.choose(torque > 0.0, end, 0.0), "0 for not-a-number")
+    return o.choose(torque < 0.0, -end, above)
+
+
+def _ladder(
+    o: Arithmetic, asked: Asked, *, clamps: bool = False, **polynomials: SinglePolynomial
+) -> tuple[Reals, ...]:
+    """Currents by polynomials on the same segments, that of the q axis odd in the torque.
+
+    Args:
+        o: The arithmetic.
+        asked: The torque.
+        clamps: Whether the torque within its domain stands behind the currents.
+        polynomials: By names of the currents.
+    """
+    torque, t, end, last = asked
+    ends = np.array([last, 0.0], dtype=np.float32)
+    values = {name: polynomial.evaluate(ends) for name, polynomial in polynomials.items()}
+
+    def within(number: int, x: Reals) -> tuple[Any, ...]:
+        found = [
+            polynomial.odd_within(o, number, x, torque)
+            if name == "i_q"
+            else polynomial.within(o, number, x)
+            for name, polynomial in polynomials.items()
+        ]
+        return (*found, torque) if clamps else tuple(found)
+
+    def beyond() -> tuple[Any, ...]:
+        o.remark("the result at the end of the domain")
+        found = [
+            o.choose(torque < 0.0, float(-most), float(most)) if name == "i_q" else float(most)
+            for name, (most, _) in values.items()
+        ]
+        return (*found, o.choose(torque < 0.0, -end, end)) if clamps else tuple(found)
+
+    def rest() -> tuple[Any, ...]:
+        o.remark("not-a-number: the result without torque")
+        found = [float(least) for _, least in values.values()]
+        return (*found, 0.0) if clamps else tuple(found)
+
+    names = (*polynomials, "torque") if clamps else tuple(polynomials)
+    starts = next(iter(polynomials.values())).starts
+    return in_segments(o, names, starts, t, within, (t <= end, (t > end, beyond), rest))
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,11 +203,14 @@ class Proportional:
 
     gain: np.float32
 
-    def currents(
-        self, _magnitude: SingleArray, torque: SingleArray, _muladd: MultiplyAdd
-    ) -> tuple[SingleArray, SingleArray]:
-        """(i_d, i_q) in A for a torque in N m and its magnitude, shape (N,)."""
-        return np.zeros_like(torque), self.gain * torque
+    def step(self, o: Arithmetic, torque: Reals, end: Any, _last: np.float32) -> Dq:
+        """Currents in A for a torque in N m, shape (N,), and its largest magnitude."""
+        held = o.cases(
+            "torque",
+            (o.magnitude(torque) <= end, lambda: torque),
+            otherwise=lambda: _beyond(o, torque, end),
+        )
+        return Dq(o.full(0.0, torque), float(self.gain) * held)
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,11 +220,12 @@ class Polynomials:
     d: SinglePolynomial
     q: SinglePolynomial
 
-    def currents(
-        self, magnitude: SingleArray, torque: SingleArray, muladd: MultiplyAdd
-    ) -> tuple[SingleArray, SingleArray]:
-        """(i_d, i_q) in A for a torque in N m and its magnitude, shape (N,)."""
-        return self.d.evaluate(magnitude, muladd), self.q.evaluate(magnitude, muladd, torque)
+    def step(self, o: Arithmetic, torque: Reals, end: Any, last: np.float32) -> Dq:
+        """As of `Proportional`; one ladder of segments where both currents share theirs."""
+        asked = _asked(o, torque, end, last)
+        if np.array_equal(self.d.starts, self.q.starts):
+            return Dq(*_ladder(o, asked, i_d=self.d, i_q=self.q))
+        return Dq(*_ladder(o, asked, i_d=self.d), *_ladder(o, asked, i_q=self.q))
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,14 +240,10 @@ class TorqueExact:
     magnet: np.float32
     slope: np.float32
 
-    def currents(
-        self, magnitude: SingleArray, torque: SingleArray, muladd: MultiplyAdd
-    ) -> tuple[SingleArray, SingleArray]:
-        """(i_d, i_q) in A for a torque in N m and its magnitude, shape (N,)."""
-        i_d = self.d.evaluate(magnitude, muladd)
-        return i_d, torque / muladd(
-            np.broadcast_to(self.slope, i_d.shape), i_d, np.asarray(self.magnet)
-        )
+    def step(self, o: Arithmetic, torque: Reals, end: Any, last: np.float32) -> Dq:
+        """As of `Proportional`."""
+        i_d, held = _ladder(o, _asked(o, torque, end, last), i_d=self.d, clamps=True)
+        return Dq(i_d, held / o.multiply_add(float(self.slope), i_d, float(self.magnet)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,13 +264,11 @@ class ClosedForm:
         """Square of ``base`` in A^2, rounded to float."""
         return self.base * self.base
 
-    def currents(
-        self, magnitude: SingleArray, torque: SingleArray, muladd: MultiplyAdd
-    ) -> tuple[SingleArray, SingleArray]:
-        """(i_d, i_q) in A for a torque in N m and its magnitude, shape (N,)."""
-        i_q = self.q.evaluate(magnitude, muladd, torque)
-        root = np.sqrt(muladd(i_q, i_q, np.asarray(self.base_squared)))
-        return (self.base - root if self.sign > 0 else root - self.base), i_q
+    def step(self, o: Arithmetic, torque: Reals, end: Any, last: np.float32) -> Dq:
+        """As of `Proportional`."""
+        (i_q,) = _ladder(o, _asked(o, torque, end, last), i_q=self.q)
+        root, base = o.root(o.multiply_add(i_q, i_q, float(self.base_squared))), float(self.base)
+        return Dq(base - root if self.sign > 0 else root - base, i_q)
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,12 +280,18 @@ class ReluctanceClosedForm:
     gain: np.float32
     sign: int
 
-    def currents(
-        self, magnitude: SingleArray, torque: SingleArray, _muladd: MultiplyAdd
-    ) -> tuple[SingleArray, SingleArray]:
-        """(i_d, i_q) in A for a torque in N m and its magnitude, shape (N,)."""
-        i_q = np.sqrt(self.gain * magnitude)
-        return (-i_q if self.sign > 0 else i_q), np.where(torque < 0.0, -i_q, i_q)
+    def step(self, o: Arithmetic, torque: Reals, end: Any, _last: np.float32) -> Dq:
+        """As of `Proportional`."""
+        size_asked = o.let("t_asked", o.magnitude(torque))
+
+        def beyond() -> tuple[Reals, Reals]:
+            found = o.let("held", _beyond(o, torque, end))
+            return found, o.magnitude(found)
+
+        inside = size_asked <= end, lambda: (torque, size_asked)
+        held, t = o.cases(("torque", "t"), inside, otherwise=beyond)
+        size = o.let("size", o.root(float(self.gain) * t))
+        return Dq(-size if self.sign > 0 else size, o.choose(held < 0.0, -size, size))
 
 
 Form = Proportional | Polynomials | TorqueExact | ClosedForm | ReluctanceClosedForm
@@ -237,6 +306,16 @@ class CurrentReference:
     form: Form
     torque_max: np.float32
 
+    def step(self, o: Arithmetic, torque: Reals, end: Any) -> Dq:
+        """Currents in A for any torque in N m, shape (N,); not-a-number gives those of none.
+
+        Args:
+            o: The arithmetic.
+            torque: In N m.
+            end: What stands for ``torque_max``.
+        """
+        return self.form.step(o, torque, end, self.torque_max)
+
     def currents(
         self, torque: NDArray[Any], *, fused: bool = False
     ) -> tuple[SingleArray, SingleArray]:
@@ -246,24 +325,10 @@ class CurrentReference:
         NaN gives the reference of zero torque. ``fused`` models a compiler that
         contracts products and sums.
         """
-        torque = np.asarray(torque, dtype=np.float32)
-        # Written as in the emitted C: the sign of -0 stays, NaN fails both comparisons.
+        asked = np.asarray(torque, dtype=np.float32)
         with np.errstate(invalid="ignore", under="ignore"):
-            magnitude = np.abs(torque)
-            clamped = np.where(torque < 0.0, -self.torque_max, self.torque_max)
-            torque = np.where(magnitude > self.torque_max, clamped, torque)
-            torque = np.where(np.isnan(torque), np.float32(0.0), torque)
-            plain = self.form.currents(np.abs(torque), torque, multiply_add)
-            if not fused:
-                return plain
-            inside = (
-                magnitude <= self.torque_max
-            )  # beyond it the emitted C holds results as constants
-            contracted = self.form.currents(np.abs(torque), torque, fused_multiply_add)
-            i_d, i_q = (
-                np.where(inside, one, other) for one, other in zip(contracted, plain, strict=True)
-            )
-            return i_d, i_q
+            i_d, i_q = self.step(compiled(fused=fused), asked, self.torque_max)
+        return i_d, i_q
 
     def samples(self, count: int) -> SingleArray:
         """Torques in [0, torque_max]: evenly and logarithmically spaced, and both
@@ -300,11 +365,35 @@ class SignedReference:
         self, torque: NDArray[Any], *, fused: bool = False
     ) -> tuple[SingleArray, SingleArray]:
         """(i_d, i_q) in A as `CurrentReference.currents`; not-a-number is no negative torque."""
-        torque = np.asarray(torque, dtype=np.float32)
-        below = torque < 0.0
-        plus = self.positive.currents(torque, fused=fused)
-        minus = self.negative.currents(torque, fused=fused)
-        return np.where(below, minus[0], plus[0]), np.where(below, minus[1], plus[1])
+        asked, o = np.asarray(torque, dtype=np.float32), compiled(fused=fused)
+        parts = self.steps(self.positive.torque_max, self.negative.torque_max)
+        with np.errstate(invalid="ignore", under="ignore"):
+            i_d, i_q = self.by_sign(o, asked, *parts)
+        return i_d, i_q
+
+    def steps(self, end: Any, end_negative: Any) -> tuple[CurrentStep, CurrentStep]:
+        """The steps of either sign, from what stands for the ends of their domains."""
+
+        def current_reference_positive(o: Arithmetic, torque: Reals) -> Dq:
+            """Current references of torques from 0 on."""
+            return self.positive.step(o, torque, end)
+
+        def current_reference_negative(o: Arithmetic, torque: Reals) -> Dq:
+            """Current references of torques below 0."""
+            return self.negative.step(o, torque, end_negative)
+
+        return current_reference_positive, current_reference_negative
+
+    def by_sign(
+        self, o: Arithmetic, torque: Reals, positive: CurrentStep, negative: CurrentStep
+    ) -> Dq:
+        """Currents in A for any torque in N m, shape (N,), by one of two steps."""
+        i_d, i_q = o.cases(
+            ("i_d", "i_q"),
+            (torque < 0.0, lambda: tuple(o.call(negative, torque))),
+            otherwise=lambda: tuple(o.call(positive, torque)),
+        )
+        return Dq(i_d, i_q)
 
     def samples(self, count: int) -> SingleArray:
         """Magnitudes of torques in both domains, as `CurrentReference.samples`."""

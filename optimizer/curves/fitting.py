@@ -17,7 +17,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import FitMethod
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.curves.integer_polynomial import (
+from dqforge.optimizer.curves.single_precision import (
     PiecewisePolynomial,
     local_coefficients,
     power_of_series,

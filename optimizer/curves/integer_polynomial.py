@@ -1,5 +1,5 @@
-"""Arithmetic of the firmware for curves: piecewise polynomials in integers, step by step as the
-emitted C computes them, with proven ranges, and single precision, operation by operation.
+"""Piecewise polynomials in integer arithmetic, step by step as the emitted C computes them,
+with proven ranges.
 
 A number of ``width`` bits stands for a fraction of full scale: 2^(width - 1) codes are 1.
 One step of Horner's rule is
@@ -16,15 +16,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from itertools import combinations, pairwise
-from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
+from dqforge.optimizer.curves.single_precision import PiecewisePolynomial
 
 CodeArray = NDArray[np.int64]
 
@@ -451,208 +450,3 @@ def fit_fixed(
         )
         segments.append(_search(in_codes, task))
     return FixedPolynomial(tuple(segments), scale.width, end)
-
-
-# Single-precision arithmetic as the emitted C performs it, operation by operation.
-#
-# NumPy's float32 operations are IEEE 754 and rounded to nearest, as are those of a host compiler
-# without contraction. With contraction a compiler may fuse a product and the sum that follows;
-# both readings are modelled.
-
-SingleArray = NDArray[np.float32]
-
-
-MultiplyAdd = Callable[[SingleArray, SingleArray, SingleArray], SingleArray]
-
-
-def multiply_add(factor: SingleArray, other: SingleArray, addend: SingleArray) -> SingleArray:
-    """``factor * other + addend`` with both operations rounded, any broadcastable shapes."""
-    return (factor * other) + addend
-
-
-def fused_multiply_add(factor: SingleArray, other: SingleArray, addend: SingleArray) -> SingleArray:
-    """``factor * other + addend`` rounded once, any broadcastable shapes; finite operands.
-
-    The product of two floats is exact in double. Rounding the double sum to odd keeps the
-    information that a second rounding to float needs, so that the result is the correctly rounded
-    one (Boldo and Melquiond, 2008, doi:10.1109/TC.2007.70819).
-    """
-    product = factor.astype(np.float64) * other.astype(np.float64)
-    summand = np.broadcast_to(addend, product.shape).astype(np.float64)
-    total = product + summand
-    virtual = total - product
-    remainder = (product - (total - virtual)) + (summand - virtual)
-    bits = total.view(np.int64)
-    is_even = (bits & 1) == 0
-    towards = np.where((remainder > 0.0) == (total > 0.0), 1, -1)
-    odd = np.where((remainder != 0.0) & is_even, bits + towards, bits)
-    return odd.view(np.float64).astype(np.float32)
-
-
-def _round_in_turn(row: FloatArray, width: float) -> None:
-    """Round ascending coefficients on [0, width] in place, the constant apart,
-    which holds the value at the start.
-    """
-    for power in range(row.size - 1, 0, -1):
-        rounded = float(np.float32(row[power]))
-        change, row[power] = rounded - row[power], rounded
-        row[1:power] += change * _monic_chebyshev(power, width)[1:power]
-
-
-def _monic_chebyshev(degree: int, width: float) -> FloatArray:
-    """Ascending coefficients on [0, width] of the monic polynomial with the least largest value,
-    shape (n + 1,).
-    """
-    powers = np.polynomial.chebyshev.cheb2poly(np.eye(degree + 1)[degree])
-    shifted = np.polynomial.Polynomial(powers)(np.polynomial.Polynomial([-1.0, 2.0 / width])).coef
-    return np.asarray(shifted / shifted[-1], dtype=np.float64)
-
-
-@dataclass(frozen=True, slots=True)
-class SinglePolynomial:
-    """A piecewise polynomial with float32 coefficients, evaluated by Horner's rule in t - start.
-
-    Args:
-        starts: First edge of each segment, shape (S,); the first is 0.
-        coefficients: Ascending powers, shape (S, n + 1). One that is zero is neither stored nor
-            added in the emitted C.
-    """
-
-    starts: SingleArray
-    coefficients: SingleArray
-
-    @classmethod
-    def from_double(cls, piecewise: PiecewisePolynomial) -> SinglePolynomial:
-        """Floats for every edge and coefficient, the coefficients in turn.
-
-        The highest is rounded first; those below make up for what that changed, along the Chebyshev
-        polynomial of its degree, and are rounded after it. Segments that lack a power keep lacking
-        it and are rounded plainly.
-        """
-        coefficients = piecewise.coefficients.copy()
-        for row, width in zip(coefficients, np.diff(piecewise.edges).tolist(), strict=True):
-            if np.all(row[1:] != 0.0):
-                _round_in_turn(row, width)
-        return cls(piecewise.edges[:-1].astype(np.float32), coefficients.astype(np.float32))
-
-    def evaluate(
-        self,
-        argument: SingleArray,
-        muladd: MultiplyAdd = multiply_add,
-        odd_in: SingleArray | None = None,
-    ) -> SingleArray:
-        """Value at non-negative float32 arguments, shape (N,), with the given multiply-add.
-
-        With ``odd_in``, the arguments with their signs, the curve is continued as an odd function:
-        where the constant of the first segment is zero its last product takes the signed argument,
-        elsewhere the result is negated.
-        """
-        segment = np.searchsorted(self.starts[1:], argument, side="right")
-        local = argument - self.starts[segment]
-        rows = self.coefficients[segment]
-        through_zero = (segment == 0) & (rows[:, 0] == 0.0)
-        value = rows[:, -1]
-        for power in range(rows.shape[1] - 2, -1, -1):
-            factor = local if odd_in is None or power > 0 else np.where(through_zero, odd_in, local)
-            value = np.where(
-                rows[:, power] == 0.0, value * factor, muladd(value, factor, rows[:, power])
-            )
-        return value if odd_in is None else np.where((odd_in < 0.0) & ~through_zero, -value, value)
-
-
-# Piecewise polynomials on [0, end], each segment in its own variable x = t - start.
-#
-# The local variable is what the firmware evaluates, too: powers of t itself cancel badly on the
-# later segments, where degree 6 in single precision would lose more than the fit gains.
-
-
-@dataclass(frozen=True, slots=True)
-class PiecewisePolynomial:
-    """A polynomial per segment.
-
-    Args:
-        edges: Ascending segment limits, shape (S + 1,), from 0 to the end of the domain.
-        coefficients: Ascending powers of x = t - edges[s], shape (S, n + 1).
-    """
-
-    edges: FloatArray
-    coefficients: FloatArray
-
-    @property
-    def segments(self) -> int:
-        """Number of segments S."""
-        return int(self.coefficients.shape[0])
-
-    @property
-    def degree(self) -> int:
-        """Degree n of every segment."""
-        return int(self.coefficients.shape[1]) - 1
-
-    @property
-    def breakpoints(self) -> FloatArray:
-        """Inner edges, shape (S - 1,)."""
-        return self.edges[1:-1]
-
-    def __call__(self, argument: FloatArray) -> FloatArray:
-        """Value at ``argument`` of any shape; a breakpoint itself belongs to
-        the segment on its right.
-        """
-        argument = np.asarray(argument, dtype=np.float64)
-        segment = np.searchsorted(self.breakpoints, argument, side="right")
-        local = argument - self.edges[segment]
-        rows = self.coefficients[segment]
-        value = rows[..., -1]
-        for power in range(self.degree - 1, -1, -1):
-            value = value * local + rows[..., power]
-        return np.asarray(value)
-
-    def jumps(self) -> FloatArray:
-        """Right minus left limit at each breakpoint, shape (S - 1,)."""
-        width = np.diff(self.edges)[:-1]
-        left: FloatArray = np.array(
-            [
-                np.polynomial.polynomial.polyval(w, c)
-                for w, c in zip(width, self.coefficients, strict=False)
-            ]
-        )
-        return self.coefficients[1:, 0] - left
-
-
-@cache
-def _chebyshev_to_local(degree: int) -> FloatArray:
-    """Matrix from a Chebyshev series in s to ascending powers of s + 1, shape (n + 1, n + 1),
-    rows by T_k.
-    """
-    powers = np.zeros((degree + 1, degree + 1))
-    for order in range(degree + 1):
-        unit = np.polynomial.chebyshev.cheb2poly(np.eye(degree + 1)[order])
-        powers[order, : unit.size] = unit
-    shift: FloatArray = np.array(
-        [
-            [comb(j, k) * (-1.0) ** (j - k) if k <= j else 0.0 for k in range(degree + 1)]
-            for j in range(degree + 1)
-        ]
-    )
-    matrix: FloatArray = powers @ shift
-    return matrix
-
-
-def power_of_series(degree: int, power: int) -> FloatArray:
-    """Row that gives the coefficient of (s + 1)^power from a Chebyshev series in s,
-    shape (n + 1,).
-    """
-    row: FloatArray = _chebyshev_to_local(degree)[:, power]
-    return row
-
-
-def local_coefficients(chebyshev: FloatArray, edges: FloatArray) -> FloatArray:
-    """Convert Chebyshev series on each segment, shape (S, n + 1), to ascending powers of t -
-    edges[s].
-    """
-    degree = chebyshev.shape[1] - 1
-    half_width = 0.5 * np.diff(edges)[:, np.newaxis]
-    # With s in [-1, 1] on the segment, t - start = half_width * (s + 1).
-    converted: FloatArray = (
-        chebyshev @ _chebyshev_to_local(degree) / half_width ** np.arange(degree + 1)
-    )
-    return converted

@@ -29,7 +29,7 @@ from dqforge.machines.names import FitForm, FitMethod, Strategy
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.fit import AXES, least_degree
 from dqforge.optimizer.curves.fitting import SideConditions
-from dqforge.optimizer.curves.integer_polynomial import (
+from dqforge.optimizer.curves.single_precision import (
     PiecewisePolynomial,
     SingleArray,
     power_of_series,

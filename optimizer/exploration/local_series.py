@@ -22,7 +22,7 @@ from dqforge.machines.dq_machines.flux_map import ScaledMachines
 from dqforge.machines.dq_machines.synchronous import FluxJet
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.fitting import SideConditions
-from dqforge.optimizer.curves.integer_polynomial import power_of_series
+from dqforge.optimizer.curves.single_precision import power_of_series
 from dqforge.optimizer.operating_points.mtpa_locus import free_locus
 
 _REWEIGHTINGS = 5  # More gain nothing: the error is within 1 or 2 % of the least one.

@@ -16,7 +16,7 @@ from dqforge.machines.design.settings import WeakeningSettings
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.curves.integer_polynomial import SinglePolynomial
+from dqforge.optimizer.curves.single_precision import SinglePolynomial
 from dqforge.optimizer.field_weakening.certificate import SurfaceCertificate, certify_step
 from dqforge.optimizer.field_weakening.form import (
     Aims,

@@ -8,6 +8,7 @@ stated for it are those of the very arithmetic that runs.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -17,18 +18,18 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import Reals
 from dqforge.optimizer.current_reference.forms import PENALTY_FROM
-from dqforge.optimizer.curves.integer_polynomial import (
-    MultiplyAdd,
+from dqforge.optimizer.curves.single_precision import (
     PiecewisePolynomial,
     SingleArray,
     SinglePolynomial,
-    fused_multiply_add,
-    multiply_add,
+    compiled,
 )
 from dqforge.optimizer.linear_programme import least_cost
 from dqforge.optimizer.operating_points.mtpa_locus import Active, mtpa_locus, region_that_holds
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Dq
 
 # Levelling of torque and flux errors over two linear families of currents: Gauss-Newton steps in a
 # rising p-norm.
@@ -198,21 +199,24 @@ class SingleSurface:
         """Number of coefficients."""
         return sum(row.size for row in self.rows)
 
-    def evaluate(self, x: SingleArray, y: SingleArray, muladd: MultiplyAdd) -> SingleArray:
-        """Value at float32 arguments, both shape (N,): Horner's rule in y over Horner's rule in
-        x.
+    def evaluate(self, o: Arithmetic, name: str, x: Reals, y: Reals) -> Any:
+        """Value at arguments of any shape: Horner's rule in y over Horner's rule in x.
+
+        ``name`` stands before the number of each sum.
         """
-        value = self._row(len(self.rows) - 1, x, muladd)
-        for power in range(len(self.rows) - 2, -1, -1):
-            value = muladd(value, y, self._row(power, x, muladd))
+        last = len(self.rows) - 1
+        value = self._row(o, last, x)
+        for power in range(last - 1, -1, -1):
+            above = o.let(f"{name}{power + 1}", value)
+            value = o.multiply_add(above, y, self._row(o, power, x))
         return value
 
-    def _row(self, power: int, x: SingleArray, muladd: MultiplyAdd) -> SingleArray:
-        row = self.rows[power]
-        value = np.full(x.shape, row[-1])
-        for coefficient in row[-2::-1]:
-            value = muladd(value, x, np.asarray(coefficient))
-        return value
+    def _row(self, o: Arithmetic, power: int, x: Reals) -> Any:
+        *rest, value = (float(coefficient) for coefficient in self.rows[power])
+        found: Any = value
+        for coefficient in rest[::-1]:
+            found = o.multiply_add(found, x, coefficient)
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,29 +266,23 @@ class WeakeningReference:
         NaN as a torque counts as none; NaN as a flux linkage as no torque at the least flux
         linkage, which keeps the voltage limit at every speed of the design.
         """
-        muladd = fused_multiply_add if fused else multiply_add
+        o = compiled(fused=fused)
         torque, flux = np.asarray(torque, dtype=np.float32), np.asarray(flux, dtype=np.float32)
         with np.errstate(invalid="ignore", under="ignore"):
             t = np.where(torque < 0.0, -torque, torque)
             t = np.where(np.isnan(torque) | np.isnan(flux), np.float32(0.0), t)
             a = np.where(flux >= self.flux_min, flux, self.flux_min)
             a = np.where(a > self.flux_max, self.flux_max, a)
-            most = self.limit.evaluate(a - self.flux_min, muladd)
+            most = self.limit.evaluate(a - self.flux_min, o)
             return np.where(t > most, most, t), a
 
-    def weakened(
-        self,
-        t: SingleArray,
-        delta: SingleArray,
-        base: tuple[SingleArray, SingleArray],
-        muladd: MultiplyAdd,
-    ) -> tuple[SingleArray, SingleArray]:
-        """Currents in A where MTPA currents ``base`` in A take ``delta`` Wb too much,
-        shape (N,).
-        """
-        x, y = t - self.torque_mid, delta - self.excess_mid
-        i_d = muladd(delta, self.surface_d.evaluate(x, y, muladd), base[0])
-        return i_d, muladd(delta * t, self.surface_q.evaluate(x, y, muladd), base[1])
+    def weakened(self, o: Arithmetic, t: Reals, delta: Reals, base: tuple[Reals, Reals]) -> Dq:
+        """Currents in A where MTPA currents ``base`` in A take ``delta`` Wb too much, any shape."""
+        x = o.let("x", t - float(self.torque_mid))
+        y = o.let("y", delta - float(self.excess_mid))
+        d = o.let("d", self.surface_d.evaluate(o, "d", x, y))
+        q = o.let("q", self.surface_q.evaluate(o, "q", x, y))
+        return Dq(o.multiply_add(delta, d, base[0]), o.multiply_add(delta * t, q, base[1]))
 
     def currents(
         self, torque: SingleArray, flux: SingleArray, *, fused: bool = False
@@ -294,12 +292,12 @@ class WeakeningReference:
 
         ``fused`` models a compiler that contracts products and sums.
         """
-        muladd = fused_multiply_add if fused else multiply_add
+        o = compiled(fused=fused)
         t, a = self.limited(torque, flux, fused=fused)
         with np.errstate(invalid="ignore", under="ignore"):
-            i_d, i_q = self.d.evaluate(t, muladd), self.q.evaluate(t, muladd)
-            delta = self.flux.evaluate(t, muladd) - a
-            weakened_d, weakened_q = self.weakened(t, delta, (i_d, i_q), muladd)
+            i_d, i_q = self.d.evaluate(t, o), self.q.evaluate(t, o)
+            delta = self.flux.evaluate(t, o) - a
+            weakened_d, weakened_q = self.weakened(o, t, delta, (i_d, i_q))
             weakens = delta > 0.0
             i_d, i_q = np.where(weakens, weakened_d, i_d), np.where(weakens, weakened_q, i_q)
             return i_d, np.where(np.asarray(torque, dtype=np.float32) < 0.0, -i_q, i_q)

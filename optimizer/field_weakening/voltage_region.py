@@ -5,6 +5,7 @@ domain and errors of a current reference.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +14,13 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import Reals
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.current_reference.forms import PENALTY_FROM
-from dqforge.optimizer.curves.integer_polynomial import (
-    MultiplyAdd,
+from dqforge.optimizer.curves.single_precision import (
     SingleArray,
-    fused_multiply_add,
-    multiply_add,
+    compiled,
+    in_segments,
 )
 from dqforge.optimizer.field_weakening.form import (
     LEAST_SHARE,
@@ -29,6 +30,7 @@ from dqforge.optimizer.field_weakening.form import (
 )
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Dq
 
 # Share of the design's voltage from which the errors of the voltage are stated.
 LEAST_VOLTAGE = 0.8
@@ -318,7 +320,45 @@ STEPS = 14
 # bound of the current that falls with the flux linkage. Above what gcc 12 makes for a Cortex-M4F
 # with -O2.
 _BYTES = 115, 255, 215
-_ZERO, _HALF = np.float32(0.0), np.float32(0.5)
+
+
+def _singles(*parts: SingleArray) -> list[SingleArray]:
+    return [np.asarray(part, dtype=np.float32) for part in parts]
+
+
+@dataclass(slots=True)
+class Search:
+    """Where the search of the torque stands.
+
+    ``t`` in N m can be had with the flux linkage ``a`` in Wb, ``beyond`` cannot, and ``trial`` is
+    what is tried next.
+    """
+
+    t: Any
+    a: Any
+    beyond: Any
+    trial: Any
+
+
+@dataclass(slots=True)
+class Pass:
+    """Currents in A of a pass, and the flux linkage in Wb that is left for the next one."""
+
+    weak_d: Any
+    weak_q: Any
+    flux: Any
+
+
+class Granted(NamedTuple):
+    """What can be had: torque in N m, flux linkage in Wb, squared voltage in V^2, of which a torque
+    takes ``per_torque`` in V^2 per N m, and electrical speed in rad/s.
+    """
+
+    t: Reals
+    a: Reals
+    room: Reals
+    per_torque: Reals
+    omega: Reals
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,28 +401,140 @@ class DropReference:
             self.surface.flash + fixed + again * (self.passes > 1) + line * (self.near is not None)
         )
 
-    def available(self, squared: SingleArray, omega: SingleArray) -> SingleArray:
-        """Flux linkage in Wb for a squared voltage in V^2 at a speed, up to the
-        largest one that is of use.
-        """
-        high = self.surface.flux_max
-        top = omega * high
-        some = (squared > _ZERO) & ~(squared >= top * top)
-        flux = np.sqrt(np.where(some, squared, _ZERO)) / np.where(some, omega, np.float32(1.0))
-        flux = np.where(some, np.where(flux < high, flux, high), _ZERO)
-        return np.asarray(np.where(squared >= top * top, high, flux))
+    def weakening_limit(self, o: Arithmetic, flux: Reals) -> Reals:
+        """Largest torque in N m within an available flux linkage in Wb and the current limit."""
+        f = o.let("f", flux - self.surface.flux_min)
+        found: Reals = self.surface.limit.step(o, "limit", f)
+        return found
 
-    def _first(self, left: SingleArray, omega: SingleArray, muladd: MultiplyAdd) -> SingleArray:
-        """Flux linkage that suffices whatever the current: bounds of the current stand for it."""
-        flux = self.available(left - self.reserve, omega)
+    def weakening_flux(self, o: Arithmetic, squared: Reals, omega: Reals) -> Reals:
+        """Flux linkage in Wb that a squared voltage in V^2 leaves at an electrical speed in rad/s,
+        0 for none.
+        """
+        most: Any = self.surface.flux_max
+        top = o.let("top", omega * most)
+
+        def some() -> Reals:
+            found = o.let("found", o.root(squared) / omega)
+            return o.choose(found < most, found, most)
+
+        return o.cases(
+            "flux",
+            (squared >= top * top, lambda: o.full(most, omega)),
+            (squared > 0.0, some),
+            otherwise=lambda: o.full(0.0, omega),
+        )
+
+    def weakening_least_flux(self, o: Arithmetic, squared: Reals, omega: Reals) -> Reals:
+        """The same before the current is known: bounds of it stand for what the resistance
+        takes.
+        """
+        least = o.call(self.weakening_flux, squared - float(self.reserve), omega)
         if self.near is None:
-            return flux
-        constant, slope = self.near
-        rest = left - constant
-        some = rest > _ZERO
-        found = np.sqrt(np.where(some, rest, _ZERO) / muladd(omega, omega, np.asarray(slope)))
-        found = np.where(found < self.surface.flux_max, found, self.surface.flux_max)
-        return np.asarray(np.where(some & (found > flux), found, flux))
+            return least
+        flux, constant, slope = o.let("flux", least), *map(float, self.near)
+        rest = o.let("rest", squared - constant)
+
+        def falling() -> Reals:
+            o.remark("where MTPV holds the torque the current falls with the flux linkage")
+            found = o.let("found", o.root(rest / o.multiply_add(omega, omega, slope)))
+            most: Any = self.surface.flux_max
+            held = o.let("held", o.choose(found < most, found, most))
+            return o.choose(held > flux, held, flux)
+
+        return o.cases("least", (rest > 0.0, falling), otherwise=lambda: flux)
+
+    def search(
+        self, o: Arithmetic, torque: Reals, v_max: Reals, omega_e: Reals, trials: Any = STEPS
+    ) -> Granted:
+        """The step of `granted`, in at most ``trials`` trials."""
+        omega = o.let("omega", o.choose(omega_e < 0.0, -omega_e, omega_e))
+        volts = o.let("volts", o.choose(v_max > 0.0, v_max, 0.0), "0 for not-a-number")
+        room = o.let("room", volts * volts)
+        drop = o.let("drop", float(self.per_torque) * omega)
+        against = o.differ(torque < 0.0, omega_e < 0.0)
+        per_torque = o.let("per_torque", o.choose(against, -drop, drop), "V^2 per N m")
+        size = o.let("size", o.choose(torque < 0.0, -torque, torque))
+        most, some = float(self.torque_max), o.let("some", o.choose(size > 0.0, size, 0.0))
+        asked = o.let("asked", o.choose(some < most, some, most), "0 for not-a-number")
+        now = Search(o.full(0.0, asked), o.full(0.0, asked), asked, asked)
+
+        def none() -> None:
+            now.trial = o.full(0.0, asked)
+
+        def had(flux: Reals) -> None:
+            now.t, now.a = now.trial, flux
+
+        def missed() -> None:
+            now.beyond = now.trial
+
+        def tried(k: Any) -> None:
+            last = (k >= trials - 1) & (now.t <= 0.0)
+            o.cases("", (last, none), otherwise=lambda: None, changing=[now])
+            left = o.multiply_add(o.negative(per_torque), now.trial, room)
+            flux = o.let("flux", o.call(self.weakening_least_flux, left, omega))
+            limit = o.call(self.weakening_limit, flux)
+            fits = (flux >= self.surface.flux_min) & (now.trial <= limit)
+            o.cases("", (fits, lambda: had(flux)), otherwise=missed, changing=[now])
+            now.trial = 0.5 * (now.t + now.beyond)
+
+        o.repeated(now, trials, tried, until=lambda: now.t >= asked)
+        least: Any = self.surface.flux_min
+        said = "beyond the largest speed of the voltage"
+        a = o.let("a_held", o.choose(now.a > 0.0, now.a, least), said)
+        return Granted(now.t, a, room, per_torque, omega)
+
+    def step(
+        self, o: Arithmetic, torque: Reals, v_max: Reals, omega_e: Reals, trials: Any = STEPS
+    ) -> Dq:
+        """Currents in A for a torque in N m, a voltage in V and a speed in rad/s, any shape."""
+        granted, surface = self.search(o, torque, v_max, omega_e, trials), self.surface
+        t, a = granted.t, granted.a
+        o.remark("Least current without any limit of the flux linkage, and that which it makes")
+        curves = surface.d, surface.q, surface.flux
+        mtpa_d, mtpa_q, taken = in_segments(
+            o,
+            ("mtpa_d", "mtpa_q", "taken"),
+            surface.d.starts,
+            t,
+            lambda number, x: tuple(curve.within(o, number, x) for curve in curves),
+        )
+
+        def weakened() -> tuple[Reals, Reals]:
+            o.remark("Field weakening: delta in Wb is the flux linkage that is too much")
+            base = mtpa_d, mtpa_q
+            if self.passes == 1:
+                found = surface.weakened(o, t, o.let("delta", taken - a), base)
+                return found.d, found.q
+            return self._in_passes(o, granted, taken, base)
+
+        i_d, i_q = o.cases(
+            ("i_d", "i_q"), (taken > a, weakened), otherwise=lambda: (mtpa_d, mtpa_q)
+        )
+        return Dq(i_d, o.choose(torque < 0.0, -i_q, i_q))
+
+    def _in_passes(
+        self, o: Arithmetic, granted: Granted, taken: Reals, base: tuple[Reals, Reals]
+    ) -> tuple[Reals, Reals]:
+        """Weakened currents in A, of which each pass tells the next what the resistance takes."""
+        t, a, room, per_torque, omega = granted
+        left = o.let("left", o.multiply_add(o.negative(per_torque), t, room))
+        now = Pass(*base, a)
+
+        def again() -> None:
+            used = o.let("used", o.multiply_add(now.weak_d, now.weak_d, now.weak_q * now.weak_q))
+            rest = o.multiply_add(o.negative(used), float(self.square), left)
+            more = o.let("more", o.call(self.weakening_flux, rest, omega))
+            now.flux = o.choose(more > now.flux, more, now.flux)
+
+        def passed(n: Any) -> None:
+            delta = o.let("delta", o.choose(taken > now.flux, taken - now.flux, 0.0))
+            weak = self.surface.weakened(o, t, delta, base)
+            now.weak_d, now.weak_q = weak
+            o.cases("", (n < self.passes - 1, again), otherwise=lambda: None, changing=[now])
+
+        o.repeated(now, self.passes, passed)
+        return now.weak_d, now.weak_q
 
     def granted(
         self, torque: SingleArray, v_max: SingleArray, omega_e: SingleArray, *, fused: bool = False
@@ -394,40 +546,10 @@ class DropReference:
         counts as none; NaN as voltage or speed as no voltage, which gives no torque at the least
         flux linkage.
         """
-        muladd = fused_multiply_add if fused else multiply_add
-        torque, v_max, omega_e = (
-            np.asarray(part, dtype=np.float32) for part in (torque, v_max, omega_e)
-        )
+        o, asked = compiled(fused=fused), _singles(torque, v_max, omega_e)
         with np.errstate(invalid="ignore", under="ignore", over="ignore", divide="ignore"):
-            omega = np.where(omega_e < _ZERO, -omega_e, omega_e)
-            volts = np.where(v_max > _ZERO, v_max, _ZERO)
-            room, per = volts * volts, self.per_torque * omega
-            per = np.where((torque < _ZERO) != (omega_e < _ZERO), -per, per)
-            asked = np.where(torque < _ZERO, -torque, torque)
-            asked = np.where(asked > _ZERO, asked, _ZERO)
-            asked = np.where(asked < self.torque_max, asked, self.torque_max)
-            low, a, high, trial = (
-                np.zeros_like(asked),
-                np.zeros_like(asked),
-                asked.copy(),
-                asked.copy(),
-            )
-            open_ones = np.ones(asked.shape, dtype=np.bool_)
-            for step in range(STEPS):
-                if step == STEPS - 1:  # no torque at all, where none of the others could be had
-                    trial = np.where(open_ones & ~(low > _ZERO), _ZERO, trial)
-                flux = self._first(muladd(-per, trial, room), omega, muladd)
-                above = flux >= self.surface.flux_min
-                limit = self.surface.limit.evaluate(
-                    np.where(above, flux - self.surface.flux_min, _ZERO), muladd
-                )
-                fits = above & (trial <= limit) & open_ones
-                low, a = np.where(fits, trial, low), np.where(fits, flux, a)
-                high = np.where(fits, high, trial)
-                open_ones &= ~(fits & ~(trial < asked))
-                trial = np.where(open_ones, _HALF * (low + high), trial)
-            a = np.where(a > _ZERO, a, self.surface.flux_min)
-            return low, a, muladd(-per, low, room), omega
+            t, a, room, per_torque, omega = self.search(o, *asked)
+            return t, a, o.multiply_add(o.negative(per_torque), t, room), omega
 
     def currents(
         self, torque: SingleArray, v_max: SingleArray, omega_e: SingleArray, *, fused: bool = False
@@ -435,22 +557,10 @@ class DropReference:
         """(i_d, i_q) in A as the emitted C returns them, bit for bit, for any float32 inputs,
         shape (N,).
         """
-        muladd = fused_multiply_add if fused else multiply_add
-        t, a, left, omega = self.granted(torque, v_max, omega_e, fused=fused)
-        surface = self.surface
+        o, asked = compiled(fused=fused), _singles(torque, v_max, omega_e)
         with np.errstate(invalid="ignore", under="ignore", over="ignore", divide="ignore"):
-            base_d, base_q = surface.d.evaluate(t, muladd), surface.q.evaluate(t, muladd)
-            taken = surface.flux.evaluate(t, muladd)
-            weakens = taken > a
-            i_d, i_q = base_d, base_q
-            for _ in range(self.passes):
-                delta = np.where(taken > a, taken - a, _ZERO)
-                weak_d, weak_q = surface.weakened(t, delta, (base_d, base_q), muladd)
-                i_d, i_q = np.where(weakens, weak_d, base_d), np.where(weakens, weak_q, base_q)
-                used = muladd(i_d, i_d, i_q * i_q)
-                more = self.available(muladd(-used, np.asarray(self.square), left), omega)
-                a = np.where(more > a, more, a)
-            return i_d, np.where(np.asarray(torque, dtype=np.float32) < _ZERO, -i_q, i_q)
+            i_d, i_q = self.step(o, *asked)
+        return i_d, i_q
 
 
 # Bounds of the voltage that a two-dimensional reference takes, resistance included,

@@ -10,6 +10,7 @@ from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.float_control.duties import Duties, centred_duties
+from dqforge.optimizer.float_control.hexagon_step import Overmodulated
 from dqforge.optimizer.float_control.records import (
     UNKNOWN_SQUARE,
     Control,
@@ -41,7 +42,7 @@ class ControlSteps:
 
     currents: Numbers
     modulation: ModulationName
-    overmodulated: Numbers | None = None
+    overmodulated: Overmodulated | None = None
     weakens: bool = False
     reference_share: float = 1.0
 
@@ -101,8 +102,7 @@ class ControlSteps:
             voltage = o.let("with_added", with_added)
         if self.overmodulated is None:
             return voltage
-        made = o.outside(AlphaBeta, "overmodulated", self.overmodulated, voltage, v_dc)
-        return o.let("made", made)
+        return o.let("made", o.call(self.overmodulated, voltage, v_dc))
 
     def torque_control(
         self, o: Arithmetic, gains: ControlGains, state: Control, measured: Measured, torque: Reals

@@ -20,7 +20,7 @@ from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.fitting import Curve, SideConditions, fit_curve
-from dqforge.optimizer.curves.integer_polynomial import MultiplyAdd, SingleArray, multiply_add
+from dqforge.optimizer.curves.single_precision import MultiplyAdd, SingleArray, multiply_add
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
 from dqforge.optimizer.loops.pi_methods import (
@@ -488,7 +488,7 @@ def errors_of(evaluator: GainEvaluator, curves: Mapping[str, Curve]) -> dict[str
         evaluator: The gains as the firmware computes them.
         curves: Exact gains over the current in A, by name.
     """
-    from dqforge.optimizer.curves.integer_polynomial import fused_multiply_add
+    from dqforge.optimizer.curves.single_precision import fused_multiply_add
 
     at = np.linspace(0.0, float(evaluator.end), _DENSE).astype(np.float32)
     exact = np.stack([curves[name](at.astype(np.float64)) for name in GAIN_NAMES], axis=1)

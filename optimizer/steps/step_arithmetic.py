@@ -20,6 +20,7 @@ from dqforge.machines.transforms import (
     Triple,
     clarke,
     clarke_inverse,
+    leaves,
     park,
     park_inverse,
 )
@@ -122,8 +123,12 @@ class Arithmetic(Floats):
         """
         return function(self, *args, **kwargs)
 
-    def at(self, table: Sequence[Any], place: Any) -> Reals:
-        """The number of an array at a place, which counts from 0, or is one place per drive."""
+    def at(self, table: Sequence[Any], place: Any, column: int | None = None) -> Reals:
+        """The number of an array at a place, which counts from 0, or is one place per drive; of an
+        array of rows the number in a column.
+        """
+        if column is not None:
+            return np.asarray(np.asarray(table)[place, column])
         if isinstance(place, int):
             found: Reals = table[place]
             return found
@@ -165,6 +170,40 @@ class Arithmetic(Floats):
             found = found + of(place)
         return np.asarray(found)
 
+    def repeated(
+        self,
+        state: Any,
+        count: Any,
+        of: Callable[[Any], None],
+        until: Callable[[], Any] | None = None,
+    ) -> None:
+        """A loop that changes numbers.
+
+        Args:
+            state: A record of them, whose members can be set; in the firmware they are local
+                variables with the names of the members.
+            count: How often at most.
+            of: Changes the state; its argument counts from 0 and has the name of what counts.
+            until: Whether the loop ends, asked after each time; None where nothing ends it.
+        """
+        places, going = list(leaves(state)), np.ones((), dtype=np.bool_)
+        for number in range(count):
+            before = [getattr(record, member) for record, member in places]
+            of(number)
+            for (record, member), old in zip(places, before, strict=True):
+                new = getattr(record, member)
+                setattr(record, member, old if new is old else self._merged(going, new, old))
+            if until is not None:
+                going = going & ~until()
+            if not np.any(going):
+                break
+
+    def placed(self, name: str, a: Reals, most: int) -> Any:  # noqa: ARG002
+        """Places of an array: what numbers from 0 on are without what is behind the point, at most
+        ``most``.
+        """
+        return np.minimum(np.asarray(a).astype(np.intp), most)
+
     def reached(self, name: str, conditions: Sequence[Any]) -> Any:  # noqa: ARG002
         """How many conditions hold, of which each one implies those before it: a place."""
         return sum(np.asarray(condition).astype(np.intp) for condition in conditions)
@@ -180,6 +219,10 @@ class Arithmetic(Floats):
         found: _T = self._merged(condition, then(), otherwise())
         return found
 
+    def multiply_add(self, a: Reals | float, b: Reals | float, c: Reals | float) -> Reals:
+        """The number a b + c, which a compiler may round once (``-ffp-contract``)."""
+        return np.asarray(a * b + c)
+
     def whole(self, a: Reals) -> Reals:
         """Numbers without what is behind the point, as integers of the firmware (``long``)."""
         return np.asarray(a).astype(np.int32)
@@ -187,6 +230,10 @@ class Arithmetic(Floats):
     def real(self, a: Reals) -> Reals:
         """Integers as numbers."""
         return np.asarray(a).astype(self.number)
+
+    def differ(self, a: Any, b: Any) -> Any:
+        """Whether one of two conditions holds without the other."""
+        return a != b
 
     def is_number(self, a: Reals) -> Any:
         """Whether it is not not-a-number."""

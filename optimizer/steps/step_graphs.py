@@ -107,8 +107,10 @@ class Graphs(Arithmetic):
             first = first + term
         return first
 
-    def at(self, table: Sequence[Any], place: Any) -> Any:
-        """The number at a place."""
+    def at(self, table: Sequence[Any], place: Any, column: int | None = None) -> Any:
+        """The number at a place, of rows in a column."""
+        if column is not None:
+            table = [row[column] for row in table]
         if isinstance(place, int):
             return table[place]
         found = graph(table[-1])

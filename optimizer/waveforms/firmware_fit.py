@@ -4,7 +4,9 @@ and the smallest that holds.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +19,18 @@ from dqforge.machines.phase_machines.frame_transforms import resampled
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import TOPOLOGIES
-from dqforge.optimizer.curves.integer_polynomial import (
-    MultiplyAdd,
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.curves.single_precision import (
+    CONTRACTED,
+    SINGLE,
     SingleArray,
-    fused_multiply_add,
-    multiply_add,
+    between,
+    compiled,
+    interval,
+    rest,
+    within_turn,
 )
+from dqforge.optimizer.steps.step_arithmetic import Abc, Arithmetic
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits, make_problem
 
 TABLE_SIZES = (24, 48, 96, 192, 384, 768, 1536)
@@ -119,13 +127,14 @@ def phase_errors(
     exact, flux = resampled(unit, dense), resampled(machine.flux, dense)
     theta = 2.0 * np.pi * np.arange(dense) / dense  # over all turns
     current, torque = 0.0, 0.0
-    for muladd in (multiply_add, fused_multiply_add):
+    for o in (SINGLE, CONTRACTED):
         if isinstance(form, PhaseTable):
-            found = form.unit_currents((theta / (2.0 * np.pi)).astype(np.float32), muladd)
+            turn = (theta / (2.0 * np.pi)).astype(np.float32)
+            parts = form.step(o, form.place(o, turn), form.entries)
         else:
-            found = form.unit_currents(
-                np.sin(theta).astype(np.float32), np.cos(theta).astype(np.float32), muladd
-            )
+            turned = np.sin(theta).astype(np.float32), np.cos(theta).astype(np.float32)
+            parts = form.step(o, *turned)
+        found = np.stack(np.broadcast_arrays(*parts))
         error = found.astype(np.float64) - exact
         current = max(current, float(np.max(np.abs(error)) / np.max(np.abs(exact))))
         torque = max(
@@ -250,23 +259,36 @@ class PhaseTable:
         """Arithmetic operations and loads of one evaluation of three currents."""
         return 26
 
-    def unit_currents(self, turn: SingleArray, muladd: MultiplyAdd) -> SingleArray:
-        """Currents per torque in A/(N m), shape (3, M), at turns from 0 to below 1, shape (M,)."""
-        place = turn * np.float32(self.size)
-        index = np.minimum(place.astype(np.int64), self.size - 1)
-        share = place - index.astype(np.float32)
-        rows = []
-        for phase in range(3):
-            equal = self.entries.shape[0] == 1
-            row = self.entries[0 if equal else phase]
-            # b lags a by a third of a turn: two thirds ahead in the table.
-            here = (
-                (index + (self.size - self.size * phase // 3) % self.size) % self.size
-                if equal
-                else index
+    def place(self, o: Arithmetic, turn: Reals) -> tuple[Any, Reals]:
+        """The interval of turns from 0 to below 1, shape (M,), and the place counted in intervals.
+
+        Others, and NaN, count as 0.
+        """
+        return interval(o, within_turn(o, turn), self.size)
+
+    def step(self, o: Arithmetic, found: tuple[Any, Reals], rows: Any) -> Abc:
+        """Currents per torque in A/(N m) at what `place` has found.
+
+        Args:
+            o: The arithmetic.
+            found: Interval and place, shape (M,).
+            rows: What stands for the rows of ``entries``.
+        """
+        (k, _), size, f = found, self.size, rest(o, *found)
+        places: list[Any] = [k, k, k]
+        if len(rows) == 1:  # b lags a by a third of a turn: two thirds ahead in the table.
+            third = size // 3
+            for phase, ahead in ((1, 2 * third), (2, third)):
+                behind = size - ahead
+                place = o.choose(k < behind, k + ahead, k - behind)
+                places[phase] = o.let(f"k_{'abc'[phase]}", place)
+        rows = [*rows] * (3 // len(rows))
+        return Abc(
+            *(
+                between(o, f, o.at(row, place), o.at(row, place + 1))
+                for row, place in zip(rows, places, strict=True)
             )
-            rows.append(muladd(share, row[here + 1] - row[here], row[here]))
-        return np.stack(rows)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,36 +322,62 @@ class PhaseHarmonics:
             + 2 * int(np.count_nonzero(self.cosine) + np.count_nonzero(self.sine))
         )
 
-    def unit_currents(
-        self, sine: SingleArray, cosine: SingleArray, muladd: MultiplyAdd
-    ) -> SingleArray:
-        """Currents per torque in A/(N m), shape (3, M), at sine and cosine of the angle,
-        shape (M,).
+    def step(self, o: Arithmetic, sine: Reals, cosine: Reals) -> Abc:
+        """Currents per torque in A/(N m) at sine and cosine of the angle, shape (M,).
+
+        What is zero is left out; the first product has nothing to be added to.
         """
-        if self.stride == 2:
-            step_c = muladd(cosine, cosine, -(sine * sine))
-            step_s = (cosine + cosine) * sine
-        else:
-            step_c, step_s = cosine, sine
-        c, s = cosine, sine
-        total: list[SingleArray | None] = [None] * 3
+        total: list[Any] = [None] * 3
+        turned = _turned(o, self.stride, sine, cosine)
         for harmonic in range(self.size):
-            if harmonic:
-                c, s = muladd(c, step_c, -(s * step_s)), muladd(c, step_s, s * step_c)
-            for phase in range(3):
-                # What is zero is left out of the emitted C; the first product
-                # has nothing to be added to.
-                for weight, factor in (
-                    (self.cosine[phase, harmonic], c),
-                    (self.sine[phase, harmonic], s),
-                ):
+            order = 1 + self.stride * harmonic
+            further = np.any(self.cosine[:, harmonic + 1 :]) or np.any(self.sine[:, harmonic + 1 :])
+            for kind, weights in (("c", self.cosine), ("s", self.sine)):
+                if further or np.any(weights[:, harmonic]):
+                    turned(kind, harmonic)
+            for phase, name in enumerate("abc"):
+                for kind, weights in (("c", self.cosine), ("s", self.sine)):
+                    weight = float(weights[phase, harmonic])
                     if weight != 0.0:
-                        spread = np.broadcast_to(weight, factor.shape)
-                        before = total[phase]
-                        total[phase] = (
-                            spread * factor if before is None else muladd(spread, factor, before)
+                        factor, now = turned(kind, harmonic), total[phase]
+                        found = (
+                            weight * factor if now is None else o.multiply_add(weight, factor, now)
                         )
-        return np.stack([np.zeros_like(cosine) if part is None else part for part in total])
+                        total[phase] = o.let(f"i_{name}_{kind}{order}", found)
+        return Abc(*(o.full(0.0, cosine) if part is None else part for part in total))
+
+
+def _turned(o: Arithmetic, stride: int, sine: Reals, cosine: Reals) -> Callable[[str, int], Reals]:
+    """What gives the cosine (``c``) or sine (``s``) of the angle times 1 + stride n, for n from 0
+    on, each turned on from the one before, and none that nothing asks for.
+    """
+    known: dict[str, Reals] = {"c1": cosine, "s1": sine}
+    if stride == 1:
+        known |= {"step_c": cosine, "step_s": sine}
+
+    def kept(name: str, value: Callable[[], Reals]) -> Reals:
+        if name not in known:
+            known[name] = o.let(name, value())
+        return known[name]
+
+    def step(kind: str) -> Reals:
+        if kind == "c":
+            double = lambda: o.multiply_add(cosine, cosine, o.negative(sine * sine))  # noqa: E731
+        else:
+            double = lambda: (cosine + cosine) * sine  # noqa: E731
+        return kept(f"step_{kind}", double)
+
+    def of(kind: str, n: int) -> Reals:
+        def turned() -> Reals:
+            c, s = of("c", n - 1), of("s", n - 1)
+            step_c, step_s = step("c"), step("s")
+            if kind == "c":
+                return o.multiply_add(c, step_c, o.negative(s * step_s))
+            return o.multiply_add(c, step_s, s * step_c)
+
+        return kept(f"{kind}{1 + stride * n}", turned)
+
+    return of
 
 
 # Ascending coefficients of polynomials, float32 values, by row and harmonic; empty where there is
@@ -363,11 +411,6 @@ class PhasePolynomials:
         """Largest degree in the torque."""
         return max(len(weight) for weight in self._weights) - 1
 
-    @staticmethod
-    def steps(weight: tuple[float, ...]) -> tuple[tuple[float, ...], str, bool]:
-        """How the firmware evaluates one weight, as `polynomial_steps` says."""
-        return polynomial_steps(weight)
-
     @property
     def _weights(self) -> list[tuple[float, ...]]:
         return [weight for part in (self.cosine, self.sine) for row in part for weight in row]
@@ -386,40 +429,83 @@ class PhasePolynomials:
             7 + 6 * (self.size - 1) + steps + (4 * used + 6 if len(self.cosine) == 1 else 2 * used)
         )
 
-    def unit_currents(
-        self, torque: SingleArray, sine: SingleArray, cosine: SingleArray, muladd: MultiplyAdd
-    ) -> SingleArray:
-        """Currents per torque in A/(N m), shape (3, M), at torques, sines and cosines of the angle,
+    def step(self, o: Arithmetic, torque: Reals, sine: Reals, cosine: Reals) -> Abc:
+        """Currents per torque in A/(N m), at torques, sines and cosines of the angle,
         shapes (M,).
         """
-        x = torque * self.inverse
-        square = x * x
-        equal = len(self.cosine) == 1
+        equal, weight_of = len(self.cosine) == 1, self._in_torque(o, torque)
         # Equal phases: what all share, what turns with phase a, and what
         # stands at right angles to that.
-        sums: list[SingleArray | None] = [None] * 3
-        step_c, step_s = cosine, sine
-        if self.stride == 2:
-            step_c, step_s = muladd(cosine, cosine, -(sine * sine)), (cosine + cosine) * sine
-        c, s = cosine, sine
+        sums: dict[str, Any] = {}
+
+        def add(name: str, order: int, term: Any) -> None:
+            found = o.total(name, sums[name], term) if name in sums else term
+            sums[name] = o.let(f"{name}{order}", found)
+
+        turned = _turned(o, self.stride, sine, cosine)
+
+        def both(a: Any, b: Any, kinds: str, harmonic: int) -> Any:
+            """A and b with cosine and sine, or sine and cosine; none without a weight."""
+            then = None if b is None else o.product("", b, turned(kinds[1], harmonic))
+            if a is None:
+                return then
+            first = turned(kinds[0], harmonic)
+            return a * first if then is None else o.multiply_add(a, first, then)
+
         for harmonic in range(self.size):
-            if harmonic:
-                c, s = muladd(c, step_c, -(s * step_s)), muladd(c, step_s, s * step_c)
+            order = 1 + self.stride * harmonic
             for row, weights in enumerate(zip(self.cosine, self.sine, strict=True)):
-                parts = [polynomial(weight[harmonic], x, square, muladd) for weight in weights]
-                along, across = _turned(parts[0], parts[1], c, s, muladd)
-                if along is None or across is None:
+                phase, kind = "" if equal else "abc"[row], order % 3
+                crosses = equal and kind != 0
+                for name, other, weight in zip("cs", "sc", weights, strict=True):
+                    if weight[harmonic]:
+                        turned(name, harmonic)
+                        if crosses:
+                            turned(other, harmonic)
+                a, b = (
+                    weight_of(f"{name}{order}{phase}", weight[harmonic])
+                    for name, weight in zip("ab", weights, strict=True)
+                )
+                if a is None and b is None:
                     continue
-                kind = (1 + harmonic * self.stride) % 3
-                _add(sums, (0 if kind == 0 else 1) if equal else row, along)
-                if equal and kind:
-                    _add(sums, 2, across if kind == 1 else -across)
-        rows = [np.zeros_like(cosine) if part is None else part for part in sums]
+                along = ("along" if kind else "common") if equal else f"i_{phase}"
+                add(along, order, both(a, b, "cs", harmonic))
+                if crosses:
+                    back = None if b is None else o.negative(b)
+                    across = both(a, back, "sc", harmonic)
+                    add("across", order, across if kind == 1 else o.negative(across))
+        zero = o.full(0.0, cosine)
+        names = ("common", "along", "across") if equal else ("i_a", "i_b", "i_c")
+        parts = [sums.get(name, zero) for name in names]
         if not equal:
-            return np.stack(rows)
-        common, along, across = rows
-        half, side = muladd(np.full_like(along, -0.5), along, common), HALF_ROOT_3 * across
-        return np.stack([common + along, half + side, half - side])
+            return Abc(*parts)
+        common, along, across = parts
+        half = o.let("half", o.multiply_add(-0.5, along, common))
+        side = o.let("side", float(HALF_ROOT_3) * across)
+        return Abc(common + along, half + side, half - side)
+
+    def _in_torque(self, o: Arithmetic, torque: Reals) -> Callable[[str, tuple[float, ...]], Any]:
+        """What gives a weight at the torque its name; None where there is none."""
+        known: dict[str, Reals] = {}
+
+        def argument(name: str) -> Reals:
+            if name not in known:
+                value = (
+                    torque * float(self.inverse) if name == "x" else argument("x") * argument("x")
+                )
+                known[name] = o.let(name, value)
+            return known[name]
+
+        def weight_of(name: str, weight: tuple[float, ...]) -> Any:
+            if not weight:
+                return None
+            (*rest, last), variable, odd = polynomial_steps(weight)
+            value: Any = last if rest else o.full(last, torque)
+            for coefficient in rest[::-1]:
+                value = o.multiply_add(value, argument(variable), coefficient)
+            return o.let(name, value * argument("x") if odd else value)
+
+        return weight_of
 
 
 def polynomial_steps(weight: tuple[float, ...]) -> tuple[tuple[float, ...], str, bool]:
@@ -435,40 +521,6 @@ def polynomial_steps(weight: tuple[float, ...]) -> tuple[tuple[float, ...], str,
     return weight, "x", False
 
 
-def polynomial(
-    weight: tuple[float, ...], x: SingleArray, square: SingleArray, muladd: MultiplyAdd
-) -> SingleArray | None:
-    """Value of a polynomial in float32, shape (M,); None where there is none."""
-    if not weight:
-        return None
-    coefficients, variable, odd = polynomial_steps(weight)
-    by = square if variable == "square" else x
-    value = np.full_like(x, np.float32(coefficients[-1]))
-    for coefficient in coefficients[-2::-1]:
-        value = muladd(value, by, np.asarray(coefficient, dtype=np.float32))
-    return value * x if odd else value
-
-
-def _turned(
-    a: SingleArray | None,
-    b: SingleArray | None,
-    c: SingleArray,
-    s: SingleArray,
-    muladd: MultiplyAdd,
-) -> tuple[SingleArray | None, SingleArray | None]:
-    """A c + b s, and a s - b c; terms without a weight are left out."""
-    if a is None:
-        return (None, None) if b is None else (b * s, -(b * c))
-    if b is None:
-        return a * c, a * s
-    return muladd(a, c, b * s), muladd(a, s, -(b * c))
-
-
-def _add(sums: list[SingleArray | None], place: int, term: SingleArray) -> None:
-    before = sums[place]
-    sums[place] = term if before is None else before + term
-
-
 PhaseForm = PhaseTable | PhaseHarmonics | PhasePolynomials
 
 
@@ -479,6 +531,40 @@ class PhaseReference:
     form: PhaseForm
     torque_max: np.float32
 
+    def step(
+        self,
+        o: Arithmetic,
+        torque: Reals,
+        angle: tuple[Reals, ...],
+        end: Any,
+        rows: Any = (),
+    ) -> Abc:
+        """Phase currents in A for torques in N m, shape (M,), which are clamped; 0 for NaN.
+
+        Args:
+            o: The arithmetic.
+            torque: In N m.
+            angle: (turn,) for a table, else (sine, cosine).
+            end: What stands for ``torque_max``.
+            rows: What stands for the rows of a table.
+        """
+        form = self.form
+        found = form.place(o, angle[0]) if isinstance(form, PhaseTable) else None
+        held = o.cases(
+            "held",
+            (torque <= end, lambda: torque),
+            otherwise=lambda: o.choose(torque > end, end, o.full(0.0, torque)),
+        )
+        t = o.let("t", o.choose(held < -end, -end, held))
+        if isinstance(form, PhaseTable):
+            assert found is not None
+            unit = form.step(o, found, rows)
+        elif isinstance(form, PhasePolynomials):
+            unit = form.step(o, t, *angle)
+        else:
+            unit = form.step(o, *angle)
+        return Abc(*(t * part for part in unit))
+
     def currents(
         self, torque: SingleArray, angle: tuple[SingleArray, ...], *, fused: bool = False
     ) -> SingleArray:
@@ -488,24 +574,10 @@ class PhaseReference:
         ``angle`` is (turn,) for a table, else (sine, cosine). A turn outside 0 to 1, and NaN,
         count as 0.
         """
-        muladd = fused_multiply_add if fused else multiply_add
+        rows = self.form.entries if isinstance(self.form, PhaseTable) else ()
         with np.errstate(invalid="ignore", under="ignore", over="ignore"):
-            limited = np.where(torque > self.torque_max, self.torque_max, torque)
-            limited = np.where(limited < -self.torque_max, -self.torque_max, limited)
-            limited = np.where(np.isnan(limited), np.float32(0.0), limited).astype(np.float32)
-            if isinstance(self.form, PhaseTable):
-                (turn,) = angle
-                inside = (turn >= 0.0) & (turn < 1.0)
-                unit = self.form.unit_currents(
-                    np.where(inside, turn, np.float32(0.0)).astype(np.float32), muladd
-                )
-            else:
-                sine, cosine = angle
-                if isinstance(self.form, PhasePolynomials):
-                    unit = self.form.unit_currents(limited, sine, cosine, muladd)
-                else:
-                    unit = self.form.unit_currents(sine, cosine, muladd)
-            return np.asarray(limited * unit, dtype=np.float32)
+            found = self.step(compiled(fused=fused), torque, angle, self.torque_max, rows)
+        return np.stack(np.broadcast_arrays(*found))
 
 
 def sample_angles(form: PhaseForm, count: int, seed: int) -> tuple[NDArray[np.float32], ...]:

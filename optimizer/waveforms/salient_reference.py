@@ -18,7 +18,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.frame_transforms import resampled
 from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.curves.integer_polynomial import fused_multiply_add, multiply_add
+from dqforge.optimizer.curves.single_precision import CONTRACTED, SINGLE
 from dqforge.optimizer.waveforms.constraint_rows import (
     WaveformLimits,
     free_currents,
@@ -211,8 +211,8 @@ def _errors(form: PhasePolynomials, exact: _Exact) -> PhaseErrors:
     )
     torque = np.repeat(exact.torque.astype(np.float32), theta.size)
     peak, current, relative = float(np.max(np.abs(exact.currents))), 0.0, 0.0
-    for muladd in (multiply_add, fused_multiply_add):
-        unit = form.unit_currents(torque, sine, cosine, muladd)
+    for o in (SINGLE, CONTRACTED):
+        unit = np.stack(np.broadcast_arrays(*form.step(o, torque, sine, cosine)))
         found = np.moveaxis(
             (torque * unit).astype(np.float64).reshape(3, exact.torque.size, theta.size), 0, 1
         )

@@ -15,7 +15,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
-from dqforge.optimizer.curves.integer_polynomial import SingleArray
+from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.steps import angle_functions
 from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair, Rotation
 from dqforge.reports.c_code.numbers import (

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from dqforge.machines.modulation.registry import MODULATORS
-from dqforge.machines.names import ModulationName
+from dqforge.machines.modulation.registry import METHODS, MODULATORS
+from dqforge.machines.names import ModulationName, OvermodulationName
 from dqforge.optimizer.float_control.current_control import ControlSteps
 from dqforge.optimizer.float_control.duties import Duties, centred_duties
+from dqforge.optimizer.float_control.hexagon_step import overmodulation_step
 from dqforge.optimizer.float_control.records import (
     NUMBERS,
     Control,
@@ -23,19 +24,18 @@ from dqforge.optimizer.float_control.records import (
 )
 from dqforge.optimizer.float_control.speed_loop import speed_loop
 from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Dq, Rotation
+from dqforge.reports.steps.kept_members import vector
 from dqforge.reports.steps.record_text import member_name, record_structs
-from dqforge.reports.steps.step_reader import (
-    Block,
-    Functions,
-    StepReader,
-    vector,
-)
+from dqforge.reports.steps.step_reader import Block, Functions, StepReader
 from dqforge.reports.steps.symbols import Expression
 
 # Functions that steps call by their names: of `dqforge.reports.steps.control_types`, and those of
 # `duty_functions`.
 _SHARED_FUNCTIONS: dict[str, type[Any] | None] = {"small_rotation": Rotation, "turned": Rotation}
 _DUTY_FUNCTIONS: dict[str, type[Any] | None] = {"centred_duties": Abc, "duties": Abc}
+
+# That of `overmodulation_function`.
+_OVERMODULATION: dict[str, type[Any] | None] = {"overmodulated": AlphaBeta}
 
 _NUMBER: Any = 0.0  # Stands for any, where names and types of members are asked for alone.
 _PI_GAINS = PiGains(_NUMBER, _NUMBER, _NUMBER)
@@ -73,7 +73,7 @@ def _zeros(record: Any, place: str) -> Iterator[str]:
 
 def control_functions(steps: ControlSteps, gains: ControlGains, state: Control, prefix: str) -> str:
     """Control of current, torque and speed, behind the duty cycles."""
-    functions = Functions(results=_SHARED_FUNCTIONS | _DUTY_FUNCTIONS)
+    functions = Functions(results=_SHARED_FUNCTIONS | _DUTY_FUNCTIONS | _OVERMODULATION)
     reader = StepReader(prefix, functions, Block("", set()))
     reference, number = vector(Dq, "reference"), Expression("number")
     reader.write("current_control", steps.current_control, [gains, state, _MEASURED, reference])
@@ -118,3 +118,23 @@ def duty_functions(modulation: ModulationName, prefix: str) -> str:
         said = f"{begin} and currents in A; {rule.text}; one half each without DC-link voltage."
     reader.write("duties", Duties(modulation).duties, [voltage, v_dc, i], said)
     return "\n\n".join(functions.texts.values())
+
+
+def overmodulation_function(name: OvermodulationName, prefix: str) -> str:
+    """The voltage that the duty cycles make of one beyond the circle in the hexagon, empty where
+    none goes there.
+    """
+    step = overmodulation_step(name)
+    if step is None:
+        return ""
+    said = (
+        "Voltage in V that the duty cycles make of one that may lie beyond the circle in the "
+        f"voltage hexagon, by {name}: {METHODS[name].text}. Its fundamental is the one asked for, "
+        "up to six-step operation. Within the circle, without DC-link voltage and for what is not "
+        "a number nothing is changed."
+    )
+    functions = Functions()
+    reader = StepReader(prefix, functions, Block("", set()))
+    voltage = vector(AlphaBeta, "voltage"), Expression("v_dc")
+    reader.write("overmodulated", step, voltage, said)
+    return functions.texts["overmodulated"]

@@ -17,22 +17,20 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import filter_share
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import (
-    LEAST_HOLD,
     METHODS,
     MODULATORS,
-    SIX_STEP,
-    overmodulated,
 )
 from dqforge.machines.names import ModulationName, OvermodulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import fundamental_share
 from dqforge.machines.transforms import Pair
 from dqforge.optimizer.current_reference.forms import FixedReference, FloatReference
-from dqforge.optimizer.curves.integer_polynomial import SingleArray
+from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.dynamic_references import DynamicReferences
 from dqforge.optimizer.field_weakening.voltage_region import DropReference
 from dqforge.optimizer.float_control.current_control import ControlSteps, Numbers
 from dqforge.optimizer.float_control.duties import Duties
+from dqforge.optimizer.float_control.hexagon_step import overmodulation_step
 from dqforge.optimizer.float_control.records import (
     NUMBERS,
     Control,
@@ -60,6 +58,7 @@ from dqforge.reports.control.control_text import (
     control_start,
     control_structs,
     duty_functions,
+    overmodulation_function,
 )
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.loops.firmware_text import stability_lines
@@ -400,9 +399,7 @@ def control_files(solution: Solution) -> dict[str, bytes]:
         **title(design),
         "weakening": plain["weakening"],
         "duties": duty_functions(plain["modulation"], prefix),
-        "overmodulation": METHODS.get(plain.get("overmodulation", "none")),
-        "six_step": SIX_STEP,
-        "least_hold": LEAST_HOLD,
+        "overmodulation": overmodulation_function(plain.get("overmodulation", "none"), prefix),
         "gains": _gain_lines(plain),
         "structs": control_structs(gains, state, prefix),
         "start": control_start(state),
@@ -556,14 +553,10 @@ def control_steps(
         modulation, method: Modulator and overmodulation.
         currents, weakens, reference_share: As of `ControlSteps`.
     """
-
-    def made(voltage: AlphaBeta, v_dc: SingleArray) -> Pair[SingleArray]:
-        return overmodulated(method, Pair(*voltage), v_dc)
-
     return ControlSteps(
         currents,
         modulation,
-        overmodulated=None if method == "none" else made,
+        overmodulated=overmodulation_step(method),
         weakens=weakens,
         reference_share=reference_share,
     )

@@ -17,7 +17,7 @@ from dqforge.optimizer.certificates.current_reference import Certificate
 from dqforge.optimizer.current_reference.fit import Alternative, ReferenceFit
 from dqforge.optimizer.current_reference.forms import ReferenceErrors
 from dqforge.optimizer.current_reference.solve import COVERED, DataUse, Trial
-from dqforge.optimizer.curves.integer_polynomial import PiecewisePolynomial
+from dqforge.optimizer.curves.single_precision import PiecewisePolynomial
 from dqforge.optimizer.solution import NegativeHalf, Solution
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.capability import (

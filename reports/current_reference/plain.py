@@ -8,7 +8,7 @@ decimal of either reads back the same; fixed point has integers.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -35,10 +35,8 @@ from dqforge.optimizer.current_reference.forms import (
     TorqueExact,
 )
 from dqforge.optimizer.current_reference.solve import COVERED, DataUse, Trial
-from dqforge.optimizer.curves.integer_polynomial import (
-    CodeArray,
-    FixedPolynomial,
-    FixedSegment,
+from dqforge.optimizer.curves.integer_polynomial import CodeArray, FixedPolynomial, FixedSegment
+from dqforge.optimizer.curves.single_precision import (
     PiecewisePolynomial,
     SingleArray,
     SinglePolynomial,
@@ -250,39 +248,6 @@ def _one_from_plain(plain: Mapping[str, Any]) -> Reference:
     return CurrentReference(form, _number(plain, "torque_max"))
 
 
-def ladders(plain: PlainData) -> list[PlainData]:
-    """Branch ladders of the evaluator: one for both axes where they share their breakpoints,
-    else one per axis.
-
-    Each holds its segments, and what they give at the end of the domain and without torque.
-    """
-    axes = [axis for axis in ("d", "q") if axis in plain]
-    starts = {axis: tuple(segment["start"] for segment in plain[axis]) for axis in axes}
-    groups = [axes] if len(set(starts.values())) == 1 else [[axis] for axis in axes]
-    return [_ladder(plain, group) for group in groups] if axes else []
-
-
-def _ladder(plain: PlainData, axes: Sequence[str]) -> PlainData:
-    reference = _one_from_plain(plain)
-    assert isinstance(reference, CurrentReference)
-    form = reference.form
-    ends = np.array([plain["torque_max"], 0.0], dtype=np.float32)
-    values = {f"i_{axis}": getattr(form, axis).evaluate(ends) for axis in axes}
-    edges = [segment["start"] for segment in plain[axes[0]]]
-    return {
-        "segments": [
-            {
-                "start": start,
-                "end": edges[index + 1] if index + 1 < len(edges) else plain["torque_max"],
-                "polynomials": [(f"i_{axis}", plain[axis][index]["coefficients"]) for axis in axes],
-            }
-            for index, start in enumerate(edges)
-        ],
-        "at_end": [(name, shortest(value[0])) for name, value in values.items()],
-        "at_rest": [(name, shortest(value[1])) for name, value in values.items()],
-    }
-
-
 def _plain_polynomial(polynomial: PiecewisePolynomial | None) -> PlainData | None:
     if polynomial is None:
         return None
@@ -478,46 +443,31 @@ def _argument_text(reference: Emitted) -> list[str]:
 
 
 def reference_context(solution: Solution, plain: PlainData) -> PlainData:
-    """Ladders, comment and constants of the evaluator for the header's template."""
+    """Comment and constants of the evaluator, and ladders of integers, for the template."""
     fit, where = solution.fit, operation_text(solution.fit.speed)
-    below = plain.get("negative")
     shape = (
         f"{fit.settings.method}, degree {fit.settings.degree}, {fit.settings.segments} segment(s) "
         f"over 0 to {fit.torque_max:.6g} N m;"
     )
     is_float = plain["format"] == "float32"
     has_polynomials = fit.d is not None or fit.q is not None
-    base_squared = (
-        {"base_squared": shortest(np.float32(plain["base"]) * np.float32(plain["base"]))}
-        if "base" in plain
-        else {}
-    )
-    return (
-        plain
-        | base_squared
-        | {
-            **_fixed_context(fit.reference),
-            "uses_sqrt": plain["form"] in ("closed-form", "reluctance"),
-            "ladders": ladders(plain)
-            if is_float
-            else _fixed_ladders(plain, _saturates(fit.reference)),
-            "below": None
-            if below is None
-            else below | {"ladders": ladders(below), "uses_sqrt": False},
-            "comment": [
-                *_argument_text(solution.reference),
-                (
-                    f"Strategy {solution.design.strategy}{f' at {where}' if where else ''}; form "
-                    f"{fit.form}:"
-                ),
-                *_FORM_TEXT[fit.form],
-                *([shape] if has_polynomials else []),
-                *error_text(solution),
-                *data_lines(solution.data, fit.torque_max),
-                *_negative_text(solution),
-            ],
-        }
-    )
+    return plain | {
+        **_fixed_context(fit.reference),
+        "uses_sqrt": plain["form"] in ("closed-form", "reluctance"),
+        "ladders": [] if is_float else _fixed_ladders(plain, _saturates(fit.reference)),
+        "comment": [
+            *_argument_text(solution.reference),
+            (
+                f"Strategy {solution.design.strategy}{f' at {where}' if where else ''}; form "
+                f"{fit.form}:"
+            ),
+            *_FORM_TEXT[fit.form],
+            *([shape] if has_polynomials else []),
+            *error_text(solution),
+            *data_lines(solution.data, fit.torque_max),
+            *_negative_text(solution),
+        ],
+    }
 
 
 def _negative_text(solution: Solution) -> list[str]:

@@ -91,7 +91,7 @@ if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
     from dqforge.optimizer.certificates.current_loop_proof import CurrentLoopProof
     from dqforge.optimizer.control_design.gain_set import GainSet
-    from dqforge.optimizer.curves.integer_polynomial import SingleArray
+    from dqforge.optimizer.curves.single_precision import SingleArray
     from dqforge.optimizer.loops.gain_schedule import GainSchedule
     from dqforge.optimizer.loops.integer_gains import PerUnitGains
     from dqforge.optimizer.loops.loop_gains import LoopGains

@@ -15,7 +15,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.curves.integer_polynomial import SingleArray
+from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.modulation_choice.rule import Leaf, Question, Rule, decide
 from dqforge.reports.plain_data import PlainData, shortest
 

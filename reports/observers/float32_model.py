@@ -12,7 +12,7 @@ import numpy as np
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.curves.integer_polynomial import SingleArray
+from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.observers.parts import ObserverMethod
 from dqforge.optimizer.observers.reduced_order_step import (
     ReducedOrderGains,

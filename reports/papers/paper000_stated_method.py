@@ -29,7 +29,7 @@ from dqforge.optimizer.current_reference.forms import (
 )
 from dqforge.optimizer.curves.breakpoints import search
 from dqforge.optimizer.curves.fitting import SideConditions, fit_curve, squared_error_integral
-from dqforge.optimizer.curves.integer_polynomial import PiecewisePolynomial, SinglePolynomial
+from dqforge.optimizer.curves.single_precision import PiecewisePolynomial, SinglePolynomial
 from dqforge.optimizer.exploration.machine_axis import calibrate_switching
 from dqforge.optimizer.losses.drive_budget import DriveBudget, drive_budget
 from dqforge.optimizer.operating_points.mtpa_locus import (

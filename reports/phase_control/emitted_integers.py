@@ -66,7 +66,7 @@ from dqforge.reports.single_headers.fixed_mesh_reading import mesh_from
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
-    from dqforge.optimizer.curves.integer_polynomial import SingleArray
+    from dqforge.optimizer.curves.single_precision import SingleArray
     from dqforge.optimizer.phase_control.phase_controller import PhaseControl
     from dqforge.optimizer.solution import Solution
     from dqforge.reports.plain_data import PlainData

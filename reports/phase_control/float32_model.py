@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Pair, Triple, clarke, park, park_inverse
-from dqforge.optimizer.curves.integer_polynomial import SingleArray
+from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.float_control.records import Control, Pi
 from dqforge.optimizer.float_control.speed_loop import speed_loop
 from dqforge.optimizer.steps.step_arithmetic import AlphaBeta, Dq

@@ -38,7 +38,7 @@ from dqforge.reports.waveforms.float32_model import phase_reference_from
 
 if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray
-    from dqforge.optimizer.curves.integer_polynomial import SingleArray
+    from dqforge.optimizer.curves.single_precision import SingleArray
     from dqforge.optimizer.loops.loop_gains import LoopGains
     from dqforge.optimizer.phase_control.phase_controller import PhaseControl, TorqueLimit
     from dqforge.optimizer.solution import Solution

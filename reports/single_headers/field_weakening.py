@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,12 +11,14 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.transforms import Reals
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.curves.integer_polynomial import SingleArray, SinglePolynomial
+from dqforge.optimizer.curves.single_precision import SingleArray, SinglePolynomial
 from dqforge.optimizer.field_weakening.fit import DomainBorders, SurfaceTrial, WeakeningFit
 from dqforge.optimizer.field_weakening.form import SingleSurface, WeakeningReference
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE, STEPS, DropReference
 from dqforge.optimizer.solution import Solution
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Dq
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,
@@ -27,7 +29,7 @@ from dqforge.reports.c_code.harness import (
     singles_from,
     title,
 )
-from dqforge.reports.c_code.numbers import rounded_up
+from dqforge.reports.c_code.numbers import comment_text, float_literal, rounded_up
 from dqforge.reports.capability import Capability, Draw, Quantity, ReportPart, Rows
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import MAP_INK, MAP_MUTED, label_in_unit, new_figure, style
@@ -36,6 +38,9 @@ from dqforge.reports.pages.scaled import DrawnGrid, draw_filled
 from dqforge.reports.pages.templating import AGAINST, plain_certificate, render
 from dqforge.reports.pages.templating import WEAKENING as CHAPTER
 from dqforge.reports.plain_data import PlainData, shortest
+from dqforge.reports.steps.counted_loops import place
+from dqforge.reports.steps.step_reader import Block, Functions, StepReader
+from dqforge.reports.steps.symbols import Expression
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -169,28 +174,6 @@ def weakening_currents(step: DropReference, inputs: SingleArray) -> SingleArray:
     return np.stack(step.currents(*(inputs[:, column].copy() for column in range(3))), axis=1)
 
 
-def _ladder(variable: str, plain: PlainData, targets: Mapping[str, str]) -> PlainData:
-    """Segments of curves on the same edges as the template prints them.
-
-    ``targets`` maps C names to curves.
-    """
-    first = plain[next(iter(targets.values()))]
-    ends = [row["start"] for row in first[1:]] + [None]
-    return {
-        "variable": variable,
-        "segments": [
-            {
-                "start": row["start"],
-                "end": end,
-                "polynomials": [
-                    (target, plain[name][place]["coefficients"]) for target, name in targets.items()
-                ],
-            }
-            for place, (row, end) in enumerate(zip(first, ends, strict=True))
-        ],
-    }
-
-
 def _comment(fit: WeakeningFit) -> list[str]:
     domain = fit.domain
     return [
@@ -237,30 +220,65 @@ def _comment(fit: WeakeningFit) -> list[str]:
     ]
 
 
-def _context(design: Design, fit: WeakeningFit) -> PlainData:
-    plain = plain_weakening(fit.step)
+def _preamble(design: Design, fit: WeakeningFit) -> list[str]:
     rpm = fit.settings.omega_m * 30.0 / np.pi
-    return {
-        **title(design),
-        "form": plain,
-        "drop": plain["drop"],
-        "trials": STEPS,
-        "ladders": [
-            _ladder("f", plain, {"limit": "limit"}),
-            _ladder("t", plain, {"i_d": "d", "i_q": "q", "taken": "flux"}),
-        ],
-        "preamble": [
-            (
-                f"{design.machine.pole_pairs} pole pairs, {design.i_max:.6g} A (peak), up to "
-                f"{rpm:.6g} rpm."
-            ),
-            (
-                "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated "
-                "errors hold either way."
-            ),
-        ],
-        "comment": _comment(fit),
+    return [
+        (
+            f"{design.machine.pole_pairs} pole pairs, {design.i_max:.6g} A (peak), up to "
+            f"{rpm:.6g} rpm."
+        ),
+        (
+            "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated "
+            "errors hold either way."
+        ),
+    ]
+
+
+_SAID = (
+    "Current references for a torque within a voltage at a speed, the drop over the phase "
+    "resistance included."
+)
+
+
+def weakening_text(reference: DropReference, lines: Sequence[str], prefix: str) -> str:
+    """Constants and functions of the header.
+
+    Args:
+        reference: What is evaluated.
+        lines: What is said of it behind its first sentence.
+        prefix: Before the names of functions, in capitals before those of constants.
+    """
+    macro, surface = f"{prefix.upper()}_WEAKENING", reference.surface
+    ends: dict[str, Any] = {
+        "flux_min": Expression(f"{macro}_FLUX_MIN_WB"),
+        "flux_max": Expression(f"{macro}_FLUX_MAX_WB"),
     }
+    named, trials = replace(reference, surface=replace(surface, **ends)), place(f"{macro}_TRIALS")
+    functions = Functions()
+    reader, number = StepReader(prefix, functions, Block("", set())), Expression("number")
+
+    def weakening_reference(o: Arithmetic, torque: Reals, v_max: Reals, omega_e: Reals) -> Dq:
+        return named.step(o, torque, v_max, omega_e, trials)
+
+    reader.write("weakening_limit", named.weakening_limit, [number], names=["flux_Wb"])
+    reader.write("weakening_flux", named.weakening_flux, [number, number])
+    reader.write("weakening_least_flux", named.weakening_least_flux, [number, number])
+    reader.write(
+        "weakening_reference",
+        weakening_reference,
+        [number] * 3,
+        into=["i_d_A", "i_q_A"],
+        names=["torque_Nm", "v_max_V", "omega_e_rad_per_s"],
+    )
+    *inner, last = functions.texts.values()
+    said = [f"/* {_SAID}", " *", *(f" * {comment_text(line)}".rstrip() for line in lines), " */"]
+    least, most = map(float_literal, map(float, (surface.flux_min, surface.flux_max)))
+    constants = [
+        f"#define {macro}_FLUX_MIN_WB ({least}) /* least available flux linkage, Wb */",
+        f"#define {macro}_FLUX_MAX_WB ({most}) /* from here upwards it limits nothing, Wb */",
+        f"#define {macro}_TRIALS ({STEPS}U) /* of the torque, where not all of it can be had */",
+    ]
+    return "\n\n".join(["\n".join(constants), *inner, "\n".join([*said, last])])
 
 
 WEAKENING_HARNESS = Harness(
@@ -273,10 +291,19 @@ WEAKENING_HARNESS = Harness(
 
 def weakening_files(design: Design, fit: WeakeningFit) -> dict[str, bytes]:
     """Names and bytes of the header of field-weakening references and of its test vectors."""
-    context = _context(design, fit)
+    context, prefix = title(design), design.export.prefix
+    body = weakening_text(fit.step, _comment(fit), prefix)
+    header = {"part": "weakening", "subject": "current references with field weakening"}
+    includes = ["<math.h> /* sqrtf */"]
     inputs = weakening_inputs(fit.step, design.export.vectors, _SEED)
     vectors = np.concatenate([inputs, weakening_currents(fit.step, inputs)], axis=1)
-    text = render("single_headers/field_weakening/surface.h.j2", context)
+    text = render(
+        "c_code/header.h.j2",
+        context
+        | header
+        | {"preamble": _preamble(design, fit), "includes": includes}
+        | {"body": body, "vectors": True},
+    )
     return WEAKENING_HARNESS.files(design, text, vectors)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, make_dataclass
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,18 @@ import numpy as np
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.curves.integer_polynomial import SingleArray
-from dqforge.optimizer.frame_tables import COLUMNS, DENSE, FrameCandidate, FrameTable, FrameTables
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.curves.single_precision import SINGLE, SingleArray
+from dqforge.optimizer.frame_tables import (
+    COLUMNS,
+    DENSE,
+    FrameCandidate,
+    Frames,
+    FrameTable,
+    FrameTables,
+    decoupling,
+)
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,
@@ -22,13 +32,17 @@ from dqforge.reports.c_code.harness import (
     singles_from,
     title,
 )
-from dqforge.reports.c_code.numbers import rounded_up
+from dqforge.reports.c_code.number_rows import number_rows
+from dqforge.reports.c_code.numbers import float_literal, rounded_up
 from dqforge.reports.capability import Capability, Quantity, ReportPart
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, ceiling, share
 from dqforge.reports.pages.templating import WAVEFORMS as CHAPTER
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
+from dqforge.reports.steps.record_text import vector_struct
+from dqforge.reports.steps.step_reader import Block, Functions, StepReader
+from dqforge.reports.steps.symbols import Expression
 
 _MOST_ROWS = 1 << 17
 _INPUTS = 5  # Turn, electrical speed, and currents of dqy.
@@ -47,15 +61,9 @@ class FrameModel:
         shape (M, 5).
         """
         turn, omega, i_d, i_q, i_0 = inputs.T
-        found = self.table.values(np.ascontiguousarray(turn))
-        at = dict(zip(COLUMNS, found, strict=True))
         with np.errstate(invalid="ignore", over="ignore", under="ignore"):
-            sums = [
-                ((at[f"c_{axis}d"] * i_d) + (at[f"c_{axis}q"] * i_q)) + (at[f"c_{axis}0"] * i_0)
-                for axis in "dq0"
-            ]
-            sums[1] = sums[1] + at["emf"]
-            volts = [omega * total for total in sums]
+            found = self.table.step(SINGLE, np.ascontiguousarray(turn), self.table.entries)
+            volts = decoupling(SINGLE, found, omega, i_d, i_q, i_0)
         return np.ascontiguousarray(np.stack([*found, *volts]).T, dtype=np.float32)
 
 
@@ -178,24 +186,6 @@ def plain_frames(found: FrameTables) -> PlainData:
 
 # The C header of the frames dqx and dqy, as text.
 
-# What the members of the structure are, in the order of `COLUMNS`.
-MEANINGS = {
-    "a_x": "sqrt(3/2) over the length of the alpha-beta vector of the shape: dqx is divided by it",
-    "a_y": "sqrt(3/2) over the length of its alpha-beta-0 vector: dqy is divided by it",
-    "theta_x": "angle from dq to dqx, rad",
-    "theta_y": "angle from dqx to dqy, rad",
-    "turn_x": "1 + d theta_x / d theta: speed of dqx over the electrical speed",
-    "rate_y": "d theta_y / d theta",
-    "growth_x": "(d a_x / d theta) / a_x, 1/rad",
-    "growth_y": "(d a_y / d theta) / a_y, 1/rad",
-    "emf": "back-EMF of the q axis of dqy over the electrical speed, Wb",
-    **{
-        f"c_{row}{column}": f"coupling of the {row} axis with the current of the {column} axis, H"
-        for row in "dq0"
-        for column in "dq0"
-    },
-}
-
 
 def _error_lines(found: FrameTables) -> list[str]:
     table, errors = found.chosen.table, found.chosen.errors
@@ -214,24 +204,85 @@ def _error_lines(found: FrameTables) -> list[str]:
     ]
 
 
-def _context(design: Design, found: FrameTables) -> PlainData:
-    table, span = found.chosen.table, "electrical" if found.turns == 1 else "mechanical"
-    return {
-        **title(design),
-        "span": span,
-        "members": [{"name": name, "meaning": MEANINGS[name]} for name in COLUMNS],
-        "rows": [[shortest(value) for value in row] for row in table.entries],
-        "size": table.size,
-        "parts": table.parts,
-        "phi_m": shortest(np.float32(found.scale)),
-        "lines": _error_lines(found),
-    }
+_PREAMBLE = [
+    (
+        "C. C. Lemes Filho, UFG 2025 (paper 002), chapters 2 to 4, with its misprints corrected. "
+        "Power-invariant: the"
+    ),
+    (
+        "matrices are orthogonal, currents and voltages of dqx are divided by a_x, those of dqy by "
+        "a_y. The back-EMF is"
+    ),
+    (
+        "omega_e phi_m F(theta); 1 N m takes i_qy = 1 / (pole pairs * phi_m * sqrt(3/2)), and "
+        "i_dy = i_0y = 0."
+    ),
+    "",
+]
+
+
+# The frames where a function takes them by their address.
+_BY_ADDRESS: Any = make_dataclass("Frames", [(n, float) for n in Frames._fields], frozen=True)
+_NUMBER: Any = 0.0
+
+
+def frames_text(table: FrameTable, scale: float, span: str, prefix: str) -> str:
+    """Constants, types and functions of the header.
+
+    Args:
+        table: What is read.
+        scale: Largest back-EMF of a phase over the electrical speed, in Wb.
+        span: The turn that the angle is of, ``electrical`` or ``mechanical``.
+        prefix: Before the names of functions, in capitals before those of constants.
+    """
+    functions, count, width = Functions(), table.size + 1, len(Frames._fields)
+    reader, number = StepReader(prefix, functions, Block("", set())), Expression("number")
+    rows = [Expression("", whole=f"{prefix}_frames_table")]
+
+    def frames(o: Arithmetic, turn: Reals) -> Frames:
+        return table.step(o, turn, rows)
+
+    said = (
+        f"The frames by linear interpolation. turn: {span} angle of the d axis from phase a over "
+        "2 pi, 0 to below 1; others count as 0."
+    )
+    reader.write("frames", frames, [number], said)
+    record = _BY_ADDRESS(*[_NUMBER] * width)
+    reader.write("decoupling", decoupling, [record, *[number] * 4], into=["v_d", "v_q", "v_0"])
+    phi_m, macro = float_literal(scale), prefix.upper()
+    what = "largest back-EMF of a phase over the electrical speed"
+    part = " of a third of the turn, with which all of it repeats" if table.parts == 3 else ""
+    held = part or " of the turn"
+    parts = [
+        f"#define {macro}_FRAMES_PHI_M_WB ({phi_m}) /* {what} */",
+        "\n".join(vector_struct(Frames, prefix)),
+        "\n".join(
+            [
+                f"/* {table.size} intervals{held}; the last row repeats the first. */",
+                f"static const float {prefix}_frames_table[{count}][{width}] = {{",
+                *number_rows(table.entries, 9),
+                "};",
+            ]
+        ),
+        *functions.texts.values(),
+    ]
+    return "\n\n".join(parts)
 
 
 def frame_files(design: Design, found: FrameTables) -> dict[str, bytes]:
     """Name and bytes of the header."""
-    text = render("single_headers/frame_tables/frames.h.j2", _context(design, found))
-    return {f"{design.export.prefix}_frames.h": text.encode("ascii")}
+    span, prefix = "electrical" if found.turns == 1 else "mechanical", design.export.prefix
+    compiling = "Compile with -ffp-contract=off to equal the model bit for bit; the stated errors"
+    context = {
+        "part": "frames",
+        "subject": "frames dqx and dqy",
+        "preamble": [*_PREAMBLE, *_error_lines(found), f"{compiling} hold either way."],
+        "includes": [],
+        "body": frames_text(found.chosen.table, found.scale, span, prefix),
+        "vectors": False,
+    }
+    text = render("c_code/header.h.j2", title(design) | context)
+    return {f"{prefix}_frames.h": text.encode("ascii")}
 
 
 def frame_programme(model: FrameModel) -> Programme:

@@ -18,7 +18,7 @@ from dqforge.optimizer.six_step.control import (
 )
 
 if TYPE_CHECKING:
-    from dqforge.optimizer.curves.integer_polynomial import SingleArray
+    from dqforge.optimizer.curves.single_precision import SingleArray
 
 _LENGTH = 250  # rows of a short sequence
 _LONGEST = 12_000  # rows of the sequence that goes through alignment and ramp

@@ -39,7 +39,7 @@ from dqforge.reports.start_up.model_phases import Duties, Phases, follow_ramp
 
 if TYPE_CHECKING:
     from dqforge.optimizer.control_design.gain_set import GainSet
-    from dqforge.optimizer.curves.integer_polynomial import SingleArray
+    from dqforge.optimizer.curves.single_precision import SingleArray
     from dqforge.optimizer.solution import Solution
     from dqforge.optimizer.start_up.plan import StartUpPlan
     from dqforge.optimizer.start_up.solve import StartUp

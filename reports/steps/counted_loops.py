@@ -28,18 +28,34 @@ class Index(Expression):
         parts = (own, self) if swapped else (self, own)
         return place(f" {sign} ".join(part.operand() for part in parts), atom=False)
 
+    def _compared(self, sign: str, other: Any) -> Condition:
+        parts = self, other if isinstance(other, Index) else place(f"{int(other)}U")
+        return Condition((joined(f" {sign} ".join(part.operand() for part in parts), *parts),))
+
 
 def place(text: str, **more: Any) -> Index:
     """A place by its text."""
     return Index(text, kind="unsigned int", **more)
 
 
-def item(table: Sequence[Any], place: Any) -> Any:
-    """The number of an array at a place."""
+def item(table: Sequence[Any], place: Any, column: int | None = None) -> Any:
+    """The number of an array at a place, of an array of rows in a column."""
     if not isinstance(place, Index):
         return table[place]
-    parts = expression(table[0]), place
-    return joined(f"{parts[0].whole}[{place.bare()}]", *parts, atom=True, kind="float")
+    parts, behind = (expression(table[0]), place), "" if column is None else f"[{column}]"
+    return joined(f"{parts[0].whole}[{place.bare()}]{behind}", *parts, atom=True, kind="float")
+
+
+def placed(reader: Writer, name: str, value: Expression, most: int) -> Index:
+    """A place that a number is, at most ``most``."""
+    block = reader.block
+    block.take(name)
+    block.variable("unsigned int", name)
+    reader.take([value])
+    end = f"{block.indent}    {name} = {most}U;"
+    begin = folded(f"{name} = (unsigned int)", value.operand(), ";", block.indent)
+    block.work([*begin, f"{block.indent}if ({name} > {most}U) {{", end, f"{block.indent}}}"])
+    return place(name)
 
 
 def filled(

@@ -33,9 +33,10 @@ from dqforge.reports.steps.integer_reader import (
     whole_of,
 )
 from dqforge.reports.steps.integers import CODES, INT32, INT64, UINT32, WORD, Number
+from dqforge.reports.steps.kept_members import Assignment
 from dqforge.reports.steps.observer_text import Path, gap, in_order, merged, statements
 from dqforge.reports.steps.record_text import comment, said, sentence, struct
-from dqforge.reports.steps.step_reader import Assignment, Block
+from dqforge.reports.steps.step_reader import Block
 from dqforge.reports.steps.symbols import folded
 
 

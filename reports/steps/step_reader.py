@@ -25,7 +25,24 @@ from dqforge.optimizer.steps.step_arithmetic import (
     Rotation,
 )
 from dqforge.reports.c_code.numbers import comment_text
-from dqforge.reports.steps.counted_loops import Index, filled, item, reached, summed
+from dqforge.reports.steps.counted_loops import (
+    Index,
+    filled,
+    item,
+    place,
+    placed,
+    reached,
+    summed,
+)
+from dqforge.reports.steps.kept_members import (
+    Assignment,
+    Kept,
+    assignments,
+    handed_on,
+    members_at,
+    vector,
+    whole_of,
+)
 from dqforge.reports.steps.record_text import (
     LINE,
     SHARED,
@@ -108,7 +125,8 @@ class Block:
         """Statements that are no declarations."""
         if self.declared is None:
             self.declared = len(self.lines)
-            self.lines += [""] if self.lines else []
+            remarked = self.lines and self.lines[-1].lstrip().startswith("/*")
+            self.lines += [""] if self.lines and not remarked else []
         self.lines += lines
 
 
@@ -116,7 +134,8 @@ class Block:
 class Functions:
     """What steps have needed so far: ``texts`` and ``results`` of functions, by name, and which
     members of their arguments they change, ``members`` of records, and ``vectors`` that are
-    declared nowhere else. A function with a result and no text stands elsewhere.
+    declared nowhere else. A function with a result and no text stands elsewhere; those of
+    ``filled`` put the numbers of such a vector through pointers.
     """
 
     texts: dict[str, str] = field(default_factory=dict)
@@ -124,39 +143,7 @@ class Functions:
     changes: dict[str, list[frozenset[str]]] = field(default_factory=dict)
     members: set[Origin] = field(default_factory=set)
     vectors: dict[str, type[Any]] = field(default_factory=dict)
-
-
-@dataclass(slots=True)
-class _Kept:
-    """A member of a state: where it stands in C, and its value there."""
-
-    record: Any
-    member: str
-    place: str
-    value: Any
-    kind: str = "float"
-    version: int = 0
-
-    @property
-    def set_to(self) -> Any:
-        """What the step has made of it."""
-        return getattr(self.record, self.member)
-
-    def targets(self) -> set[str]:
-        """What is no longer to be read when it changes."""
-        parts = self.value if isinstance(self.value, tuple) else (self.value,)
-        return {name for part in parts for name in part.reads}
-
-    def renewed(self) -> None:
-        """Let it be read as it is from now on."""
-        self.version += 1
-        mark = f"#{self.version}"
-        if isinstance(self.value, tuple):
-            self.value = vector(type(self.value), self.place, state=True, mark=mark)
-        else:
-            reads = frozenset({self.place + mark})
-            self.value = Expression(self.place, reads=reads, kind=self.kind)
-        setattr(self.record, self.member, self.value)
+    filled: dict[str, type[Any]] = field(default_factory=dict)
 
 
 class StepReader(Arithmetic):
@@ -175,7 +162,7 @@ class StepReader(Arithmetic):
         self.prefix, self.functions, self.block = prefix, functions, block
         self.branches: tuple[str, list[tuple[Block, Any]]] | None = None
         self._records: list[tuple[Any, str, frozenset[Origin]]] = []
-        self._kept: list[_Kept] = []
+        self._kept: list[Kept] = []
         self._dead: set[str] = set()
         self._changed: set[str] = set()
         self._open: Expression | None = None  # a call that changes the state, till it is written
@@ -219,6 +206,14 @@ class StepReader(Arithmetic):
             found = found + term if term.minus is None else found - term.minus
         return found
 
+    def multiply_add(self, a: Any, b: Any, c: Any) -> Any:
+        """A product and a sum; a negative is subtracted."""
+        product = self.product("", a, b)
+        if product.minus is not None:
+            return c - product.minus
+        less = not isinstance(c, Expression) and np.signbit(c)
+        return self.total("", product, expression(-c).negative() if less else c)
+
     def negative(self, a: Any) -> Any:
         """The number with the other sign."""
         return expression(a).negative()
@@ -250,6 +245,11 @@ class StepReader(Arithmetic):
     def real(self, a: Any) -> Any:
         """An integer as a number."""
         return joined(f"(float){a.operand()}", a, kind="float")
+
+    def differ(self, a: Any, b: Any) -> Any:
+        """Whether conditions differ."""
+        text = f"({a.text()}) != ({b.text()})"
+        return Condition((joined(text, *a.terms, *b.terms),))
 
     def is_number(self, a: Any) -> Any:
         """Whether it equals itself."""
@@ -297,19 +297,65 @@ class StepReader(Arithmetic):
         kind = next((part.kind for part in (a, b) if isinstance(part, Expression)), "float")
         parts = expression(a, kind), expression(b, kind)
         text = " : ".join(part.operand(signed=True) for part in parts)
-        return joined(f"({condition.text()}) ? {text}", *condition.terms, *parts, kind=kind)
+        found = joined(f"({condition.text()}) ? {text}", *condition.terms, *parts, kind=kind)
+        return place(found.text, atom=False) if isinstance(parts[0], Index) else found
 
-    def at(self, table: Sequence[Any], place: Any) -> Any:
+    def at(self, table: Sequence[Any], place: Any, column: int | None = None) -> Any:
         """A number of an array."""
-        return item(table, place)
+        return item(table, place, column)
 
     def each(self, name: str, count: int, of: Callable[[Any], Any]) -> tuple[Any, ...]:
         """An array that a counted loop fills."""
         return filled(self, name, count, of)
 
+    def repeated(
+        self,
+        state: Any,
+        count: Any,
+        of: Callable[[Any], None],
+        until: Callable[[], Any] | None = None,
+    ) -> None:
+        """A counted loop over variables that it changes, with a break where it ends before."""
+        outer, (name,) = self.block, inspect.signature(of).parameters
+        own = [
+            Kept(state, member.name, member.name, expression(getattr(state, member.name)))
+            for member in fields(state)
+        ]
+        for kept in own:
+            self.take([kept.value])
+            outer.take(kept.place)
+            outer.variable("float", kept.place)
+        for kept in own:
+            outer.work(folded(f"{kept.place} = ", kept.value.bare(), ";", outer.indent))
+            kept.renewed()
+        self._kept += own
+        if f"{outer.indent}unsigned int {name};" not in outer.lines:
+            outer.take(name)
+            outer.variable("unsigned int", name)
+        self.block = inner = outer.inner()
+        of(place(name))
+        self.write_state()
+        if until is not None:
+            ends = until()
+            self.take(ends.terms)
+            head = folded("if (", ends.text(), ") {", inner.indent)
+            inner.work([*head, f"{inner.indent}    break;", f"{inner.indent}}}"])
+        self.block = outer
+        outer.inside |= inner.names - outer.names
+        end = count.operand() if isinstance(count, Index) else f"{count}U"
+        head = [f"{outer.indent}for ({name} = 0U; {name} < {end}; {name}++) {{"]
+        outer.work([*head, *inner.lines, f"{outer.indent}}}"])
+        del self._kept[-len(own) :]
+        for kept in own:
+            setattr(state, kept.member, Expression(kept.place))
+
     def summed(self, name: str, first: Any, count: int, of: Callable[[Any], Any]) -> Any:
         """A variable to which a counted loop adds."""
         return summed(self, name, first, count, of)
+
+    def placed(self, name: str, a: Any, most: int) -> Any:
+        """A variable that takes a number as a place."""
+        return placed(self, name, a, most)
 
     def reached(self, name: str, conditions: Sequence[Any]) -> Any:
         """A variable that is raised by one condition after the other."""
@@ -336,12 +382,12 @@ class StepReader(Arithmetic):
         if isinstance(value, tuple):
             parts = tuple(map(expression, value))
             if not hasattr(value, "_fields"):
-                if text := _whole(value):
+                if text := whole_of(value):
                     self._declare("float *const", name, text, meaning, parts)
                 else:
                     self._array(name, parts, meaning)
                 return tuple(Expression(f"{name}[{n}]", whole=name) for n in range(len(value)))
-            text = _whole(value)
+            text = whole_of(value)
             kind = f"{self.prefix}_{c_name(type(value))}_t"
             if text or not self._listed(kind, name, parts, meaning):
                 text = text or f"{{ {', '.join(part.bare() for part in parts)} }}"
@@ -404,7 +450,7 @@ class StepReader(Arithmetic):
         )
         return cast("_T", found if isinstance(name, tuple) else found[0] if found else None)
 
-    def _renew(self, kept: _Kept) -> None:
+    def _renew(self, kept: Kept) -> None:
         self._dead |= kept.targets()
         self._changed.add(kept.place)
         kept.renewed()
@@ -464,7 +510,7 @@ class StepReader(Arithmetic):
         self.block.work([])
         if not isinstance(value, tuple):
             self.block.add(f"{name} = ", parts[0].bare())
-        elif text := _whole(value):
+        elif text := whole_of(value):
             self.block.add(f"{name} = ", text)
         else:
             for axis, part in zip(kind_fields(value), parts, strict=True):
@@ -500,6 +546,8 @@ class StepReader(Arithmetic):
         if name not in self.functions.results:
             self.write(name, function, args)
         changes = self.functions.changes.get(name, [])
+        if name in self.functions.filled:
+            return cast("_T", self._filling(name, args))
         if not any(changes):
             return cast("_T", self._called(name, args, self.functions.results[name]))
         self.write_state()
@@ -519,6 +567,19 @@ class StepReader(Arithmetic):
             return cast("_T", None)
         return cast("_T", result)
 
+    def _filling(self, name: str, arguments: Sequence[Any]) -> Any:
+        """A call that gives variables their values through pointers."""
+        kind: Any = self.functions.filled[name]
+        parts = [expression(part) for part in arguments]
+        self.take(parts)
+        for own in kind._fields:
+            self.block.take(own)
+            self.block.variable("float", own)
+        texts = [*(part.bare() for part in parts), *(f"&{own}" for own in kind._fields)]
+        begin = f"{self.prefix}_{name}("
+        self.block.work(folded(begin, ", ".join(texts), ");", self.block.indent))
+        return kind(*map(Expression, kind._fields))
+
     def _called(self, name: str, arguments: Sequence[Any], kind: type[Any] | None) -> Any:
         texts, parts = [], list[Expression]()
         for argument in arguments:
@@ -529,7 +590,7 @@ class StepReader(Arithmetic):
                 if not any(self.functions.changes.get(name, [])):
                     parts.append(Expression(place[0], reads=self._state_of(place[0])))
             elif isinstance(argument, tuple):
-                texts.append(_handed_on(argument))
+                texts.append(handed_on(argument))
                 parts += [expression(part) for part in argument]
             else:
                 parts.append(expression(argument))
@@ -554,7 +615,13 @@ class StepReader(Arithmetic):
         return next(((text, outer) for own, text, outer in self._records if own is value), None)
 
     def write(
-        self, name: str, function: Callable[..., Any], arguments: Sequence[Any], text: str = ""
+        self,
+        name: str,
+        function: Callable[..., Any],
+        arguments: Sequence[Any],
+        text: str = "",
+        into: Sequence[str] = (),
+        names: Sequence[str] = (),
     ) -> None:
         """Write a function.
 
@@ -563,13 +630,16 @@ class StepReader(Arithmetic):
             function: Of an arithmetic and the arguments.
             arguments: As of `parameter`.
             text: What is said of it, empty for its own sentence.
+            into: Pointers that take the numbers of the result, behind the arguments; none where it
+                is returned.
+            names: Of the parameters, none where they are those of the function.
         """
-        names = list(inspect.signature(function).parameters)[1:]
-        inner = StepReader(self.prefix, self.functions, Block("    ", set(names)))
+        names = names or list(inspect.signature(function).parameters)[1:]
+        inner = StepReader(self.prefix, self.functions, Block("    ", {*names, *into}))
         inside = [inner.parameter(n, item) for n, item in zip(names, arguments, strict=True)]
         result = function(inner, *(value for _, value in inside))
         inner.write_state()
-        kind, end = inner.returned(result)
+        kind, end = inner.returned(result, into)
         changes = [
             frozenset(place[len(n) + 2 :] for place in inner._changed if place.startswith(f"{n}->"))
             for n in names
@@ -578,15 +648,17 @@ class StepReader(Arithmetic):
             text.removeprefix("const ") if changed else text
             for (text, _), changed in zip(inside, changes, strict=True)
         )
+        parameters = ", ".join([parameters, *(f"float *{pointer}" for pointer in into)])
+        said = text or sentence(function)
         body = inner.block.lines
         used = set(re.findall(r"\w+", " ".join([*body, *end])))
         inner.block.first([f"    (void){n};" for n in names if n not in used])
         lines = [
-            *comment(text or sentence(function)),
+            *(comment(said) if said else []),
             *folded(f"static inline {kind} {self.prefix}_{name}(", parameters, ")", ""),
             "{",
             *body,
-            *([""] if body and end and inner.block.declared is None else []),
+            *([""] if body and end and (into or inner.block.declared is None) else []),
             *end,
             "}",
         ]
@@ -594,19 +666,27 @@ class StepReader(Arithmetic):
         none = type(None) if result is None else None
         self.functions.results[name] = type(result) if isinstance(result, tuple) else none
         self.functions.changes[name] = changes
+        if into:
+            self.functions.filled[name] = type(result)
 
-    def returned(self, result: Any) -> tuple[str, list[str]]:
-        """Type of what a function returns, and the statements that return it."""
+    def returned(self, result: Any, into: Sequence[str] = ()) -> tuple[str, list[str]]:
+        """Type of what a function returns, and the statements that return it, or put it through
+        pointers.
+        """
         end = Block(self.block.indent, set())
         if result is None:
             return "void", []
         parts = tuple(map(expression, result if isinstance(result, tuple) else (result,)))
         self.take(parts)
+        if into:
+            for pointer, part in zip(into, parts, strict=True):
+                end.add(f"*{pointer} = ", part.bare())
+            return "void", end.lines
         if not isinstance(result, tuple):
             end.add("return ", parts[0].bare())
             return parts[0].kind, end.lines
         own = c_name(type(result))
-        kind, whole = f"{self.prefix}_{own}_t", _whole(result)
+        kind, whole = f"{self.prefix}_{own}_t", whole_of(result)
         if type(result) not in SHARED:
             self.functions.vectors[own] = type(result)
         if whole:
@@ -662,7 +742,7 @@ class StepReader(Arithmetic):
         self._records.append((found, address, outer))
         if not like.__dataclass_params__.frozen:
             self._kept += [
-                _Kept(found, member, name, values[member], kind) for member, name, kind in kept
+                Kept(found, member, name, values[member], kind) for member, name, kind in kept
             ]
         return found
 
@@ -677,56 +757,6 @@ class StepReader(Arithmetic):
         return found[0][1]
 
 
-def vector(kind: type[Any], name: str, *, state: bool = False, mark: str = "") -> Any:
-    """A vector by its name in C; ``state`` of a member of the state, ``mark`` tells when it is
-    read.
-    """
-    texts = [f"{name}.{n}" for n in kind._fields]
-    reads = [frozenset({text + mark} if state else ()) for text in texts]
-    return kind(
-        *(Expression(text, reads=own, whole=name) for text, own in zip(texts, reads, strict=True))
-    )
-
-
-def members_at(address: str) -> str:
-    """What the members of a record begin with."""
-    return f"{address[1:]}." if address.startswith("&") else f"{address}->"
-
-
-@dataclass(frozen=True, slots=True)
-class Assignment:
-    """A statement ``place = text``, what it reads, and whose reading it ends."""
-
-    place: str
-    text: str
-    reads: frozenset[str]
-    targets: set[str]
-
-
-def assignments(
-    place: str, value: Any, parts: Sequence[Expression], before: Any
-) -> list[Assignment]:
-    """Statements that give a number or vector of the state its value, without what it has.
-
-    Args:
-        place: In C.
-        value, before: What it is to be, and what it is.
-        parts: The numbers of the value.
-    """
-    old = tuple(before) if isinstance(before, tuple) else (before,)
-    whole = _whole(value) if isinstance(value, tuple) else ""
-    if whole:
-        reads = frozenset[str]().union(*(part.reads for part in parts))
-        targets = {name for part in old for name in part.reads}
-        return [] if whole == place else [Assignment(place, whole, reads, targets)]
-    places = [f"{place}.{axis}" for axis in kind_fields(value)] if len(old) > 1 else [place]
-    return [
-        Assignment(own, part.bare(), part.reads, set(last.reads))
-        for own, part, last in zip(places, parts, old, strict=True)
-        if part.text != own
-    ]
-
-
 def ordered(open_: list[Assignment], block: Block) -> None:
     """Write assignments to what changes, none before another one that reads the old value."""
     while open_:
@@ -739,24 +769,3 @@ def ordered(open_: list[Assignment], block: Block) -> None:
             raise ValueError(f"{open_[0].place} is needed after it changed: name it by `let`")
         block.add(f"{free[0].place} = ", free[0].text)
         open_.remove(free[0])
-
-
-def _whole(value: Any) -> str:
-    """The vector or array whose parts these are, in their order; else nothing."""
-    places = {part.whole for part in value if isinstance(part, Expression)}
-    if len(places) != 1:
-        return ""
-    (place,) = places
-    names = (
-        [f"{place}.{n}" for n in kind_fields(value)]
-        if hasattr(value, "_fields")
-        else [f"{place}[{n}]" for n in range(len(value))]
-    )
-    return place if [getattr(part, "text", "") for part in value] == names else ""
-
-
-def _handed_on(value: Any) -> str:
-    text = _whole(value)
-    if not text:
-        raise ValueError("a vector is handed on by its name: name it by `let`")
-    return text

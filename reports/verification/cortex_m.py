@@ -24,7 +24,7 @@ from dqforge.reports.verification.host import WARNINGS
 from dqforge.reports.verification.measured_cost import cost_on_target
 
 if TYPE_CHECKING:
-    from dqforge.optimizer.curves.integer_polynomial import SingleArray
+    from dqforge.optimizer.curves.single_precision import SingleArray
     from dqforge.reports.c_code.harness import Programme
     from dqforge.reports.verification.cross_tools import Span
 

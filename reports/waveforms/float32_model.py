@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.curves.integer_polynomial import SingleArray
+from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.waveforms.firmware_fit import (
     PhaseHarmonics,
     PhasePolynomials,

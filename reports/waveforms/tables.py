@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -11,15 +11,17 @@ import numpy as np
 from dqforge.machines.design.design import Design
 from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.machines.topologies import TOPOLOGIES
+from dqforge.machines.transforms import Reals
 from dqforge.optimizer.solution import Solution
+from dqforge.optimizer.steps.step_arithmetic import Abc, Arithmetic
 from dqforge.optimizer.waveforms.comparison import RuleCurrents, WaveformComparison
 from dqforge.optimizer.waveforms.confirmation import Confirmation
 from dqforge.optimizer.waveforms.firmware_fit import (
-    HALF_ROOT_3,
     PhaseCandidate,
     PhaseFit,
     PhasePolynomials,
     PhaseReference,
+    PhaseTable,
 )
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
@@ -29,13 +31,16 @@ from dqforge.reports.c_code.harness import (
     Programme,
     title,
 )
-from dqforge.reports.c_code.numbers import rounded_up
+from dqforge.reports.c_code.number_rows import number_rows
+from dqforge.reports.c_code.numbers import comment_text, float_literal, rounded_up
 from dqforge.reports.capability import Capability, Draw, Quantity, ReportPart
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, ceiling, quantity, share, symbols
 from dqforge.reports.pages.templating import WAVEFORMS as CHAPTER
 from dqforge.reports.pages.templating import render
-from dqforge.reports.plain_data import PlainData, shortest
+from dqforge.reports.plain_data import PlainData
+from dqforge.reports.steps.step_reader import Block, Functions, StepReader
+from dqforge.reports.steps.symbols import Expression
 from dqforge.reports.waveforms.float32_model import (
     model_currents,
     phase_reference_from,
@@ -348,90 +353,6 @@ def _error_lines(fit: PhaseFit) -> list[str]:
     return lines
 
 
-def _terms(plain: PlainData) -> list[list[PlainData]]:
-    """Products of each phase in the order in which they are added; none of a table."""
-    if plain["form"] != "harmonics":
-        return []
-    rows = []
-    for cosine, sine in zip(plain["cosine"], plain["sine"], strict=True):
-        pairs = [
-            (harmonic, weight, factor)
-            for harmonic, weights in enumerate(zip(cosine, sine, strict=True))
-            for weight, factor in zip(weights, ("c", "s"), strict=True)
-            if weight != 0.0
-        ]
-        rows.append(
-            [
-                {"harmonic": harmonic, "weight": weight, "factor": factor, "first": place == 0}
-                for place, (harmonic, weight, factor) in enumerate(pairs)
-            ]
-        )
-    return rows
-
-
-def _weight_steps(form: PhasePolynomials, weight: tuple[float, ...]) -> PlainData | None:
-    """How the C evaluates one weight: Horner's rule in x or its square."""
-    if not weight:
-        return None
-    coefficients, variable, odd = form.steps(weight)
-    return {
-        "last": coefficients[-1],
-        "others": coefficients[-2::-1],
-        "variable": variable,
-        "odd": odd,
-    }
-
-
-def _polynomial_context(form: PhasePolynomials) -> PlainData:
-    """Harmonics in the order in which the C adds them, each with the weights of its rows."""
-    equal, started = len(form.cosine) == 1, set()
-    harmonics = []
-    for harmonic in range(form.size):
-        order = 1 + form.stride * harmonic
-        rows = []
-        for row, (cosine, sine) in enumerate(zip(form.cosine, form.sine, strict=True)):
-            a, b = _weight_steps(form, cosine[harmonic]), _weight_steps(form, sine[harmonic])
-            if a is None and b is None:
-                continue
-            along = ("along" if order % 3 else "common") if equal else f"i_{'abc'[row]}"
-            turns = equal and order % 3 != 0
-            rows.append(
-                {
-                    "cosine": a,
-                    "sine": b,
-                    "along": along,
-                    "first_along": along not in started,
-                    "across": turns,
-                    "first_across": turns and "across" not in started,
-                    "sign": "" if order % 3 == 1 else "-",
-                }
-            )
-            started |= {along, "across"} if turns else {along}
-        harmonics.append({"order": order, "rows": rows})
-    weights = [
-        weight
-        for part in (form.cosine, form.sine)
-        for row in part
-        for weight in row
-        if len(weight) > 1
-    ]
-    names = ("common", "along", "across") if equal else ("i_a", "i_b", "i_c")
-    return {
-        "equal": equal,
-        "stride": form.stride,
-        "harmonics": harmonics,
-        "sums": [{"name": name, "used": name in started} for name in names],
-        "uses": {
-            "x": bool(weights),
-            "square": any(form.steps(weight)[1] == "square" for weight in weights),
-            "a": any(any(row) for row in form.cosine),
-            "b": any(any(row) for row in form.sine),
-        },
-        "inverse": shortest(form.inverse),
-        "half_root_3": shortest(HALF_ROOT_3),
-    }
-
-
 def _span(design: Design) -> str:
     """The turn that a table spans."""
     turns = 1 if design.phase_machine is None else design.phase_machine.turns
@@ -452,58 +373,94 @@ def _angle_lines(design: Design, form: str) -> list[str]:
     return [text, f"The {pairs} pole pairs differ: at 0 the first one of the back-EMF begins."]
 
 
-def _context(design: Design, fit: PhaseFit) -> PlainData:
-    plain = plain_phase_reference(fit.reference)
+def _preamble(design: Design) -> list[str]:
+    return [
+        (
+            f"{design.machine.pole_pairs} pole pairs, {design.i_max:.6g} A (peak), "
+            f"{design.inverter.topology}."
+        ),
+        (
+            "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated "
+            "errors hold either way."
+        ),
+    ]
+
+
+def _comment(design: Design, fit: PhaseFit) -> list[str]:
     rule = "with" if TOPOLOGIES[design.inverter.topology].neutral else "without"
-    angle = _angle_lines(design, plain["form"])
     form = fit.reference.form
     proportional = (
         "not in proportion to" if isinstance(form, PhasePolynomials) else "proportional to"
     )
-    return {
-        **title(design),
-        "polynomials": _polynomial_context(form) if isinstance(form, PhasePolynomials) else None,
-        "torque_max": plain["torque_max"],
-        "span": _span(design),
-        "form": {"table": None, "size": 0}
-        | plain
-        | ({"size": len(plain["table"][0]) - 1} if "table" in plain else {}),
-        "terms": _terms(plain),
-        "preamble": [
-            (
-                f"{design.machine.pole_pairs} pole pairs, {design.i_max:.6g} A (peak), "
-                f"{design.inverter.topology}."
-            ),
-            (
-                "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated "
-                "errors hold either way."
-            ),
-        ],
-        "comment": [
-            (
-                f"Constant torque at least copper loss, {rule} zero-sequence current; "
-                f"{proportional} the torque."
-            ),
-            (
-                "torque_Nm: torque in N m, clamped to +-TORQUE_MAX; i_a_A, i_b_A, i_c_A: phase "
-                "currents in A."
-            ),
-            *angle,
-            *_error_lines(fit),
-        ],
-    }
+    return [
+        (
+            f"Constant torque at least copper loss, {rule} zero-sequence current; "
+            f"{proportional} the torque."
+        ),
+        (
+            "torque_Nm: torque in N m, clamped to +-TORQUE_MAX; i_a_A, i_b_A, i_c_A: phase "
+            "currents in A."
+        ),
+        *_angle_lines(design, plain_phase_reference(fit.reference)["form"]),
+        *_error_lines(fit),
+    ]
+
+
+def waveform_text(reference: PhaseReference, lines: Sequence[str], span: str, prefix: str) -> str:
+    """Constants and the function of the header.
+
+    Args:
+        reference: What is evaluated.
+        lines: What is said of it behind its first sentence.
+        span: The turn that a table spans, ``electrical`` or ``mechanical``.
+        prefix: Before the names of functions, in capitals before those of constants.
+    """
+    end, form = f"{prefix.upper()}_WAVEFORM_TORQUE_MAX_NM", reference.form
+    most = float_literal(float(reference.torque_max))
+    parts = [f"#define {end} ({most}) /* end of the torque domain, N m */"]
+    name, rows = f"{prefix}_waveform_table", list[tuple[Expression, ...]]()
+    angle = ["sine", "cosine"]
+    if isinstance(form, PhaseTable):
+        angle, (count, width) = ["turn"], form.entries.shape
+        rows = [(Expression("", whole=f"{name}[{row}]"),) for row in range(count)]
+        said = (
+            f"/* Phase currents over the {span} turn, A/(N m); the last entry repeats the first. */"
+        )
+        head = f"static const float {name}[{count}][{width}] = {{"
+        parts.append("\n".join([said, head, *number_rows(form.entries, 8), "};"]))
+
+    def phase_currents(o: Arithmetic, torque: Reals, *turned: Reals) -> Abc:
+        return reference.step(o, torque, turned, Expression(end), rows)
+
+    functions = Functions()
+    StepReader(prefix, functions, Block("", set())).write(
+        "phase_currents",
+        phase_currents,
+        [Expression("number")] * (1 + len(angle)),
+        into=["i_a_A", "i_b_A", "i_c_A"],
+        names=["torque_Nm", *angle],
+    )
+    said_lines = (f" * {comment_text(line)}".rstrip() for line in lines)
+    comment = ["/* Phase currents for a torque and an electrical angle.", " *", *said_lines, " */"]
+    return "\n\n".join([*parts, "\n".join([*comment, *functions.texts.values()])])
 
 
 def waveform_files(design: Design, fit: PhaseFit) -> dict[str, bytes]:
     """Names and bytes of the header of phase currents and of its test vectors."""
-    context = _context(design, fit)
+    context, prefix = title(design), design.export.prefix
     inputs = waveform_inputs(fit.reference, max(design.export.vectors, 64), _SEED)
     currents = model_currents(fit.reference, inputs)
     vectors = np.concatenate([inputs, currents], axis=1)
-    template = (
-        "waveforms/waveform.h.j2" if context["polynomials"] is None else "waveforms/salient.h.j2"
-    )
-    return _harness(inputs.shape[1]).files(design, render(template, context), vectors)
+    header = {
+        "part": "waveform",
+        "subject": "phase currents",
+        "preamble": _preamble(design),
+        "includes": [],
+        "body": waveform_text(fit.reference, _comment(design, fit), _span(design), prefix),
+        "vectors": True,
+    }
+    text = render("c_code/header.h.j2", context | header)
+    return _harness(inputs.shape[1]).files(design, text, vectors)
 
 
 def _harness(inputs: int) -> Harness:

@@ -28,7 +28,7 @@ from dqforge.optimizer.current_reference.forms import (
     FixedReference,
     error_curves,
 )
-from dqforge.optimizer.curves.integer_polynomial import SingleArray
+from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.solution import solve
 from dqforge.reports.c_code.numbers import float_literal

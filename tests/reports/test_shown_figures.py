@@ -17,7 +17,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import FitSettings, OperationSettings
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.current_reference.solve import solve_fit
-from dqforge.optimizer.curves.integer_polynomial import PiecewisePolynomial
+from dqforge.optimizer.curves.single_precision import PiecewisePolynomial
 from dqforge.optimizer.losses.solve import require_losses
 from dqforge.optimizer.operating_points.characteristics import (
     LimitedDrive,

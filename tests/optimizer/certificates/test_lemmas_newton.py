@@ -27,7 +27,7 @@ from dqforge.optimizer.current_reference.forms import (
     ReferenceErrors,
     ReluctanceClosedForm,
 )
-from dqforge.optimizer.curves.integer_polynomial import SinglePolynomial
+from dqforge.optimizer.curves.single_precision import SinglePolynomial
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint
 
 

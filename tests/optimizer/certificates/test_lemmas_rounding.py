@@ -36,11 +36,8 @@ from dqforge.optimizer.current_reference.forms import (
     ReluctanceClosedForm,
     TorqueExact,
 )
-from dqforge.optimizer.curves.integer_polynomial import (
-    FixedPolynomial,
-    FixedSegment,
-    SinglePolynomial,
-)
+from dqforge.optimizer.curves.integer_polynomial import FixedPolynomial, FixedSegment
+from dqforge.optimizer.curves.single_precision import SinglePolynomial
 
 UNIT, LEAST = Fraction(1, 2**24), Fraction(1, 2**149)
 SIGNS = (-1, 0, 1)

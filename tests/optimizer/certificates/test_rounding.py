@@ -24,11 +24,8 @@ from dqforge.optimizer.current_reference.forms import (
     ReluctanceClosedForm,
     TorqueExact,
 )
-from dqforge.optimizer.curves.integer_polynomial import (
-    FixedPolynomial,
-    FixedSegment,
-    SinglePolynomial,
-)
+from dqforge.optimizer.curves.integer_polynomial import FixedPolynomial, FixedSegment
+from dqforge.optimizer.curves.single_precision import SinglePolynomial
 
 DIGITS = 60
 

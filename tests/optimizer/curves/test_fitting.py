@@ -24,7 +24,7 @@ from dqforge.optimizer.curves.fitting import (
     largest_error,
     squared_error_integral,
 )
-from dqforge.optimizer.curves.integer_polynomial import PiecewisePolynomial
+from dqforge.optimizer.curves.single_precision import PiecewisePolynomial
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_per_unit
 
 FREE = SideConditions(exact_at_zero=False, continuous=False)

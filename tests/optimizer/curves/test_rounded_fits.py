@@ -9,11 +9,11 @@ import pytest
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.curves.fitting import SideConditions, fit_curve
-from dqforge.optimizer.curves.integer_polynomial import (
+from dqforge.optimizer.curves.single_precision import (
+    CONTRACTED,
+    SINGLE,
     PiecewisePolynomial,
     SinglePolynomial,
-    fused_multiply_add,
-    multiply_add,
 )
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
@@ -55,7 +55,7 @@ def test_float_costs_one_percent_and_the_rounding_floor(degree: int, segments: i
             single = SinglePolynomial.from_double(fit)
             in_float = max(
                 float(np.max(np.abs(single.evaluate(torque, way).astype(np.float64) - exact)))
-                for way in (multiply_add, fused_multiply_add)
+                for way in (SINGLE, CONTRACTED)
             )
             floor = FLOOR * HALF_ULP * np.max(np.abs(exact))
             assert in_float <= 1.01 * in_double + floor
@@ -81,12 +81,7 @@ def test_rounding_in_turn_beats_plain_rounding() -> None:
                     fit.edges[:-1].astype(np.float32), fit.coefficients.astype(np.float32)
                 )
                 found = [
-                    float(
-                        np.max(
-                            np.abs(single.evaluate(torque, multiply_add).astype(np.float64) - exact)
-                        )
-                    )
-                    - best
+                    float(np.max(np.abs(single.evaluate(torque).astype(np.float64) - exact))) - best
                     for single in (plain, SinglePolynomial.from_double(fit))
                 ]
                 unit = HALF_ULP * float(np.max(np.abs(exact)))

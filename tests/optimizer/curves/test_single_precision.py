@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dqforge.optimizer.curves.integer_polynomial import (
+from dqforge.optimizer.curves.single_precision import (
     PiecewisePolynomial,
     SinglePolynomial,
+    compiled,
     fused_multiply_add,
     multiply_add,
 )
@@ -88,7 +89,11 @@ def test_horner_equals_a_scalar_loop(fused: bool) -> None:
         for power in (2, 1, 0):
             value = muladd(value, x, np.array([c[power]]))
         expected.append(value[0])
-    np.testing.assert_array_equal(polynomial.evaluate(torque, muladd), np.array(expected))
+    np.testing.assert_array_equal(
+        polynomial.evaluate(torque, compiled(fused=fused)), np.array(expected)
+    )
     np.testing.assert_allclose(
-        polynomial.evaluate(torque, muladd), piecewise(torque.astype(float)), atol=1e-4
+        polynomial.evaluate(torque, compiled(fused=fused)),
+        piecewise(torque.astype(float)),
+        atol=1e-4,
     )

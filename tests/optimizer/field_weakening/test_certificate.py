@@ -20,11 +20,7 @@ from dqforge.machines.design.settings import WeakeningSettings
 from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.optimizer.certificates.ball import Balls
-from dqforge.optimizer.curves.integer_polynomial import (
-    SingleArray,
-    fused_multiply_add,
-    multiply_add,
-)
+from dqforge.optimizer.curves.single_precision import CONTRACTED, SINGLE, SingleArray
 from dqforge.optimizer.field_weakening.certificate import (
     SurfaceCertificate,
     certify_step,
@@ -125,7 +121,7 @@ def inputs(
     torque[ends[::3]] = neighbours(granted(reference, flux[ends[::3]]), generator)
     torque[ends[:100]] = 0.0
     torque[ends[100:200]] = np.inf
-    flux[seam] = neighbours(reference.flux.evaluate(torque[seam], multiply_add), generator)
+    flux[seam] = neighbours(reference.flux.evaluate(torque[seam]), generator)
     return torque * generator.choice(np.array([-1.0, 1.0], dtype=np.float32), count), np.clip(
         flux, low, None
     )
@@ -381,8 +377,8 @@ def test_the_rounded_limit_lies_in_its_range(name: str) -> None:
     exactly_low = low.astype(np.float32)
     for points in (flux.astype(np.float32), exactly_low):
         inside = (points >= low) & (points <= high)
-        for muladd in (multiply_add, fused_multiply_add):
-            found = reference.limit.evaluate(points - reference.flux_min, muladd)
+        for o in (SINGLE, CONTRACTED):
+            found = reference.limit.evaluate(points - reference.flux_min, o)
             assert np.all(((least <= found) & (found <= largest))[inside])
 
 
@@ -396,7 +392,7 @@ def test_what_a_limit_loses_where_the_flux_linkage_rises_is_bounded() -> None:
     above = np.linspace(0.0, float(reference.flux_max - reference.flux_min), 20_001).astype(
         np.float32
     )
-    values = falling.limit.evaluate(above, multiply_add).astype(np.float64)
+    values = falling.limit.evaluate(above).astype(np.float64)
     lost = float(np.max(np.maximum.accumulate(values) - values))
     assert lost > 0.0
     assert (

@@ -12,7 +12,7 @@ import pytest
 
 from dqforge.machines.design.settings import WeakeningSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.optimizer.curves.integer_polynomial import SingleArray
+from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.field_weakening import voltage_region as surface_voltage
 from dqforge.optimizer.field_weakening.certificate import certify_step
 from dqforge.optimizer.field_weakening.fit import WeakeningFit, fit_weakening

@@ -14,11 +14,14 @@ import pytest
 
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.transforms import Pair
-from dqforge.optimizer.curves.integer_polynomial import (
+from dqforge.optimizer.curves.single_precision import (
+    SINGLE,
     PiecewisePolynomial,
+    SingleArray,
     SinglePolynomial,
     _monic_chebyshev,
     fused_multiply_add,
+    in_segments,
     multiply_add,
 )
 from dqforge.optimizer.fixed_control import arithmetic as fixed
@@ -272,14 +275,18 @@ def test_odd_continuation() -> None:
         np.array([0.0, 2.0], np.float32), np.array([[0.0, 1.5, 0.5], [4.0, 1.0, 0.0]], np.float32)
     )
     signed = np.array([-1.0, 1.0, -3.0, 3.0, 2.0, -2.0], np.float32)
-    found = polynomial.evaluate(np.abs(signed), multiply_add, signed)
+
+    def odd(curve: SinglePolynomial, t: SingleArray) -> SingleArray:
+        return in_segments(
+            SINGLE, "i", curve.starts, np.abs(t), lambda n, x: curve.odd_within(SINGLE, n, x, t)
+        )
+
+    found = odd(polynomial, signed)
     np.testing.assert_array_equal(found, [-2.0, 2.0, -5.0, 5.0, 4.0, -4.0])
     shifted = SinglePolynomial(np.array([0.0], np.float32), np.array([[1.0, 2.0]], np.float32))
-    found = shifted.evaluate(np.abs(signed[:2]), multiply_add, signed[:2])
+    found = odd(shifted, signed[:2])
     np.testing.assert_array_equal(found, [-3.0, 3.0])
-    np.testing.assert_array_equal(
-        shifted.evaluate(np.array([0.5], np.float32), multiply_add), [2.0]
-    )
+    np.testing.assert_array_equal(shifted.evaluate(np.array([0.5], np.float32)), [2.0])
 
 
 @pytest.mark.parametrize("width", [8, 16])

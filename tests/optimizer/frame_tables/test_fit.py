@@ -17,15 +17,18 @@ from dqforge.machines.phase_machines.frame_transforms import (
     transform,
 )
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, grid
-from dqforge.optimizer.curves.integer_polynomial import fused_multiply_add
+from dqforge.optimizer.curves.single_precision import CONTRACTED
 from dqforge.optimizer.frame_tables import (
     COLUMNS,
+    Frames,
+    decoupling,
     errors_of,
     exact_frames,
     fit_frames,
     solve_frame_tables,
     table_of,
 )
+from dqforge.optimizer.steps.step_arithmetic import EXACT
 
 
 def machine(orders: list[float], shares: list[float], pole_pairs: int = 2) -> PhaseMachine:
@@ -139,7 +142,7 @@ def test_turns_beyond_the_end_count_as_none() -> None:
     )
     inside = np.array([0.25, 0.9], dtype=np.float32)
     np.testing.assert_allclose(
-        table.values(inside, fused_multiply_add), table.values(inside), rtol=1e-5, atol=1e-8
+        table.values(inside, CONTRACTED), table.values(inside), rtol=1e-5, atol=1e-8
     )
 
 
@@ -181,3 +184,12 @@ def test_a_design_that_asks_for_none_has_none() -> None:
 def test_interpolation_between_the_angles_is_that_of_the_spectrum() -> None:
     wave = np.cos(5.0 * grid(24))
     np.testing.assert_allclose(resampled(wave, 96), np.cos(5.0 * grid(96)), atol=1e-14)
+
+
+def test_decoupling_is_a_matrix_on_the_currents_and_the_emf_on_the_q_axis() -> None:
+    generator = np.random.default_rng(4)
+    frames, currents = generator.normal(size=len(COLUMNS)), generator.normal(size=3)
+    matrix = frames[-9:].reshape(3, 3)
+    found = decoupling(EXACT, Frames(*frames), np.asarray(70.0), *currents)
+    emf = np.array([0.0, frames[COLUMNS.index("emf")], 0.0])
+    np.testing.assert_allclose(found, 70.0 * (matrix @ currents + emf), rtol=1e-12)

@@ -13,7 +13,7 @@ import pytest
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.curves.integer_polynomial import SingleArray
+from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.saliency.inform import (
     WRONG,
     PolarityGains,

@@ -19,7 +19,7 @@ from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.current_reference.forms import CurrentReference, TorqueExact
-from dqforge.optimizer.curves.integer_polynomial import SingleArray
+from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.current_reference.plain import (
     from_plain,

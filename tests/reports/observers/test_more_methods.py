@@ -21,7 +21,7 @@ from drives import IPM
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer import harmonic_trackers as third
-from dqforge.optimizer.curves.integer_polynomial import SingleArray
+from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.harmonic_trackers import third_harmonic_gains
 from dqforge.optimizer.observers.methods.ekf import ekf, ekf_gains, ekf_start, ekf_step
 from dqforge.optimizer.observers.methods.matsui_current import (

@@ -20,7 +20,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import WeakeningSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.curves.integer_polynomial import SingleArray
+from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.field_weakening.fit import WeakeningFit, fit_weakening
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE
 from dqforge.optimizer.operating_points.points import optimal_points

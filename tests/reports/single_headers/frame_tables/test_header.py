@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -17,7 +19,6 @@ from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.frame_tables import COLUMNS, fit_frames
 from dqforge.reports.single_headers.frame_tables import (
-    MEANINGS,
     FrameModel,
     frame_files,
     frame_model_from,
@@ -110,10 +111,13 @@ def test_the_model_is_read_back_from_its_plain_data() -> None:
 
 
 def test_every_member_says_what_it_is() -> None:
-    assert tuple(MEANINGS) == COLUMNS
-    (text,) = frame_files(DESIGN, TABLES).values()
-    for name, meaning in MEANINGS.items():
-        assert f"    float {name}; /* {meaning} */" in text.decode("ascii")
+    (content,) = frame_files(DESIGN, TABLES).values()
+    text = content.decode("ascii")
+    members = re.findall(r"^    float (\w+); +/\* \S[^*]* \*/$", text, re.MULTILINE)
+    assert tuple(members) == COLUMNS
+    for row, column in itertools.product("dq0", repeat=2):
+        said = f"coupling of the {row} axis with the current of the {column} axis, H"
+        assert f"float c_{row}{column};     /* {said} */" in text
 
 
 @pytest.mark.slow
