@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.names import ModulationName, NumberFormat
 from dqforge.optimizer.current_reference.forms import FixedReference
+from dqforge.optimizer.fixed_control.codes import FIXED_MODULATORS
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
-from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
     FIXED_METHODS,
     solve_fixed_observers,

@@ -15,7 +15,7 @@ from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.fixed_control.arithmetic import Integers, Reach
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
-from dqforge.optimizer.fixed_control.transforms import FixedPi, pi_step
+from dqforge.optimizer.fixed_control.transforms import FixedPi, Pi, pi_gains, pi_step
 from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, new_figure, save, style
 
 _ASKED_A = 0.4
@@ -29,7 +29,8 @@ def _course(design: Design, pi: FixedPi, *, as_printed: bool) -> FloatArray:
     bases, machine = design.control.bases, design.machine
     decay = math.exp(-machine.r_s * design.control.t_s / machine.l_q)
     current, waiting, found = 0.0, 0.0, np.empty(_SAMPLES)
-    integral, output, last = np.zeros((), dtype=np.int64), 0, 0
+    state, gains = Pi(np.zeros((), dtype=np.int64)), pi_gains(16, pi)
+    output, last = 0, 0
     limit, wanted = np.array(13_000), round(_ASKED_A / bases.current * 2**15)
     for k in range(_SAMPLES):
         found[k] = current
@@ -40,8 +41,7 @@ def _course(design: Design, pi: FixedPi, *, as_printed: bool) -> FloatArray:
             )
             last = error
         else:
-            limited, integral = pi_step(Integers(), 16, pi, integral, np.array(error), limit)
-            output = int(limited)
+            output = int(pi_step(Integers(), gains, state, np.array(error), limit))
         current = decay * current + (1.0 - decay) / machine.r_s * waiting
         waiting = output / 2**15 * bases.voltage
     return found

@@ -393,6 +393,7 @@ def zero_sequence_of(
     v_dc: N,
     vector: Pair[N] | None = None,
     turn: Pair[N] | None = None,
+    seen: Triple[N] | None = None,
 ) -> N:
     """Zero sequence from the negative rail, in the unit of the references.
 
@@ -404,6 +405,7 @@ def zero_sequence_of(
         v_dc: DC-link voltage in the unit of the references.
         vector, turn: As of `compared`; with ``vector`` the third harmonic takes its square from
             there too.
+        seen: What `compared` would have, where it is known.
     """
     rule = MODULATORS[name]
     if rule.kind == "sine":
@@ -413,7 +415,7 @@ def zero_sequence_of(
         return o.total(f"{name}: zero sequence", o.halved(v_dc), o.negative(third))
     if rule.kind == "lowest":
         return o.negative(lowest(o, v)[0])
-    looked_at = (compared(o, name, v, i, vector, turn),) if rule.kind == "compared" else ()
+    looked_at = (seen or compared(o, name, v, i, vector, turn),) if rule.kind == "compared" else ()
     high, *of_high = highest(o, v, *looked_at)
     upper = o.total(f"{name}: zero sequence", v_dc, o.negative(high))
     if rule.kind == "highest":
@@ -478,6 +480,12 @@ def lowest(o: Numbers[N, Any], v: Triple[N], *views: Triple[N]) -> list[N]:
         o: The arithmetic.
         v, views: As of `highest`.
     """
+    if not o.halves:  # Of integers in the order of `highest`: one comparison serves both.
+        low = [v.a, *(view.a for view in views)]
+        for name, k in (("lower", 1), ("low", 2)):
+            other = [v[k], *(view[k] for view in views)]
+            low = o.where_above(_names(name, other), other[0], low[0], low, other)
+        return low
     low = [v.c, *(view.c for view in views)]
     for name, k in (("lower", 1), ("low", 0)):
         other = [v[k], *(view[k] for view in views)]
@@ -532,13 +540,15 @@ def compared(
     if vector is not None and turn is not None:
         seen = park(o, vector, turn)
         phases = clarke_inverse(o, (o.let("seen_alpha", seen.x), o.let("seen_beta", seen.y)))
-        names = ("seen_a", "seen_b", "seen_c")
-        return Triple(*(o.let(own, x) for own, x in zip(names, phases, strict=True)))
-    assert rule.delay is not None, f"{name} needs the vectors of voltage and current"
-    other = Triple(v.b, v.c, v.a) if rule.delay.y < 0.0 else Triple(v.c, v.a, v.b)
-    return Triple(
-        *(o.total(f"{name}: difference", x, o.negative(y)) for x, y in zip(v, other, strict=True))
-    )
+    else:
+        assert rule.delay is not None, f"{name} needs the vectors of voltage and current"
+        other = Triple(v.b, v.c, v.a) if rule.delay.y < 0.0 else Triple(v.c, v.a, v.b)
+        gaps = (
+            o.total(f"{name}: difference", x, o.negative(y)) for x, y in zip(v, other, strict=True)
+        )
+        phases = Triple(*gaps)
+    names = ("seen_a", "seen_b", "seen_c")
+    return Triple(*(o.let(own, x) for own, x in zip(names, phases, strict=True)))
 
 
 def highest_rests(o: Numbers[N, Any], name: ModulationName, of_high: N, of_low: N) -> Any:

@@ -12,20 +12,19 @@ chapter 2.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import field, fields, is_dataclass, replace
-from functools import cache
 from math import isqrt
-from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
+from typing import Annotated, Any, Concatenate, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import C, N, Pair
+from dqforge.machines.transforms import C, N
+from dqforge.optimizer.fixed_control.vectors import COUNT, Coded
 from dqforge.optimizer.loops.integer_gains import FixedGain, quantise, rounded_mantissa
 from dqforge.optimizer.loops.loop_gains import (
     LoopGains,
@@ -41,6 +40,7 @@ CodeArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 _T = TypeVar("_T")
+_V = TypeVar("_V", bound=tuple[Any, ...])
 _P = ParamSpec("_P")
 
 
@@ -69,6 +69,19 @@ class Arithmetic(Protocol[N, C]):
     ) -> _T:
         """Let a function be one of the firmware, too: ``function(self, ...)``."""
 
+    def outside(
+        self, kind: type[_V], name: str, function: Callable[..., Iterable[Any]], *args: Any
+    ) -> _V:
+        """A function of the firmware whose text stands elsewhere.
+
+        Args:
+            kind: The vector that it makes.
+            name: In the firmware.
+            function: What it computes, from the arithmetic and the arguments to the numbers of the
+                vector.
+            args: Numbers and vectors.
+        """
+
     def remark(self, text: str) -> None:
         """Say what comes next."""
 
@@ -82,6 +95,27 @@ class Arithmetic(Protocol[N, C]):
 
     def every(self, *conditions: C) -> C:
         """Condition that all hold."""
+
+    def some(self, *conditions: C) -> C:
+        """Condition that one holds."""
+
+    def cases(
+        self,
+        name: str | tuple[str, ...],
+        *branches: tuple[C, Callable[[], _T]],
+        otherwise: Callable[[], _T],
+        changing: Sequence[Any] = (),
+    ) -> _T:
+        """What the first branch returns whose condition holds, else what ``otherwise`` returns; the
+        firmware computes one of them.
+
+        Args:
+            name: Of the local variable that takes the number or vector, or of one for each; where
+                it is empty, nothing is returned.
+            branches: Conditions, and what is computed where they hold.
+            otherwise: What is computed where none holds.
+            changing: Records of a state whose members the branches set.
+        """
 
     def either(self, condition: C, then: Callable[[], _T], otherwise: Callable[[], _T]) -> _T:
         """What ``then`` returns where the condition holds, else what ``otherwise`` returns: records
@@ -105,8 +139,8 @@ class Arithmetic(Protocol[N, C]):
     def shifted(self, a: N, bits: int) -> N:
         """floor(a / 2^bits): an arithmetic right shift."""
 
-    def clamp(self, a: N, low: int, high: int) -> N:
-        """The number nearest to a from low to high."""
+    def clamp(self, a: N, low: int | None, high: int | None) -> N:
+        """The number nearest to a from low to high, of which one may be open."""
 
     def within(self, a: N, limit: N) -> N:
         """The number nearest to a from -limit to limit; limit is not negative."""
@@ -122,12 +156,16 @@ class Arithmetic(Protocol[N, C]):
         ``name`` is the sum with half of what the shift leaves.
         """
 
-    def halvings(self, name: str, a: N, most: int) -> N:
-        """How often a, not negative, must be halved (downwards) until it is at most ``most``."""
+    def halvings(self, name: str, a: N, most: int, into: tuple[str, str] = ("", "")) -> N:
+        """How often a, not negative, must be halved (downwards) until it is at most ``most``;
+        ``into`` are names of a copy of a and of the count in the firmware.
+        """
 
-    def normalised(self, a: N, least: int, step: int) -> tuple[N, N]:
-        """A 2^n and n, the least multiple of ``step`` that makes a 2^n at least ``least``;
-        a is positive.
+    def normalised(
+        self, a: N, least: int, step: int, places: int, into: tuple[str, str] = ("", "")
+    ) -> tuple[N, N]:
+        """A 2^(n step) and ``places`` - n, the least n that makes the former at least ``least``;
+        a is positive, ``into`` are names of both in the firmware.
         """
 
     def wrapped(self, a: N, bits: int) -> N:
@@ -136,8 +174,22 @@ class Arithmetic(Protocol[N, C]):
     def entry(self, table: tuple[int, ...], index: N) -> N:
         """Entry of a table; the index is never outside it."""
 
+    def neighbours(self, table: tuple[int, ...], index: N, names: tuple[str, str]) -> tuple[N, N]:
+        """Entry of a table and the next one; ``names`` are those of the table and of the place in
+        the firmware.
+        """
+
     def at_least(self, a: N, b: N) -> C:
         """Condition that a >= b."""
+
+    def above(self, a: N, b: N) -> C:
+        """Condition that a > b."""
+
+    def equal(self, a: N, b: N) -> C:
+        """Condition that a = b."""
+
+    def has_bit(self, a: N, bit: int) -> C:
+        """Condition that a number, not negative, has a bit, given by its worth."""
 
     def choose(self, condition: C, a: N, b: N) -> N:
         """Number a where the condition holds, else b."""
@@ -161,6 +213,26 @@ class _Unnamed:
         """What the function returns."""
         return function(self, *args, **kwargs)
 
+    def outside(
+        self,
+        kind: type[_V],
+        name: str,  # noqa: ARG002
+        function: Callable[..., Iterable[Any]],
+        *args: Any,
+    ) -> _V:
+        """The vector that the function makes."""
+        return kind(*function(self, *args))
+
+    def neighbours(
+        self,
+        table: tuple[int, ...],
+        index: Any,
+        names: tuple[str, str],  # noqa: ARG002
+    ) -> tuple[Any, Any]:
+        """Two entries."""
+        own: Any = self
+        return own.entry(table, index), own.entry(table[1:], index)
+
     def remark(self, text: str) -> None:
         """Nothing."""
 
@@ -169,13 +241,45 @@ class _Unnamed:
         found: _T = self._merged(condition, then(), otherwise())
         return found
 
+    def cases(
+        self,
+        name: str | tuple[str, ...],  # noqa: ARG002
+        *branches: tuple[Any, Callable[[], _T]],
+        otherwise: Callable[[], _T],
+        changing: Sequence[Any] = (),
+    ) -> _T:
+        """All of them, of which each number is chosen."""
+        places = [(record, each.name) for record in changing for each in fields(record)]
+        before = [getattr(record, member) for record, member in places]
+
+        def put(values: list[Any]) -> None:
+            for (record, member), value in zip(places, values, strict=True):
+                setattr(record, member, value)
+
+        def ran(branch: Callable[[], _T]) -> tuple[_T, list[Any]]:
+            value = branch()
+            after = [getattr(record, member) for record, member in places]
+            put(before)
+            return value, after
+
+        found, kept = ran(otherwise)
+        for condition, branch in reversed(branches):
+            value, after = ran(branch)
+            found = self._merged(condition, value, found)
+            kept = [self._merged(condition, x, y) for x, y in zip(after, kept, strict=True)]
+        put(kept)
+        return found
+
     def _merged(self, condition: Any, a: Any, b: Any) -> Any:
+        if a is b:
+            return a
         if isinstance(a, tuple):
-            return tuple(self._merged(condition, x, y) for x, y in zip(a, b, strict=True))
+            parts = [self._merged(condition, x, y) for x, y in zip(a, b, strict=True)]
+            return type(a)(*parts) if hasattr(a, "_fields") else tuple(parts)
         if is_dataclass(a) and not isinstance(a, Range):
             names = [each.name for each in fields(a)]
-            parts = {n: self._merged(condition, getattr(a, n), getattr(b, n)) for n in names}
-            return replace(a, **parts)  # type: ignore[type-var]
+            own = {n: self._merged(condition, getattr(a, n), getattr(b, n)) for n in names}
+            return replace(a, **own)  # type: ignore[type-var]
         return self.choose(condition, a, b)  # type: ignore[attr-defined]
 
 
@@ -206,6 +310,10 @@ class Integers(_Unnamed):
         """Whether all hold."""
         return np.asarray(np.logical_and.reduce(np.broadcast_arrays(*conditions)), dtype=np.bool_)
 
+    def some(self, *conditions: BoolArray) -> BoolArray:
+        """Whether one holds."""
+        return np.asarray(np.logical_or.reduce(np.broadcast_arrays(*conditions)), dtype=np.bool_)
+
     def const(self, value: int) -> CodeArray:
         """A constant, shape ()."""
         return np.array(value, dtype=np.int64)
@@ -229,7 +337,7 @@ class Integers(_Unnamed):
         """floor(a / 2^bits)."""
         return np.asarray(a >> bits)
 
-    def clamp(self, a: CodeArray, low: int, high: int) -> CodeArray:
+    def clamp(self, a: CodeArray, low: int | None, high: int | None) -> CodeArray:
         """The numbers nearest to a from low to high."""
         return np.clip(a, low, high)
 
@@ -254,19 +362,32 @@ class Integers(_Unnamed):
         half = np.left_shift(np.int64(1), bits) >> 1
         return np.asarray(self._note(name, np.asarray(a + half)) >> bits)
 
-    def halvings(self, name: str, a: CodeArray, most: int) -> CodeArray:
+    def halvings(
+        self,
+        name: str,
+        a: CodeArray,
+        most: int,
+        into: tuple[str, str] = ("", ""),  # noqa: ARG002
+    ) -> CodeArray:
         """How often each must be halved."""
         left, count = self._note(name, np.array(a)), np.zeros_like(a)
         while np.any(above := left > most):
             left, count = np.where(above, left >> 1, left), count + above
         return np.asarray(count)
 
-    def normalised(self, a: CodeArray, least: int, step: int) -> tuple[CodeArray, CodeArray]:
-        """Each shifted to the left, and by how many bits."""
-        found, count = np.array(a), np.zeros_like(a)
+    def normalised(
+        self,
+        a: CodeArray,
+        least: int,
+        step: int,
+        places: int,
+        into: tuple[str, str] = ("", ""),  # noqa: ARG002
+    ) -> tuple[CodeArray, CodeArray]:
+        """Each shifted to the left, and what is left of the places."""
+        found, left = np.array(a), np.full_like(a, places)
         while np.any(below := found < least):
-            found, count = np.where(below, found << step, found), count + step * below
-        return found, np.asarray(count)
+            found, left = np.where(below, found << step, found), left - below
+        return found, np.asarray(left)
 
     def wrapped(self, a: CodeArray, bits: int) -> CodeArray:
         """Remainders by 2^bits."""
@@ -279,6 +400,18 @@ class Integers(_Unnamed):
     def at_least(self, a: CodeArray, b: CodeArray) -> BoolArray:
         """Whether a >= b."""
         return np.asarray(a >= b)
+
+    def above(self, a: CodeArray, b: CodeArray) -> BoolArray:
+        """Whether a > b."""
+        return np.asarray(a > b)
+
+    def equal(self, a: CodeArray, b: CodeArray) -> BoolArray:
+        """Whether a = b."""
+        return np.asarray(a == b)
+
+    def has_bit(self, a: CodeArray, bit: int) -> BoolArray:
+        """Whether numbers have a bit."""
+        return np.asarray((a & bit) != 0)
 
     def choose(self, condition: BoolArray, a: CodeArray, b: CodeArray) -> CodeArray:
         """Numbers a where the condition holds, else b."""
@@ -358,6 +491,12 @@ class Ranges(_Unnamed):
             return False
         return None if None in conditions else True
 
+    def some(self, *conditions: bool | None) -> bool | None:
+        """True or False where the ranges decide it, else None."""
+        if True in conditions:
+            return True
+        return None if None in conditions else False
+
     def known(self, a: Range, low: int, high: int) -> Range:
         """The part of the range that lies there."""
         return self.clamp(a, low, high)
@@ -386,9 +525,12 @@ class Ranges(_Unnamed):
         """Range after a right shift."""
         return Range(a.low >> bits, a.high >> bits)
 
-    def clamp(self, a: Range, low: int, high: int) -> Range:
+    def clamp(self, a: Range, low: int | None, high: int | None) -> Range:
         """Range between fixed limits."""
-        return Range(min(max(a.low, low), high), min(max(a.high, low), high))
+        ends = [a.low, a.high]
+        ends = ends if low is None else [max(end, low) for end in ends]
+        ends = ends if high is None else [min(end, high) for end in ends]
+        return Range(*ends)
 
     def within(self, a: Range, limit: Range) -> Range:
         """Range between limits that have a range themselves."""
@@ -429,19 +571,29 @@ class Ranges(_Unnamed):
         assert found is not None
         return found
 
-    def halvings(self, name: str, a: Range, most: int) -> Range:
+    def halvings(
+        self,
+        name: str,
+        a: Range,
+        most: int,
+        into: tuple[str, str] = ("", ""),  # noqa: ARG002
+    ) -> Range:
         """From how often the least to how often the largest must be halved."""
         self._note(name, a)
         return Range(_halvings(a.low, most), _halvings(a.high, most))
 
-    def normalised(self, a: Range, least: int, step: int) -> tuple[Range, Range]:
-        """Everything from ``least`` on, and from how far the largest to how far the least is
-        shifted.
-        """
+    def normalised(
+        self,
+        a: Range,
+        least: int,
+        step: int,
+        places: int,
+        into: tuple[str, str] = ("", ""),  # noqa: ARG002
+    ) -> tuple[Range, Range]:
+        """Everything from ``least`` on, and what the least and the largest leave of the places."""
         high = max(a.high, (least << step) - 1)
-        return Range(least, high), Range(
-            _doublings(a.high, least, step), _doublings(a.low, least, step)
-        )
+        left = [places - _doublings(end, least, step) for end in (a.low, a.high)]
+        return Range(least, high), Range(*left)
 
     def wrapped(self, a: Range, bits: int) -> Range:  # noqa: ARG002
         """Every remainder."""
@@ -452,6 +604,21 @@ class Ranges(_Unnamed):
         if a.low >= b.high:
             return True
         return False if a.high < b.low else None
+
+    def above(self, a: Range, b: Range) -> bool | None:
+        """True or False where the ranges decide it, else None."""
+        not_above = self.at_least(b, a)
+        return None if not_above is None else not not_above
+
+    def equal(self, a: Range, b: Range) -> bool | None:
+        """True or False where the ranges decide it, else None."""
+        if a.low == a.high == b.low == b.high:
+            return True
+        return None if a.low <= b.high and b.low <= a.high else False
+
+    def has_bit(self, a: Range, bit: int) -> bool | None:
+        """False where the range ends below the bit, else None."""
+        return False if a.high < bit else None
 
     def choose(self, condition: bool | None, a: Range, b: Range) -> Range:
         """Both, where the condition is open."""
@@ -469,8 +636,8 @@ def _halvings(a: int, most: int) -> int:
 
 def _doublings(a: int, least: int, step: int) -> int:
     count = 0
-    while a << count < least:
-        count += step
+    while a << (count * step) < least:
+        count += 1
     return count
 
 
@@ -484,186 +651,26 @@ def magnitude(o: Arithmetic[N, Any], a: N) -> N:
     return o.choose(o.at_least(a, o.const(0)), a, o.negative(a))
 
 
-def rounded(o: Arithmetic[N, Any], name: str, a: N, bits: int) -> N:
-    """Right shift that rounds to nearest, halves upwards.
+def rounded(o: Arithmetic[N, Any], name: str, x: N, bits: Annotated[Any, COUNT]) -> N:
+    """A right shift that rounds to nearest, halves upwards.
 
     ``name`` is the sum with half of what the shift leaves.
     """
-    return o.shifted(o.total(name, a, o.const((1 << bits) >> 1)), bits)
+    return o.shifted(o.total(name, x, o.const((1 << bits) >> 1)), bits)
 
 
-# A voltage shortened along its direction, and reciprocals, in integers without a division.
-#
-# The least cores have no divider: a division by software takes them some 200 instructions. A
-# reciprocal and a reciprocal root by a polynomial and Newton's rule take some 30 each. Both numbers
-# are shifted to the left first, so that they keep the digits of their word:
-#
-# ::
-#
-#     1/t        t = m / 2^(w-1), 1/2 to 1;      y <- y (2 - t y)
-#     1/sqrt(t)  t = s / 2^(2w-2), 1/2 to 2;     y <- y (3 - t y^2) / 2
-#
-# A step of 16 bits squares the error of the polynomial (1.7e-3, 2.1e-3) once, one of 32 bits twice.
-
-RECIPROCAL_DEGREE, ROOT_DEGREE = 3, 4
-
-_ROUNDS = 200  # of the weights of the fit; further ones change no integer
-
-
-def newton_steps(width: int) -> int:
-    """How often the error of a seed is squared."""
-    return 1 if width == 16 else 2
-
-
-@dataclass(frozen=True, slots=True)
-class Seed:
-    """A polynomial about ``centre`` by Horner's rule, highest coefficient first, in codes."""
-
-    centre: int
-    terms: tuple[int, ...]
-
-
-def _relative_fit(values: FloatArray, x: FloatArray, degree: int) -> FloatArray:
-    """Coefficients with nearly the least largest relative error, by Lawson's weights."""
-    matrix = np.polynomial.polynomial.polyvander(x, degree) / values[:, None]
-    weight: FloatArray = np.ones_like(x)
-    found: FloatArray = np.zeros(degree + 1)
-    for _ in range(_ROUNDS):
-        root = np.sqrt(weight)
-        found = np.asarray(
-            np.linalg.lstsq(matrix * root[:, None], root, rcond=None)[0], dtype=np.float64
-        )
-        weight = weight * np.abs(matrix @ found - 1.0)
-        weight = weight / np.sum(weight)
-    return found
-
-
-def _seed(width: int, ends: tuple[float, float], centre: float, power: float, degree: int) -> Seed:
-    """Seed of t^power in codes of 2^(width - 2); t is one of 2^(width - 1)."""
-    t = np.linspace(*ends, 1001)
-    found = _relative_fit(t**power, t - centre, degree)
-    return Seed(
-        round(centre * 2.0 ** (width - 1)),
-        tuple(round(c * 2.0 ** (width - 2)) for c in found[::-1].tolist()),
-    )
-
-
-@cache
-def reciprocal_seed(width: int) -> Seed:
-    """Of 1/t."""
-    return _seed(width, (0.5, 1.0), 0.75, -1.0, RECIPROCAL_DEGREE)
-
-
-@cache
-def root_seed(width: int) -> Seed:
-    """Of 1/sqrt(t)."""
-    return _seed(width, (0.5, 2.0), 1.25, -0.5, ROOT_DEGREE)
-
-
-def _horner(o: Arithmetic[N, Any], seed: Seed, t: N, bits: int) -> N:
-    """The polynomial of t, of which 2^bits codes are 1."""
-    x = o.total("seed: from the centre", t, o.const(-seed.centre))
-    value = o.const(seed.terms[0])
-    for term in seed.terms[1:]:
-        value = o.shifted(o.product("seed: product", value, x), bits)
-        value = o.total("seed: sum", value, o.const(term))
-    return value
-
-
-def reciprocal(o: Arithmetic[N, Any], width: int, m: N) -> N:
-    """2^(2 width - 3) / m for m from 2^(width - 2) to 2^(width - 1), nearly to nearest."""
-    one = 1 << (width - 2)
-    value = _horner(o, reciprocal_seed(width), m, width - 1)
-    for _ in range(newton_steps(width)):
-        # Changes no number: a range does not know that the polynomial nears 1/t, 1 to 2.
-        value = o.clamp(value, one - (one >> 7), 2 * one + (one >> 7))
-        lack = o.negative(o.product("reciprocal: t y", m, value))
-        rest = o.total("reciprocal: 2 - t y", o.const(1 << (2 * width - 2)), lack)
-        rest = rounded(o, "reciprocal: 2 - t y", rest, width - 2)
-        value = rounded(o, "reciprocal", o.product("reciprocal", value, rest), width - 1)
-    return o.clamp(value, one, 2 * one)  # changes no number
-
-
-def inverse_root(o: Arithmetic[N, Any], width: int, s: N) -> N:
-    """2^(2 width - 2) / sqrt(s) for s from 2^(2 width - 3) to 2^(2 width - 1)."""
-    one = 1 << (width - 2)
-    t = rounded(o, "inverse root: t", o.shifted(s, width - 2), 1)
-    value = _horner(o, root_seed(width), t, width - 1)
-    left = newton_steps(width)
-    while left:
-        # Changes no number: a range does not know that the polynomial nears 0.7 to 1.4.
-        value = o.clamp(value, one * 11 // 16, one * 23 // 16)
-        near = rounded(o, "inverse root: t y", o.product("inverse root: t y", t, value), width - 2)
-        near = o.clamp(near, one * 11 // 8, one * 23 // 8)  # changes no number
-        lack = o.negative(o.product("inverse root: t y^2", near, value))
-        rest = o.total("inverse root: 3 - t y^2", o.const(3 << (2 * width - 3)), lack)
-        rest = rounded(o, "inverse root: 3 - t y^2", rest, width - 1)
-        left -= 1
-        shift = width - 1 if left else width - 2
-        value = rounded(o, "inverse root", o.product("inverse root", value, rest), shift)
-    return o.clamp(value, one, 3 * one)  # changes no number
-
-
-def longest(width: int) -> int:
-    """Largest limit of `shortened`: its roundings, 3 codes at the most, stay below full scale."""
-    return int(2 ** (width - 1) - 9)
-
-
-def shortened(o: Arithmetic[N, Any], width: int, asked: Pair[N], limit: N) -> Pair[N]:
-    """A voltage shortened along its direction to an amplitude of ``limit``, 0 to `longest`.
-
-    ``asked`` are codes in words of twice the width; a voltage within the limit stays what it is.
-    Both components are first halved together until they are codes of one word, so that the
-    direction keeps its digits however large they are.
-    """
-    top = 2 ** (width - 1) - 1
-    size = larger(o, magnitude(o, asked.x), magnitude(o, asked.y))
-    places = o.halvings("limit: larger component", size, top - 1)
-    coarse = [
-        o.clamp(o.rounded_by("limit: coarse", x, places), -top, top)  # changes no number
-        for x in asked
-    ]
-    square = o.total(
-        "limit: square",
-        o.product("limit: square", coarse[0], coarse[0]),
-        o.product("limit: square", coarse[1], coarse[1]),
-    )
-    lowered = o.at_least(places, o.const(1))
-    beyond = o.choose(lowered, o.const((1 << (2 * width - 1)) - 1), square)
-    whole = o.at_least(o.product("limit: limit^2", limit, limit), beyond)
-    positive = o.clamp(square, 1, (1 << (2 * width - 1)) - 1)
-    s, doubled = o.normalised(positive, 1 << (2 * width - 3), 2)
-    inverse = o.product("limit: share", limit, inverse_root(o, width, s))
-    share = o.rounded_by(
-        "limit: share",
-        inverse,
-        o.total("limit: places", o.const(width), o.negative(o.shifted(doubled, 1))),
-    )
-    share = o.clamp(share, 0, 1 << (width - 1))  # changes no number where the voltage is too long
-    found = [
-        o.choose(
-            whole,
-            o.clamp(x, -top, top),  # changes no number within the limit
-            o.clamp(
-                rounded(
-                    o, "limit: shortened", o.product("limit: shortened", part, share), width - 2
-                ),
-                -top,
-                top,
-            ),
-        )
-        for x, part in zip(asked, coarse, strict=True)
-    ]
-    return Pair(found[0], found[1])
+def saturated(o: Arithmetic[N, Any], width: int, x: N) -> Coded[N]:
+    """The code nearest to x."""
+    return o.clamp(x, -(1 << (width - 1)), (1 << (width - 1)) - 1)
 
 
 # What rounding gains to integers (`dqforge.optimizer.loops.integer_gains`) does to the loop.
 
 
-def scaled(o: Arithmetic[N, C], name: str, gain: FixedGain, argument: N) -> N:
-    """Gain times argument, rounded to nearest, as the emitted C computes it."""
-    product = o.product(name, o.const(gain.mantissa), argument)
-    return rounded(o, name, product, gain.shift)
+def scaled(o: Arithmetic[N, C], name: str, gain: FixedGain, x: N) -> N:
+    """The product with a gain, rounded to nearest."""
+    product = o.product(name, o.const(gain.mantissa), x)
+    return o.shifted(o.total(name, product, o.const(gain.half)), gain.shift)
 
 
 def velocity_integers(kp: float, ki_ts: float, width: int = 16) -> tuple[FixedGain, FixedGain]:

@@ -16,6 +16,7 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
 from dqforge.optimizer.fixed_control.arithmetic import QuantisedLoop, Reach, quantised_loop, real_pi
+from dqforge.optimizer.fixed_control.codes import full_scale, sine_error
 from dqforge.optimizer.fixed_control.ranges import (
     DeadBand,
     control_ranges,
@@ -33,8 +34,6 @@ from dqforge.optimizer.fixed_control.transforms import (
     FixedPi,
     FixedReferences,
     PiForm,
-    full_scale,
-    sine_error,
 )
 from dqforge.optimizer.loops.integer_gains import FixedGain, given, quantise
 from dqforge.optimizer.loops.loop_gains import LoopGains, decoupling

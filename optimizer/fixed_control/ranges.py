@@ -13,33 +13,40 @@ from dataclasses import replace
 
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, Reach, scaled
+from dqforge.optimizer.fixed_control.codes import (
+    code_clarke,
+    code_clarke_inverse,
+    code_park,
+    code_park_inverse,
+    full_scale,
+    rotation,
+)
 from dqforge.optimizer.fixed_control.transforms import (
-    IDLE,
-    Codes,
     FixedControl,
     FixedObserver,
     FixedPi,
     Measured,
-    ObserverState,
+    Pi,
     PiForm,
+    PiVelocity,
+    ReducedOrder,
     SpeedControlled,
-    SpeedState,
-    VelocityState,
-    current_control,
-    decouple,
-    duties,
-    full_scale,
-    observe,
+    SpeedLoop,
+    control_at_rest,
+    decoupling,
+    pi_gains,
     pi_integral,
     pi_output,
     pi_step,
     pi_update,
-    pi_velocity,
-    rotation,
+    pi_velocity_step,
+    reduced_order_gains,
+    reduced_order_step,
     speed_loop,
+    speed_loop_gains,
 )
+from dqforge.optimizer.fixed_control.vectors import Abc, AlphaBeta, Dq
 from dqforge.optimizer.loops.integer_gains import FixedGain
 
 
@@ -92,32 +99,32 @@ def pi_ranges(width: int, name: str, pi: FixedPi, form: PiForm, further: int = 0
     """
     found = Ranges(width, f"{name}: ")
     top = full_scale(width)
-    error, limit = Range(1 - 2**width, 2**width - 1), Range(0, top)
-    state = Range(-top << pi.fraction, top << pi.fraction)
+    error, limit, gains = Range(1 - 2**width, 2**width - 1), Range(0, top), pi_gains(width, pi)
+    state = Range(-gains.most, gains.most)
     if form == "parallel":
-        pi_step(found, width, pi, state, error, limit)
+        pi_step(found, gains, Pi(state), error, limit)
         if not further:
             return found
-        present = pi_integral(found, pi, state, error)
+        present = pi_integral(found, gains, Pi(state), error)
         fed = Range(-further, further)
-        output = found.total("output + feedforward", pi_output(found, pi, present, error), fed)
+        output = found.total("output + feedforward", pi_output(found, gains, present, error), fed)
         kept = found.within(output, limit)
         excess = found.total("limited - output", kept, found.negative(output))
-        pi_update(found, width, pi, present, excess)
+        pi_update(found, gains, Pi(state), present, excess)
         return found
     silent = Ranges(width)
     last = scaled(silent, "kp e", pi.kp, error)  # what the state can hold of the sample before
-    pi_velocity(found, pi, VelocityState(state, last), error, limit)
+    pi_velocity_step(found, gains, PiVelocity(state, last), error, limit)
     return found
 
 
 def observer_ranges(width: int, part: FixedObserver) -> Ranges:
     """Ranges of the observer's step."""
     found = Ranges(width, "observer: ")
-    most = part.reach * full_scale(width) << part.fraction
-    every = codes(width)
-    state = ObserverState(Range(-most, most), every, Pair(every, every))
-    observe(found, width, part, state, Pair(every, every), Pair(every, every))
+    gains, every = reduced_order_gains(width, part), codes(width)
+    pair = Dq(every, every)
+    state = ReducedOrder(Range(-gains.zeta_max, gains.zeta_max), every, pair)
+    reduced_order_step(found, width, gains, state, pair, pair)
     return found
 
 
@@ -126,38 +133,32 @@ def step_ranges(control: FixedControl) -> Ranges:
     width = control.width
     found = Ranges(width, "current control: ")
     every, angle = codes(width), Range(0, 2**width - 1)
-    measured = Measured(Triple(every, every, every), angle, every, every)
-    top = full_scale(width)
-    integral = Pair(
-        *(
-            Range(-top << pi.fraction, top << pi.fraction)
-            for pi in (control.i_d["parallel"], control.i_q["parallel"])
-        )
-    )
-    current_control(found, control, integral, measured, Pair(every, every))
+    phases, pair, dq = Abc(every, every, every), AlphaBeta(every, every), Dq(every, every)
+    gains, state = control.gains, control_at_rest(Range(0, 0))
+    for own, pi in ((state.d, gains.d), (state.q, gains.q)):
+        own.integral = Range(-pi.most, pi.most)
+    measured = Measured(phases, angle, every, every)
+    control.steps.current_control(found, gains, state, measured, dq)
     found.prefix = "parts: "
     turn = rotation(found, width, angle)
-    numbers = Codes(found, width)
-    park(numbers, Pair(every, every), turn)
-    park_inverse(numbers, Pair(every, every), turn)
-    clarke(numbers, Triple(every, every, every))
-    clarke_inverse(numbers, Pair(every, every))
-    decouple(found, width, control.decoupling, every, Pair(every, every))
-    v_dc, phases = Range(1, top), Triple(every, every, every)
-    duties(found, width, control.modulation, control.dc_scale, Pair(every, every), v_dc, phases)
+    code_park(found, width, pair, turn)
+    code_park_inverse(found, width, dq, turn)
+    code_clarke(found, width, phases)
+    code_clarke_inverse(found, width, pair)
+    decoupling(found, width, control.decoupling, every, dq)
+    control.steps.duties.duties(found, pair, Range(1, full_scale(width)), phases)
     return found
 
 
 def speed_ranges(control: SpeedControlled) -> Ranges:
     """Ranges of the speed loop with its filter."""
     found = Ranges(control.width, "speed loop: ")
-    every, top = codes(control.width), full_scale(control.width)
-    most, fraction = top << (control.width - 2), IDLE.fraction
-    if control.speed is not None:
-        fraction = control.speed["parallel"].fraction
-    integral = Range(-top << fraction, top << fraction)
+    every, gains = codes(control.width), speed_loop_gains(control)
+    most = full_scale(control.width) << (control.width - 2)
+    integral = Range(-gains.speed.most, gains.speed.most)
     count = Range(0, max(control.ratio - 1, 0))
-    speed_loop(found, control, SpeedState(Range(-most, most), integral, every, count), every, every)
+    state = SpeedLoop(Pi(integral), Range(-most, most), every, every, count)
+    speed_loop(found, control.width, gains, state, every, every)
     return found
 
 

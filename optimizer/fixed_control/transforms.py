@@ -1,378 +1,66 @@
-"""Angle functions, the numbers of Clarke and Park transforms, and duty cycles in integers,
-as the emitted C has them.
+"""Current control in integers: duty cycles, controllers, decoupling, observer and the whole step.
 
 Every function takes its operations from an `Arithmetic`: numbers make it the model, ranges its
-proof. Codes of ``width`` bits are per unit, 2^(width - 1) of them are full scale; those of an angle
-are a share of a turn, 2^width of them.
+proof, expressions its text in C. Integrals and the observer's state have ``fraction`` more bits
+than a code and lie in words of twice the width.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from functools import cache
-from typing import Any, ClassVar, Generic, Literal, Protocol
+from collections.abc import Callable, Iterable, Mapping
+from typing import Annotated, Any, Generic, Literal, Protocol
 
-import numpy as np
-
-from dqforge.machines.arrays import FloatArray
+from dqforge.machines import transforms
+from dqforge.machines.modulation.modulator import Modulator
 from dqforge.machines.modulation.registry import MODULATORS, zero_sequence_of
 from dqforge.machines.names import ModulationName, NumberFormat
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import N, Pair, Triple, clarke, clarke_inverse, park, park_inverse
+from dqforge.machines.transforms import N, Pair, Triple
 from dqforge.optimizer.fixed_control.arithmetic import (
     Arithmetic,
-    Integers,
-    Seed,
     larger,
-    longest,
     magnitude,
+    rounded,
+    saturated,
+    scaled,
+)
+from dqforge.optimizer.fixed_control.codes import (
+    Codes,
+    TurnSteps,
+    WideCodes,
+    code_clarke,
+    code_clarke_inverse,
+    code_park,
+    code_park_inverse,
+    full_scale,
+    rotation,
+    turn_steps,
+)
+from dqforge.optimizer.fixed_control.shortening import (
+    Seed,
+    longest,
     newton_steps,
     reciprocal,
     reciprocal_seed,
     root_seed,
-    rounded,
-    scaled,
     shortened,
 )
+from dqforge.optimizer.fixed_control.vectors import (
+    CODE,
+    COUNT,
+    FEW,
+    Abc,
+    AlphaBeta,
+    Coded,
+    Dq,
+    Duties,
+    Feedforward,
+    Rotation,
+    Turned,
+)
 from dqforge.optimizer.loops.integer_gains import FixedGain
-
-# Those of the package's modulators that there are in integers: all.
-FIXED_MODULATORS: tuple[ModulationName, ...] = tuple(MODULATORS)
-_TERMS = 5
-_INTERVALS = 128  # of the table of a quarter turn
-_SEED = 20_261_121
-
-
-@dataclass(frozen=True, slots=True)
-class TurnSteps:
-    """Sine and cosine in integers.
-
-    In 16 bits they are straight lines between the entries of ``table``, sines of a quarter turn in
-    codes; that takes half of the instructions of a polynomial on the least cores. In 32 bits
-    ``table`` is empty: with u = x / 2^(width - 3), x the angle from the nearest quarter turn, they
-    are u p(u^2) and 1 + u^2 q(u^2) by Horner's rule; u^2 is a code of 2^(width - 1), after a shift
-    by ``square``, ``sine`` and ``cosine`` are the coefficients of p and q in codes of 2^width, the
-    highest first.
-    """
-
-    width: int
-    square: int = 0
-    sine: tuple[int, ...] = ()
-    cosine: tuple[int, ...] = ()
-    table: tuple[int, ...] = ()
-
-    @property
-    def addends(self) -> tuple[int, ...]:
-        """Coefficients of p but the first at the scale of a product, with half of what the shift
-        leaves.
-        """
-        return tuple(_addend(self.width, c) for c in self.sine[1:])
-
-    @property
-    def cosine_addends(self) -> tuple[int, ...]:
-        """Those of q in the same way."""
-        return tuple(_addend(self.width, c) for c in self.cosine[1:])
-
-
-def _addend(width: int, coefficient: int) -> int:
-    return (coefficient << (width - 1)) + (1 << (width - 2))
-
-
-def _sine_table(width: int) -> tuple[int, ...]:
-    """Sines of a quarter turn, longer by half of what a chord lies below its arc."""
-    step = 0.5 * math.pi / _INTERVALS
-    one = 2.0 ** (width - 1) * (1.0 + step**2 / 16.0)
-    sines = (one * math.sin(k * step) for k in range(_INTERVALS + 1))
-    return tuple(min(round(value), 2 ** (width - 1) - 1) for value in sines)
-
-
-@cache
-def turn_steps(width: int) -> TurnSteps:
-    """Integers of sine and cosine; the polynomials are least squares at Chebyshev nodes of u^2,
-    nearly minimax and within 0.1 codes of the functions.
-    """
-    if width == 16:
-        return TurnSteps(width, table=_sine_table(width))
-    nodes = np.cos((np.arange(64) + 0.5) * (math.pi / 64)) * 0.5 + 0.5  # of u^2, 0 to 1
-    u = np.sqrt(nodes)
-    angle = 0.25 * math.pi * u
-
-    def fitted(values: FloatArray, weight: FloatArray, terms: int) -> tuple[int, ...]:
-        # Weighted by what the polynomial is multiplied with: the error of the result counts.
-        matrix = np.polynomial.polynomial.polyvander(nodes, terms - 1) * weight[:, None]
-        found = np.linalg.lstsq(matrix, values, rcond=None)[0].tolist()
-        return tuple(round(c * 2.0**width) for c in reversed(found))
-
-    return TurnSteps(
-        width,
-        width - 5,
-        fitted(np.sin(angle), u, _TERMS),
-        fitted(np.cos(angle) - 1.0, nodes, _TERMS - 1),
-    )
-
-
-def _eighth(o: Arithmetic[N, Any], width: int, x: N) -> Pair[N]:
-    """Cosine and sine of an angle from the nearest quarter turn, as codes of 2^(width - 1)."""
-    made = turn_steps(width)
-    square = rounded(o, "turn: u^2", o.product("turn: u^2", x, x), made.square)
-    found = []
-    for coefficients, addends in (
-        (made.cosine, made.cosine_addends),
-        (made.sine, made.addends),
-    ):
-        value = o.const(coefficients[0])
-        for addend in addends:
-            product = o.product("turn: product", value, square)
-            value = o.shifted(o.total("turn: sum", product, o.const(addend)), width - 1)
-        found.append(value)
-    fall = rounded(o, "turn: fall", o.product("turn: fall", found[0], square), width)
-    cosine = o.total("turn: cosine", o.const(2 ** (width - 1)), fall)
-    cosine = o.clamp(cosine, 0, 2 ** (width - 1) - 1)  # 1 has no code; it is never below 0
-    sine = rounded(o, "turn: sine", o.product("turn: sine", found[1], x), width - 2)
-    return Pair(cosine, sine)
-
-
-def _quarter(o: Arithmetic[N, Any], width: int, x: N) -> Pair[N]:
-    """Cosine and sine of an angle within a quarter turn from the table.
-
-    The cosine is the sine of what is left of the quarter, to the last bit: it rounds the other way.
-    """
-    table = turn_steps(width).table
-    bits = width - 2 - int(math.log2(_INTERVALS))
-    index, share, half = o.shifted(x, bits), o.wrapped(x, bits), 1 << (bits - 1)
-    back = o.total("turn: index", o.const(_INTERVALS - 1), o.negative(index))
-    low, high = o.entry(table, index), o.entry(table[1:], index)
-    rise = o.product("turn: rise", o.total("turn: rise", high, o.negative(low)), share)
-    rise = o.shifted(o.total("turn: rise", rise, o.const(half)), bits)
-    below, above = o.entry(table, back), o.entry(table[1:], back)
-    fall = o.product("turn: fall", o.total("turn: fall", above, o.negative(below)), share)
-    fall = o.shifted(o.total("turn: fall", fall, o.const(half - 1)), bits)
-    cosine = o.total("turn: cosine", above, o.negative(fall))
-    sine = o.total("turn: sine", low, rise)
-    # Change no number: between two entries of the table.
-    top = 2 ** (width - 1) - 1
-    return Pair(o.clamp(cosine, 0, top), o.clamp(sine, 0, top))
-
-
-def rotation(o: Arithmetic[N, Any], width: int, angle: N) -> Pair[N]:
-    """Cosine and sine of an angle, 0 to 2^width - 1 codes."""
-    quarter = o.const(2 ** (width - 2))
-    if turn_steps(width).table:
-        moved = angle
-        cosine, sine = _quarter(o, width, o.wrapped(angle, width - 2))
-    else:
-        half_way = o.const(2 ** (width - 3))
-        moved = o.wrapped(o.total("turn: quarter", angle, half_way), width)
-        x = o.total("turn: from the quarter", o.wrapped(moved, width - 2), o.negative(half_way))
-        cosine, sine = _eighth(o, width, x)
-    odd = o.at_least(o.wrapped(moved, width - 1), quarter)
-    turned = Pair(o.choose(odd, o.negative(sine), cosine), o.choose(odd, cosine, sine))
-    back = o.at_least(moved, o.const(2 ** (width - 1)))
-    return Pair(*(o.choose(back, o.negative(value), value) for value in turned))
-
-
-@cache
-def sine_error(width: int) -> float:
-    """Largest error of sine and cosine in codes: of all angles in 16 bits,
-    of 200,000 in 32 bits.
-    """
-    angle = (
-        np.arange(65_536)
-        if width == 16
-        else np.random.default_rng(_SEED).integers(0, 2**32, 200_000)
-    )
-    turn, one = rotation(Integers(), width, angle), 2.0 ** (width - 1)
-    exact = angle * (2.0 * math.pi / 2.0**width)
-    return float(
-        max(
-            np.max(np.abs(turn.x - one * np.cos(exact))),
-            np.max(np.abs(turn.y - one * np.sin(exact))),
-        )
-    )
-
-
-def full_scale(width: int) -> int:
-    """The largest code, 2^(width - 1) - 1."""
-    return int(2 ** (width - 1) - 1)
-
-
-@dataclass(frozen=True, slots=True)
-class Codes(Generic[N]):
-    """Codes of ``width`` bits as the `Numbers` of the transforms: products have twice as many bits,
-    ends saturate.
-    """
-
-    halves: ClassVar[bool] = False
-
-    o: Arithmetic[N, Any]
-    width: int
-
-    @property
-    def bits(self) -> int:
-        """Bits of a code without its sign."""
-        return self.width - 1
-
-    def product(self, name: str, a: N, b: N) -> N:
-        """The product a b."""
-        return self.o.product(name, a, b)
-
-    def total(self, name: str, *terms: N) -> N:
-        """Sum of terms, added from the left."""
-        return self.o.total(name, *terms)
-
-    def negative(self, a: N) -> N:
-        """The number -a."""
-        return self.o.negative(a)
-
-    def magnitude(self, a: N) -> N:
-        """The magnitude of a."""
-        return magnitude(self.o, a)
-
-    def twice(self, name: str, a: N) -> N:
-        """The number 2 a."""
-        return self.o.product(name, self.o.const(2), a)
-
-    def halved(self, a: N) -> N:
-        """Half of a, downwards."""
-        return self.o.shifted(a, 1)
-
-    def part(self, name: str, a: N, share: float) -> N:
-        """The product with a constant, which is rounded to a code."""
-        return self.o.product(name, a, self.o.const(round(2**self.bits * share)))
-
-    def lowered(self, a: N) -> N:
-        """A product with the bits of a code, downwards."""
-        return self.o.shifted(a, self.bits)
-
-    def settled(self, name: str, a: N) -> N:
-        """A product or sum of products with the bits of a code, to nearest and saturated."""
-        return self.saturated(rounded(self.o, name, a, self.bits))
-
-    def saturated(self, a: N) -> N:
-        """The code nearest to a."""
-        return self.o.clamp(a, -full_scale(self.width) - 1, full_scale(self.width))
-
-    def ratio(self, name: str, a: N, b: N) -> N:
-        """Quotient towards zero of a product by a code that is not negative, saturated."""
-        return self.saturated(self.o.quotient(name, a, larger(self.o, b, self.o.const(1))))
-
-    def at_least(self, a: N, b: N) -> Any:
-        """Condition that a >= b."""
-        return self.o.at_least(a, b)
-
-    def choose(self, condition: Any, a: N, b: N) -> N:
-        """Number a where the condition holds, else b."""
-        return self.o.choose(condition, a, b)
-
-    def where_above(
-        self,
-        names: Sequence[str],  # noqa: ARG002
-        a: N,
-        b: N,
-        x: Sequence[N],
-        y: Sequence[N],
-    ) -> list[N]:
-        """Numbers x where a > b, else y."""
-        keeps = self.o.at_least(b, a)
-        return [self.o.choose(keeps, other, one) for one, other in zip(x, y, strict=True)]
-
-    def let(self, name: str, value: N, meaning: str = "") -> N:  # noqa: ARG002
-        """As it is."""
-        return value
-
-
-@dataclass(frozen=True, slots=True)
-class WideCodes(Codes[N]):
-    """Codes that keep what is beyond full scale."""
-
-    def saturated(self, a: N) -> N:
-        """As it is."""
-        return a
-
-
-def duties(
-    o: Arithmetic[N, Any],
-    width: int,
-    modulation: ModulationName,
-    scale: int,
-    vector: Pair[N],
-    v_dc: N,
-    i: Triple[N],
-) -> Triple[N]:
-    """Duty cycles, 0 to 2^(width - 1), for a voltage vector and the dc link,
-    whose full scale is 2^scale times larger.
-
-    The vector is divided by the dc link (to nearest) and saturated at it;
-    ``v_dc`` must be positive.
-    """
-    codes, one = Codes(o, width), 2 ** (width - 1)
-    share = shares(o, width, scale, vector, v_dc)
-    saturating = MODULATORS[modulation].kind == "third-harmonic"
-    phase = clarke_inverse(codes if saturating else WideCodes(o, width), share)
-    turn = None
-    if MODULATORS[modulation].compared == "load angle":
-        turn = integer_load_turn(o, width, vector, clarke(codes, i))
-    seen = None if turn is None else share
-    zero = zero_sequence_of(codes, modulation, phase, i, o.const(one), seen, turn)
-    return Triple(*(o.clamp(o.total("duties: sum", value, zero), 0, one) for value in phase))
-
-
-def shares(o: Arithmetic[N, Any], width: int, scale: int, vector: Pair[N], v_dc: N) -> Pair[N]:
-    """A vector over the dc link, whose full scale is 2^scale times larger, to nearest and
-    saturated.
-    """
-    codes, top = Codes(o, width), full_scale(width)
-    m, doubled = o.normalised(o.clamp(v_dc, 1, top), 1 << (width - 2), 1)
-    inverse = reciprocal(o, width, m)
-    places = o.total("duties: places", o.const(width - 2 + scale), o.negative(doubled))
-    alpha, beta = (
-        codes.saturated(
-            o.rounded_by("duties: v / v_dc", o.product("duties: v", x, inverse), places)
-        )
-        for x in vector
-    )
-    return Pair(alpha, beta)
-
-
-def integer_load_turn(
-    o: Arithmetic[N, Any], width: int, voltage: Pair[N], current: Pair[N]
-) -> Pair[N]:
-    """As `load_turn`, but for a common factor: the longer of both is at least half of full scale.
-
-    No angle where voltage times current is below that.
-    """
-    top, name = full_scale(width), "load angle"
-
-    def half(a: N, b: N) -> N:
-        return o.shifted(o.product(name, a, b), 1)
-
-    along = o.total(name, half(voltage.x, current.x), half(voltage.y, current.y))
-    across = o.total(name, half(voltage.y, current.x), o.negative(half(voltage.x, current.y)))
-    across = o.choose(o.at_least(along, o.const(0)), across, o.negative(across))
-    along = magnitude(o, along)
-    size = larger(o, magnitude(o, across), along)
-    known = o.at_least(size, o.const(1 << (width - 2)))
-    places = o.halvings(name, size, top - 1)
-    # Change no number: a range does not know that the larger of both is a code now.
-    along = o.clamp(o.rounded_by(name, along, places), 0, top)
-    across = o.clamp(o.rounded_by(name, across, places), -top, top)
-    part = o.product(name, along, o.const(round(2 ** (width - 1) / math.sqrt(3.0))))
-    most = rounded(o, name, part, width - 1)
-    one = 2 ** (width - 1)
-    side, end = o.const(round(one * math.sqrt(0.75))), o.const(one >> 1)
-    ahead = o.at_least(across, o.total(name, most, o.const(1)))
-    behind = o.at_least(o.negative(across), o.total(name, most, o.const(1)))
-    cosine = o.choose(ahead, side, o.choose(behind, side, along))
-    sine = o.choose(ahead, end, o.choose(behind, o.negative(end), across))
-    return Pair(o.choose(known, cosine, o.const(top)), o.choose(known, sine, o.const(0)))
-
-
-# Current control in integers: controllers, decoupling, observer and the whole step,
-# as the emitted C computes them.
-#
-# As in `fixed_transforms` every function takes its operations from an `Arithmetic`. Integrals and
-# the observer's state have ``fraction`` more bits than a code and lie in words of twice the width.
+from dqforge.optimizer.steps.step_arithmetic import Member
 
 PiForm = Literal["parallel", "velocity"]
 
@@ -419,6 +107,528 @@ class FixedObserver:
     x_d: FixedGain
     fraction: int
     reach: int
+
+
+def duty(o: Arithmetic[N, Any], width: int, x: N) -> Turned[N]:
+    """A duty cycle within its ends."""
+    return o.clamp(x, 0, 1 << (width - 1))
+
+
+def code_load_turn(
+    o: Arithmetic[N, Any], width: int, v: AlphaBeta[N], i: AlphaBeta[N]
+) -> Rotation[N]:
+    """Cosine and sine of the angle by which the current lags the voltage, within 30 degrees, but
+    for a common factor: the longer of both is at least half of full scale. Generating counts as
+    motoring with the current reversed. 0 for little power: voltage times current below half of full
+    scale.
+    """
+    top, one, name = full_scale(width), 1 << (width - 1), "load angle"
+
+    def half(a: N, b: N) -> N:
+        return o.shifted(o.product(name, a, b), 1)
+
+    power = o.let("power", o.total(name, half(v.x, i.x), half(v.y, i.y)))
+    reactive = o.total(name, half(v.y, i.x), o.negative(half(v.x, i.y)))
+    reactive = o.let("reactive", reactive)
+    forward = o.at_least(power, o.const(0))
+    across = o.let("across", o.choose(forward, reactive, o.negative(reactive)))
+    along = o.let("along", magnitude(o, power))
+    aside = o.let("aside", magnitude(o, across))
+    longer = o.let("longer", larger(o, aside, along))
+
+    def known() -> Rotation[N]:
+        places = o.halvings(name, longer, top - 1, into=("size", "places"))
+        x = o.let("x", o.known(o.rounded_by(name, along, places), 0, top))
+        y = o.let("y", o.known(o.rounded_by(name, across, places), -top, top))
+        part = o.product(name, x, o.const(round(one / math.sqrt(3.0))))
+        most = o.let("most", o.call(rounded, name, part, width - 1))
+        side, end = o.const(round(one * math.sqrt(0.75))), o.const(one >> 1)
+        return o.cases(
+            "held",
+            (o.above(y, most), lambda: Rotation(side, end)),
+            (o.above(o.negative(y), most), lambda: Rotation(side, o.negative(end))),
+            otherwise=lambda: Rotation(x, y),
+        )
+
+    return o.cases(
+        "turn",
+        (o.at_least(longer, o.const(1 << (width - 2))), known),
+        otherwise=lambda: Rotation(o.const(top), o.const(0)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class DutySteps:
+    """Duty cycles of a modulator.
+
+    Args:
+        width: Bits of a code.
+        modulation: The modulator.
+        scale: Full scale of the dc link is 2^scale times that of the voltage.
+    """
+
+    width: int
+    modulation: ModulationName
+    scale: int
+
+    def shares(self, o: Arithmetic[N, Any], v: AlphaBeta[N], v_dc: Coded[N]) -> AlphaBeta[N]:
+        """Shares of the dc link, to nearest and saturated; one reciprocal serves both."""
+        width, top = self.width, full_scale(self.width)
+        link, places = o.normalised(
+            o.known(v_dc, 1, top),
+            1 << (width - 2),
+            1,
+            width - 2 + self.scale,
+            into=("link", "places"),
+        )
+        inverse = o.let("inverse", o.call(reciprocal, width, link))
+        share = (
+            o.rounded_by("duties: v / v_dc", o.product("duties: v", x, inverse), places) for x in v
+        )
+        return AlphaBeta(*(o.call(saturated, width, x) for x in share))
+
+    def duties(
+        self, o: Arithmetic[N, Any], v: AlphaBeta[N], v_dc: Coded[N], i: Abc[N]
+    ) -> Duties[N]:
+        """Duty cycles with the zero sequence of the modulator; v_dc must be positive."""
+        width, rule = self.width, MODULATORS[self.modulation]
+        codes = Codes(o, width)
+        share = o.let("share", o.call(self.shares, v, v_dc))
+        phase: Triple[N]
+        if rule.kind == "third-harmonic":
+            phase = o.let("x", o.call(code_clarke_inverse, width, share))
+        else:
+            beyond = transforms.clarke_inverse(WideCodes(o, width), share)
+            names = ("x_a", "x_b", "x_c")
+            phase = Triple(*(o.let(n, x) for n, x in zip(names, beyond, strict=True)))
+        one, seen = o.const(1 << (width - 1)), None
+        if rule.compared == "load angle":
+            current = o.let("current", o.call(code_clarke, width, i))
+            lag = o.let("lag", o.call(code_load_turn, width, v, current))
+            turned = o.let("turned", o.call(code_park, width, share, lag))
+            vector = o.let("vector", AlphaBeta(*turned))
+            seen = o.let("seen", o.call(code_clarke_inverse, width, vector))
+        zero = zero_sequence_of(codes, self.modulation, phase, i, one, seen=seen)
+        zero = o.let("zero", zero)
+        return Duties(*(o.call(duty, width, o.total("duties: sum", x, zero)) for x in phase))
+
+
+# What the firmware has of them. Numbers are integers, or those of an arithmetic.
+
+
+@dataclass(frozen=True, slots=True)
+class PiGains:
+    """PI controllers: ki and tracking lead to a state that has so many more bits than a code."""
+
+    kp: FixedGain
+    ki: FixedGain
+    tracking: Annotated[FixedGain, Member("back-calculation gain times the sampling period")]
+    fraction: Annotated[int, COUNT]
+    half: Annotated[int, Member("of a code, in the state")]
+    most: Annotated[int, Member("largest magnitude of the state")]
+
+
+def pi_gains(width: int, pi: FixedPi) -> PiGains:
+    """Gains of a controller in words of so many bits."""
+    half, most = (1 << pi.fraction) >> 1, full_scale(width) << pi.fraction
+    return PiGains(pi.kp, pi.ki, pi.tracking, pi.fraction, half, most)
+
+
+@dataclass(slots=True)
+class Pi(Generic[N]):
+    """State of a PI controller."""
+
+    integral: N
+
+
+@dataclass(slots=True)
+class PiVelocity(Generic[N]):
+    """State of the velocity form: output with ``fraction`` more bits than a code, and kp e of the
+    last sample in codes.
+    """
+
+    output: N
+    proportional: N
+
+
+def pi_integral(o: Arithmetic[N, Any], gains: PiGains, state: Pi[N], error: N) -> N:
+    """The integral with ki t_s e (backward Euler), not yet clamped; the error is the difference of
+    two codes.
+    """
+    change = o.call(scaled, "ki t_s e", gains.ki, error)
+    return o.total("integral + ki t_s e", state.integral, change)
+
+
+def pi_output(o: Arithmetic[N, Any], gains: PiGains, integral: N, error: N) -> N:
+    """The output kp e + integral + ki t_s e before any limit; integral as of pi_integral."""
+    present = o.total("integral + ki t_s e", integral, o.const(gains.half))
+    proportional = o.call(scaled, "kp e", gains.kp, error)
+    return o.total("kp e + integral", proportional, o.shifted(present, gains.fraction))
+
+
+def pi_update(o: Arithmetic[N, Any], gains: PiGains, state: Pi[N], integral: N, excess: N) -> None:
+    """The state after a sample: integral + tracking excess, clamped to full scale; excess = limited
+    - unlimited output.
+    """
+    back = o.call(scaled, "tracking excess", gains.tracking, excess)
+    total = o.total("integral + ki t_s e + tracking excess", integral, back)
+    state.integral = o.within(total, o.const(gains.most))
+
+
+def pi_step(o: Arithmetic[N, Any], gains: PiGains, state: Pi[N], error: N, limit: N) -> Coded[N]:
+    """The limited output; limit is 0 to full scale."""
+    integral = o.let("integral", o.call(pi_integral, gains, state, error))
+    output = o.let("output", o.call(pi_output, gains, integral, error))
+    limited = o.let("limited", o.within(output, limit))
+    excess = o.total("limited - output", limited, o.negative(output))
+    o.call(pi_update, gains, state, integral, excess)
+    return limited
+
+
+def pi_velocity_step(
+    o: Arithmetic[N, Any], gains: PiGains, state: PiVelocity[N], error: N, limit: N
+) -> Coded[N]:
+    """Velocity form with the gains of that name: d[k] = d[k-1] + kp e[k] - kp e[k-1] + ki t_s e[k],
+    limited.
+
+    kp e is rounded once and kept, so that its roundings cancel over time and nothing drifts; the
+    product of kp with the difference of two errors, as paper 001 has it, would need two bits more.
+    """
+    unit = o.let("unit", o.const(1 << gains.fraction))
+    now = o.let("now", o.call(scaled, "kp e", gains.kp, error))
+    change = o.total("kp e - last", now, o.negative(state.proportional))
+    fine = o.product("(kp e - last) 2^fraction", change, unit)
+    step = o.call(scaled, "ki t_s e", gains.ki, error)
+    total = o.total("output + changes", state.output, fine, step)
+    output = o.within(total, o.product("limit 2^fraction", limit, unit))
+    output = o.let("output", output)
+    state.output, state.proportional = output, now
+    return o.shifted(o.total("output", output, o.const(gains.half)), gains.fraction)
+
+
+def decoupling(
+    o: Arithmetic[N, Any], width: int, gains: FixedDecoupling, omega_m: Coded[N], i: Dq[N]
+) -> Feedforward[N]:
+    """Feedforward -omega l_q i_q of d and omega (l_d i_d + psi) of q."""
+    with_q = o.call(rounded, "omega i_q", o.product("omega i_q", omega_m, i.y), width - 1)
+    with_d = o.call(rounded, "omega i_d", o.product("omega i_d", omega_m, i.x), width - 1)
+    cross = o.call(scaled, "omega l_d i_d", gains.x_d, with_d)
+    own = o.call(scaled, "omega psi", gains.back_emf, omega_m)
+    return Feedforward(
+        o.negative(o.call(scaled, "omega l_q i_q", gains.x_q, with_q)),
+        o.total("omega (l_d i_d + psi)", cross, own),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ReducedOrderGains:
+    """Reduced-order speed observer; zeta has fraction more bits than a code."""
+
+    decay: Annotated[FixedGain, Member("1 - a")]
+    b_u: FixedGain
+    b_i: FixedGain
+    c: FixedGain
+    x_d: FixedGain
+    zeta_max: int
+    fraction: Annotated[int, FEW]
+
+
+def reduced_order_gains(width: int, part: FixedObserver) -> ReducedOrderGains:
+    """Gains of the observer in words of so many bits."""
+    most = part.reach * full_scale(width) << part.fraction
+    return ReducedOrderGains(part.decay, part.b_u, part.b_i, part.c, part.x_d, most, part.fraction)
+
+
+@dataclass(slots=True)
+class ReducedOrder(Generic[N]):
+    """zeta, the estimated speed, and the currents of the last sample."""
+
+    zeta: N
+    omega_m: Coded[N]
+    i: Dq[N]
+
+
+def reduced_order_step(
+    o: Arithmetic[N, Any],
+    width: int,
+    gains: ReducedOrderGains,
+    state: ReducedOrder[N],
+    v: Dq[N],
+    i: Dq[N],
+) -> None:
+    """One sample of the observer; v acted over the period that ends at the sampling instant of
+    i.
+    """
+    turning = o.product("omega i_d", state.omega_m, state.i.x)
+    with_d = o.call(rounded, "omega i_d", turning, width - 1)
+    coupling = o.call(scaled, "omega l_d i_d", gains.x_d, with_d)
+    u_q = o.total("v_q - omega l_d i_d", v.y, o.negative(coupling))
+    u_q = o.let("u_q", o.within(u_q, o.const((1 << width) - 1)))
+    kept = o.call(rounded, "zeta", state.zeta, gains.fraction)
+    leak = o.let("leak", o.call(scaled, "(1 - a) zeta", gains.decay, kept))
+    drive = (
+        o.call(scaled, "b_u u_q", gains.b_u, u_q),
+        o.call(scaled, "b_i i_q", gains.b_i, state.i.y),
+    )
+    total = o.total("next zeta", state.zeta, o.negative(leak), *drive)
+    zeta = o.let("zeta", o.within(total, o.const(gains.zeta_max)))
+    fine = o.call(rounded, "zeta", zeta, gains.fraction)
+    omega = o.total("zeta - c i_q", fine, o.negative(o.call(scaled, "c i_q", gains.c, i.y)))
+    state.zeta, state.omega_m, state.i = zeta, o.call(saturated, width, omega), i
+
+
+@dataclass(frozen=True, slots=True)
+class ControlGains:
+    """The control as a whole: everything that differs from drive to drive."""
+
+    d: PiGains
+    q: PiGains
+    decoupling: FixedDecoupling
+    voltage_limit: Annotated[FixedGain, Member("of the code of the dc link")]
+    angle_advance: Annotated[FixedGain, Member("turn in 1.5 samples, of the code of the speed")]
+    speed_filter: Annotated[FixedGain, Member("share of a new sample, to the state of the filter")]
+    speed: Annotated[PiGains, Member("gains of 0: no speed loop")]
+    dc_least: Annotated[int, CODE, Member("a dc link below counts as this; above 0")]
+    torque_max: Annotated[int, CODE, Member("limit of the speed controller's output")]
+    ratio: Annotated[int, COUNT, Member("current samples per speed sample")]
+
+
+@dataclass(slots=True)
+class Control(Generic[N]):
+    """State of the control."""
+
+    d: Pi[N]
+    q: Pi[N]
+    speed: Pi[N]
+    reference: Annotated[Dq[N], Member("of the currents")]
+    i: Annotated[Dq[N], Member("measured")]
+    v_dq: Annotated[Dq[N], Member("that the duty cycles make")]
+    v: Annotated[AlphaBeta[N], Member("the same; it acts from the next sample on")]
+    filtered: Annotated[N, Member("speed with as many more bits as a code has, less 2")]
+    omega_m: Annotated[N, CODE, Member("filtered speed")]
+    torque: Annotated[N, CODE, Member("reference of the torque")]
+    count: Annotated[N, COUNT, Member("current samples since the speed controller ran")]
+
+
+def control_at_rest(zero: N) -> Control[N]:
+    """No torque and no voltage, of numbers that are all 0."""
+    pair = Dq(zero, zero)
+    own = Pi(zero), Pi(zero), Pi(zero)
+    return Control(*own, pair, pair, pair, AlphaBeta(zero, zero), zero, zero, zero, zero)
+
+
+@dataclass(frozen=True, slots=True)
+class Measured(Generic[N]):
+    """Codes of what is measured: phase currents, angle, mechanical speed and dc link."""
+
+    i: Abc[N]
+    theta_e: Turned[N]
+    omega_m: Coded[N]
+    v_dc: Coded[N]
+
+
+class SpeedGains(Protocol):
+    """Gains of a control with a speed loop, as far as that goes."""
+
+    @property
+    def speed(self) -> PiGains:
+        """The controller."""
+
+    @property
+    def speed_filter(self) -> FixedGain:
+        """Share of a new sample, to a state with width - 2 more bits than a code."""
+
+    @property
+    def torque_max(self) -> int:
+        """Limit of its output."""
+
+    @property
+    def ratio(self) -> int:
+        """Current samples per speed sample."""
+
+
+class SpeedState(Protocol[N]):
+    """State of a control with a speed loop, as far as that goes."""
+
+    speed: Pi[N]
+    filtered: N
+    omega_m: N
+    torque: N
+    count: N
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedLoopGains:
+    """Gains of a speed loop alone."""
+
+    speed: PiGains
+    speed_filter: FixedGain
+    torque_max: int
+    ratio: int
+
+
+@dataclass(slots=True)
+class SpeedLoop(Generic[N]):
+    """State of a speed loop alone."""
+
+    speed: Pi[N]
+    filtered: N
+    omega_m: N
+    torque: N
+    count: N
+
+
+class SpeedControlled(Protocol):
+    """A control in integers with a speed loop, as far as that goes; ``speed`` is None without."""
+
+    @property
+    def width(self) -> int:
+        """Bits of a code."""
+
+    @property
+    def speed(self) -> Mapping[PiForm, FixedPi] | None:
+        """The controller in its forms."""
+
+    @property
+    def speed_filter(self) -> FixedGain:
+        """Share of a new sample, to a state with width - 2 more bits than a code."""
+
+    @property
+    def torque_max(self) -> int:
+        """Limit of its output."""
+
+    @property
+    def ratio(self) -> int:
+        """Current samples per speed sample."""
+
+
+def speed_loop_gains(control: SpeedControlled) -> SpeedLoopGains:
+    """What the speed loop has of a control."""
+    pi = IDLE if control.speed is None else control.speed["parallel"]
+    gains = pi_gains(control.width, pi)
+    return SpeedLoopGains(gains, control.speed_filter, control.torque_max, control.ratio)
+
+
+def speed_loop(
+    o: Arithmetic[N, Any],
+    width: int,
+    gains: SpeedGains,
+    state: SpeedState[N],
+    omega_m: Coded[N],
+    reference: Coded[N],
+) -> Coded[N]:
+    """Reference of the torque for a mechanical speed; call it at every current sample: the filter
+    runs at each, the controller at every ratio-th.
+    """
+    fraction = width - 2
+    kept = o.call(rounded, "filtered", state.filtered, fraction)
+    lag = o.total("omega - filtered", omega_m, o.negative(kept))
+    step = o.call(scaled, "share of omega", gains.speed_filter, lag)
+    filtered = o.total("next filtered", state.filtered, step)
+    filtered = o.within(filtered, o.const(full_scale(width) << fraction))
+    filtered = o.let("filtered", filtered)
+    omega = o.let("omega", o.call(rounded, "filtered", filtered, fraction))
+    state.filtered, state.omega_m = filtered, omega
+
+    def controlled() -> None:
+        error = o.total("speed error", reference, o.negative(omega))
+        found = o.call(pi_step, gains.speed, state.speed, error, o.const(gains.torque_max))
+        state.torque = o.let("torque", found)
+
+    o.cases(
+        "",
+        (o.equal(state.count, o.const(0)), controlled),
+        otherwise=lambda: None,
+        changing=(state, state.speed),
+    )
+    count = o.let("count", o.total("speed: count", state.count, o.const(1)))
+    again = o.at_least(count, o.const(gains.ratio))
+    state.count = o.choose(again, o.const(0), count)
+    return state.torque
+
+
+@dataclass(frozen=True, slots=True)
+class ControlSteps:
+    """The control functions of one header.
+
+    Args:
+        duties: Those of the modulator.
+        currents: Codes of the current references (d, q) for those of a torque, the dc link and the
+            speed; None where there are none in integers.
+    """
+
+    duties: DutySteps
+    currents: Callable[..., Iterable[Any]] | None = None
+
+    def current_control(
+        self,
+        o: Arithmetic[N, Any],
+        gains: ControlGains,
+        state: Control[N],
+        measured: Measured[N],
+        reference: Dq[N],
+    ) -> Duties[N]:
+        """One sample: duty cycles that act from the next sampling instant on, for one period. A
+        voltage beyond the limit is shortened along its direction; the integrals take back what was
+        cut off.
+        """
+        width = self.duties.width
+        v_dc = o.let("v_dc", o.clamp(measured.v_dc, gains.dc_least, None))
+        now = o.let("now", o.call(rotation, width, measured.theta_e))
+        current = o.let("current", o.call(code_clarke, width, measured.i))
+        i = o.let("i", o.call(code_park, width, current, now))
+        feed = o.call(decoupling, width, gains.decoupling, measured.omega_m, i)
+        feed = o.let("feed", feed)
+        error_d = o.let("error_d", o.total("d error", reference.x, o.negative(i.x)))
+        error_q = o.let("error_q", o.total("q error", reference.y, o.negative(i.y)))
+        integral_d = o.let("integral_d", o.call(pi_integral, gains.d, state.d, error_d))
+        integral_q = o.let("integral_q", o.call(pi_integral, gains.q, state.q, error_q))
+        asked_d = o.total("v_d", o.call(pi_output, gains.d, integral_d, error_d), feed.x)
+        asked_q = o.total("v_q", o.call(pi_output, gains.q, integral_q, error_q), feed.y)
+        v_d, v_q = o.let("v_d", asked_d), o.let("v_q", asked_q)
+        share = o.let("most", o.call(scaled, "voltage limit", gains.voltage_limit, v_dc))
+        limit = o.known(o.clamp(share, None, longest(width)), 0, longest(width))
+        v = o.let("v", o.call(shortened, width, v_d, v_q, o.let("limit", limit)))
+        advance = o.call(scaled, "angle advance", gains.angle_advance, measured.omega_m)
+        turn = o.let("turn", o.total("advanced angle", measured.theta_e, advance))
+        excess_d = o.total("v_d excess", v.x, o.negative(v_d))
+        excess_q = o.total("v_q excess", v.y, o.negative(v_q))
+        o.call(pi_update, gains.d, state.d, integral_d, excess_d)
+        state.reference, state.i, state.v_dq = reference, i, v
+        o.call(pi_update, gains.q, state.q, integral_q, excess_q)
+        then = o.let("then", o.call(rotation, width, o.wrapped(turn, width)))
+        voltage = o.let("voltage", o.call(code_park_inverse, width, v, then))
+        state.v = voltage
+        return o.call(self.duties.duties, voltage, v_dc, measured.i)
+
+    def torque_control(
+        self,
+        o: Arithmetic[N, Any],
+        gains: ControlGains,
+        state: Control[N],
+        measured: Measured[N],
+        torque: Coded[N],
+    ) -> Duties[N]:
+        """Current control with the current references of their own header for a torque."""
+        assert self.currents is not None
+        args = torque, measured.v_dc, measured.omega_m
+        asked: Dq[N] = o.outside(Dq, "reference", self.currents, *args)
+        state.torque = torque
+        wanted = o.let("wanted", asked)
+        return o.call(self.current_control, gains, state, measured, wanted)
+
+    def speed_control(
+        self,
+        o: Arithmetic[N, Any],
+        gains: ControlGains,
+        state: Control[N],
+        measured: Measured[N],
+        speed_reference: Coded[N],
+    ) -> Duties[N]:
+        """Speed and current control: duty cycles for the next period."""
+        width = self.duties.width
+        torque = o.call(speed_loop, width, gains, state, measured.omega_m, speed_reference)
+        return o.call(self.torque_control, gains, state, measured, o.let("torque", torque))
 
 
 class FixedReferences(Protocol):
@@ -516,267 +726,35 @@ class FixedControl:
         return newton_steps(self.width)
 
     @property
+    def modulator(self) -> Modulator:
+        """The modulator."""
+        return MODULATORS[self.modulation]
+
+    @property
+    def steps(self) -> ControlSteps:
+        """The functions of the firmware."""
+        duties = DutySteps(self.width, self.modulation, self.dc_scale)
+        return ControlSteps(duties, None if self.reference is None else self.reference.currents)
+
+    @property
+    def gains(self) -> ControlGains:
+        """Gains of the firmware."""
+        loop = speed_loop_gains(self)
+        return ControlGains(
+            pi_gains(self.width, self.i_d["parallel"]),
+            pi_gains(self.width, self.i_q["parallel"]),
+            self.decoupling,
+            self.limit,
+            self.advance,
+            self.speed_filter,
+            loop.speed,
+            self.dc_least,
+            self.torque_max,
+            self.ratio,
+        )
+
+    @property
     def loops(self) -> dict[str, dict[PiForm, FixedPi]]:
         """Controllers by name."""
         found = {"i_d": self.i_d, "i_q": self.i_q}
         return found if self.speed is None else found | {"speed": self.speed}
-
-
-def pi_integral(o: Arithmetic[N, Any], pi: FixedPi, integral: N, error: N) -> N:
-    """Integral with the present error, not yet clamped (backward Euler)."""
-    return o.total("integral + ki t_s e", integral, scaled(o, "ki t_s e", pi.ki, error))
-
-
-def pi_output(o: Arithmetic[N, Any], pi: FixedPi, integral: N, error: N) -> N:
-    """Output in codes before any limit: kp e + the integral of `pi_integral`."""
-    state = rounded(o, "integral + ki t_s e", integral, pi.fraction)
-    return o.total("kp e + integral", scaled(o, "kp e", pi.kp, error), state)
-
-
-def pi_update(o: Arithmetic[N, Any], width: int, pi: FixedPi, integral: N, excess: N) -> N:
-    """Next integral: that of `pi_integral` + tracking excess, clamped to full scale;
-    excess = limited - unlimited output.
-    """
-    top = full_scale(width)
-    back = scaled(o, "tracking excess", pi.tracking, excess)
-    total = o.total("integral + ki t_s e + tracking excess", integral, back)
-    return o.clamp(total, -top << pi.fraction, top << pi.fraction)
-
-
-def pi_step(
-    o: Arithmetic[N, Any], width: int, pi: FixedPi, integral: N, error: N, limit: N
-) -> tuple[N, N]:
-    """Limited output and next integral."""
-    present = pi_integral(o, pi, integral, error)
-    output = pi_output(o, pi, present, error)
-    limited = o.within(output, limit)
-    excess = o.total("limited - output", limited, o.negative(output))
-    return limited, pi_update(o, width, pi, present, excess)
-
-
-@dataclass(frozen=True, slots=True)
-class VelocityState(Generic[N]):
-    """State of the velocity form: output with ``fraction`` more bits, and kp e of
-    the last sample in codes.
-    """
-
-    output: N
-    proportional: N
-
-
-def pi_velocity(
-    o: Arithmetic[N, Any], pi: FixedPi, state: VelocityState[N], error: N, limit: N
-) -> tuple[N, VelocityState[N]]:
-    """Limited output and next state: d[k] = d[k-1] + kp e[k] - kp e[k-1] + ki t_s e[k].
-
-    kp e is rounded once and kept, so that its roundings cancel over time and nothing drifts; the
-    product of kp with the difference of two errors, as paper 001 has it, would need two bits more.
-    """
-    now = scaled(o, "kp e", pi.kp, error)
-    change = o.total("kp e - last", now, o.negative(state.proportional))
-    power = o.const(1 << pi.fraction)
-    fine = o.product("(kp e - last) 2^fraction", change, power)
-    total = o.total("output + changes", state.output, fine, scaled(o, "ki t_s e", pi.ki, error))
-    output = o.within(total, o.product("limit 2^fraction", limit, power))
-    return rounded(o, "output", output, pi.fraction), VelocityState(output, now)
-
-
-def decouple(
-    o: Arithmetic[N, Any], width: int, part: FixedDecoupling, omega: N, current: Pair[N]
-) -> Pair[N]:
-    """Feedforward -omega l_q i_q of d and omega (l_d i_d + psi) of q."""
-    bits = width - 1
-    with_q = rounded(o, "omega i_q", o.product("omega i_q", omega, current.y), bits)
-    with_d = rounded(o, "omega i_d", o.product("omega i_d", omega, current.x), bits)
-    cross = scaled(o, "omega l_d i_d", part.x_d, with_d)
-    return Pair(
-        o.negative(scaled(o, "omega l_q i_q", part.x_q, with_q)),
-        o.total("omega (l_d i_d + psi)", cross, scaled(o, "omega psi", part.back_emf, omega)),
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class ObserverState(Generic[N]):
-    """zeta with ``fraction`` more bits, the estimated speed and the currents (d,
-    q) of the last sample, in codes.
-    """
-
-    zeta: N
-    omega: N
-    current: Pair[N]
-
-
-def observe(
-    o: Arithmetic[N, Any],
-    width: int,
-    part: FixedObserver,
-    state: ObserverState[N],
-    voltage: Pair[N],
-    current: Pair[N],
-) -> ObserverState[N]:
-    """State after a sample: ``voltage`` (d, q) acted until now, ``current`` is measured now."""
-    top, most = full_scale(width), part.reach * full_scale(width) << part.fraction
-    turning = rounded(
-        o, "omega i_d", o.product("omega i_d", state.omega, state.current.x), width - 1
-    )
-    coupling = scaled(o, "omega l_d i_d", part.x_d, turning)
-    u_q = o.total("v_q - omega l_d i_d", voltage.y, o.negative(coupling))
-    u_q = o.clamp(u_q, 1 - 2**width, 2**width - 1)
-    leak = scaled(o, "(1 - a) zeta", part.decay, rounded(o, "zeta", state.zeta, part.fraction))
-    drive = scaled(o, "b_u u_q", part.b_u, u_q), scaled(o, "b_i i_q", part.b_i, state.current.y)
-    zeta = o.clamp(o.total("next zeta", state.zeta, o.negative(leak), *drive), -most, most)
-    shown = rounded(o, "zeta", zeta, part.fraction)
-    omega = o.total("zeta - c i_q", shown, o.negative(scaled(o, "c i_q", part.c, current.y)))
-    return ObserverState(zeta, o.clamp(omega, -top - 1, top), current)
-
-
-@dataclass(frozen=True, slots=True)
-class Measured(Generic[N]):
-    """Codes of what is measured: phase currents, angle, mechanical speed and dc link."""
-
-    i: Triple[N]
-    theta_e: N
-    omega: N
-    v_dc: N
-
-
-@dataclass(frozen=True, slots=True)
-class ControlStep(Generic[N]):
-    """What a step gives: duty cycles, next integrals (d, q), voltage (alpha, beta),
-    currents and voltages (d, q).
-    """
-
-    duty: Triple[N]
-    integral: Pair[N]
-    voltage: Pair[N]
-    current_dq: Pair[N]
-    voltage_dq: Pair[N]
-
-
-def current_control(
-    o: Arithmetic[N, Any],
-    control: FixedControl,
-    integral: Pair[N],
-    measured: Measured[N],
-    reference: Pair[N],
-) -> ControlStep[N]:
-    """One sample of the current control, from phase currents to duty cycles."""
-    width, codes = control.width, Codes(o, control.width)
-    v_dc = o.clamp(measured.v_dc, control.dc_least, full_scale(width))
-    current = park(codes, clarke(codes, measured.i), rotation(o, width, measured.theta_e))
-    feed = decouple(o, width, control.decoupling, measured.omega, current)
-    error = Pair(
-        o.total("d error", reference.x, o.negative(current.x)),
-        o.total("q error", reference.y, o.negative(current.y)),
-    )
-    d, q = control.i_d["parallel"], control.i_q["parallel"]
-    present = Pair(pi_integral(o, d, integral.x, error.x), pi_integral(o, q, integral.y, error.y))
-    asked = Pair(
-        o.total("v_d", pi_output(o, d, present.x, error.x), feed.x),
-        o.total("v_q", pi_output(o, q, present.y, error.y), feed.y),
-    )
-    limit = o.clamp(scaled(o, "voltage limit", control.limit, v_dc), 0, longest(width))
-    found = shortened(o, width, asked, limit)
-    excess = Pair(
-        o.total("v_d excess", found.x, o.negative(asked.x)),
-        o.total("v_q excess", found.y, o.negative(asked.y)),
-    )
-    after = Pair(
-        pi_update(o, width, d, present.x, excess.x),
-        pi_update(o, width, q, present.y, excess.y),
-    )
-    turn = o.total(
-        "advanced angle",
-        measured.theta_e,
-        scaled(o, "angle advance", control.advance, measured.omega),
-    )
-    vector = park_inverse(codes, found, rotation(o, width, o.wrapped(turn, width)))
-    duty = duties(o, width, control.modulation, control.dc_scale, vector, v_dc, measured.i)
-    return ControlStep(duty, after, vector, current, found)
-
-
-@dataclass(frozen=True, slots=True)
-class SpeedState(Generic[N]):
-    """State of the speed loop: ``filtered`` speed with width - 2 more bits than a code, integral,
-    torque, and current samples since the controller ran.
-    """
-
-    filtered: N
-    integral: N
-    torque: N
-    count: N
-
-
-class SpeedControlled(Protocol):
-    """A control in integers with a speed loop, as far as that goes; ``speed`` is None without."""
-
-    @property
-    def width(self) -> int:
-        """Bits of a code."""
-
-    @property
-    def speed(self) -> Mapping[PiForm, FixedPi] | None:
-        """The controller in its forms."""
-
-    @property
-    def speed_filter(self) -> FixedGain:
-        """Share of a new sample, to a state with width - 2 more bits than a code."""
-
-    @property
-    def torque_max(self) -> int:
-        """Limit of its output."""
-
-    @property
-    def ratio(self) -> int:
-        """Current samples per speed sample."""
-
-
-def filtered_speed(
-    o: Arithmetic[N, Any], control: SpeedControlled, state: N, omega: N
-) -> tuple[N, N]:
-    """Next state of the speed's filter, and the speed in codes."""
-    width, fraction = control.width, control.width - 2
-    most = full_scale(width) << fraction
-    lag = o.total("omega - filtered", omega, o.negative(rounded(o, "filtered", state, fraction)))
-    step = scaled(o, "share of omega", control.speed_filter, lag)
-    after = o.clamp(o.total("next filtered", state, step), -most, most)
-    return after, rounded(o, "filtered", after, fraction)
-
-
-def speed_loop(
-    o: Arithmetic[N, Any], control: SpeedControlled, state: SpeedState[N], omega: N, reference: N
-) -> tuple[SpeedState[N], N]:
-    """State after a current sample, and the filtered speed; ``state.torque`` is the reference.
-
-    The filter runs at every sample, the controller at every ratio-th.
-    """
-    filtered, speed = filtered_speed(o, control, state.filtered, omega)
-    forms = control.speed
-    pi = IDLE if forms is None else forms["parallel"]
-    error = o.total("speed error", reference, o.negative(speed))
-    torque, integral = pi_step(
-        o, control.width, pi, state.integral, error, o.const(control.torque_max)
-    )
-    rests = o.at_least(state.count, o.const(1))
-    count = o.total("speed: count", state.count, o.const(1))
-    again = o.at_least(count, o.const(control.ratio))
-    after = SpeedState(
-        filtered,
-        o.choose(rests, state.integral, integral),
-        o.choose(rests, state.torque, torque),
-        o.choose(again, o.const(0), count),
-    )
-    return after, speed
-
-
-def torque_control(
-    o: Arithmetic[N, Any],
-    control: FixedControl,
-    integral: Pair[N],
-    measured: Measured[N],
-    torque: N,
-) -> tuple[ControlStep[N], Pair[N]]:
-    """One sample with the current references of a torque, which are returned too."""
-    assert control.reference is not None
-    reference = control.reference.currents(o, torque, measured.v_dc, measured.omega)
-    return current_control(o, control, integral, measured, reference), reference

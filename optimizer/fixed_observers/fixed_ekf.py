@@ -18,7 +18,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import C, N, Pair
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, Range, rounded
-from dqforge.optimizer.fixed_control.transforms import rotation
+from dqforge.optimizer.fixed_control.codes import rotation
 from dqforge.optimizer.fixed_observers.fixed_sampled_machine import (
     FixedSampled,
     combined_currents,

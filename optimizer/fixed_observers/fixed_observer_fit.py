@@ -24,9 +24,9 @@ from dqforge.optimizer.fixed_control.arithmetic import (
     rounded,
     scaled,
 )
+from dqforge.optimizer.fixed_control.codes import TurnSteps, rotation, sine_error, turn_steps
 from dqforge.optimizer.fixed_control.design import require_scales
 from dqforge.optimizer.fixed_control.ranges import codes, require
-from dqforge.optimizer.fixed_control.transforms import TurnSteps, rotation, sine_error, turn_steps
 from dqforge.optimizer.fixed_observers import (
     fixed_ekf,
     fixed_extended_emf,

@@ -33,7 +33,7 @@ from dqforge.optimizer.fixed_control.arithmetic import (
     rounded,
     scaled,
 )
-from dqforge.optimizer.fixed_control.transforms import Codes, full_scale, rotation
+from dqforge.optimizer.fixed_control.codes import Codes, full_scale, rotation
 from dqforge.optimizer.loops.integer_gains import FixedGain, quantise
 from dqforge.optimizer.observers.methods.flux_gains import FluxPath
 from dqforge.optimizer.observers.methods.open_loop_flux import OpenLoopFluxGains

@@ -13,6 +13,7 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import largest_phase_voltage
 from dqforge.machines.transforms import Pair, Triple, clarke_matrix
 from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, Reach
+from dqforge.optimizer.fixed_control.codes import sine_error
 from dqforge.optimizer.fixed_control.design import (
     DC_HEADROOM,
     loop_integers,
@@ -22,7 +23,6 @@ from dqforge.optimizer.fixed_control.design import (
     torque_code,
 )
 from dqforge.optimizer.fixed_control.ranges import codes, pi_ranges, require, speed_ranges
-from dqforge.optimizer.fixed_control.transforms import sine_error
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedAxis,
     FixedHarmonic,

@@ -11,13 +11,8 @@ from typing import Generic, NamedTuple
 from dqforge.machines.names import CurrentFrame, Feedforward, NumberFormat, Topology
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N
-from dqforge.optimizer.fixed_control.transforms import (
-    FixedPi,
-    PiForm,
-    TurnSteps,
-    full_scale,
-    turn_steps,
-)
+from dqforge.optimizer.fixed_control.codes import TurnSteps, full_scale, turn_steps
+from dqforge.optimizer.fixed_control.transforms import FixedPi, PiForm
 from dqforge.optimizer.loops.integer_gains import FixedGain
 
 

@@ -19,7 +19,7 @@ from dqforge.optimizer.fixed_control.arithmetic import (
     rounded,
     scaled,
 )
-from dqforge.optimizer.fixed_control.transforms import Codes, rotation
+from dqforge.optimizer.fixed_control.codes import Codes, rotation
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedAxis,
     FixedHarmonic,

@@ -9,19 +9,20 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from dqforge.machines.design.design import Design
-from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray
 from dqforge.optimizer.fixed_control.design import FixedControlFit
-from dqforge.optimizer.fixed_control.transforms import IDLE, FixedControl, TurnSteps
+from dqforge.optimizer.fixed_control.transforms import FixedControl
 from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, Harness, Programme, title
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.control.fixed_model import input_names, output_names, row_inputs, row_results
+from dqforge.reports.control.fixed_text import control_text, duties_type, pi_text
 from dqforge.reports.observers.speed_loop_text import margin_words
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData
+from dqforge.reports.steps.code_text import code_basics, code_shortening, code_types
 
 _SEED = 20_261_121
 
@@ -125,36 +126,26 @@ def _preamble(fit: FixedControlFit, design: Design) -> list[str]:
 
 def control_fixed_context(design: Design, fit: FixedControlFit) -> PlainData:
     """Everything that the header prints, as plain data."""
-    control, bits = fit.control, fit.control.width - 1
+    control = fit.control
+    prefix, macro = design.export.prefix, title(design)["macro"]
+    loops = {_LOOP_NAMES[name]: forms for name, forms in control.loops.items()}
     return {
         **title(design),
-        **fixed_basics(control.turn, fit.sine_error),
+        "format": control.format,
+        "width": control.width,
         "preamble": _preamble(fit, design),
         "scales": _scales(control),
-        "reciprocal": asdict(control.seeds[0]),
-        "root": asdict(control.seeds[1]),
-        "newton": control.newton,
-        "two_thirds": round(2**bits * 2 / 3),
-        "modulator": MODULATORS[control.modulation],
-        "third_share": round(2**bits * 4 * MODULATORS[control.modulation].share),
-        "dc_scale": control.dc_scale,
-        "dc_least": control.dc_least,
-        "limit": asdict(control.limit),
-        "advance": asdict(control.advance),
-        "speed_filter": asdict(control.speed_filter),
-        "torque_max": control.torque_max,
-        "ratio": control.ratio,
+        "parts": [
+            code_types(prefix, macro, control.width),
+            duties_type(prefix, control.width),
+            code_basics(prefix, macro, control.width, error_words(control.width, fit.sine_error)),
+            code_shortening(prefix, macro, control.width),
+            pi_text(prefix, macro, control.width, loops, _loops_comment(fit)),
+            control_text(control, prefix, macro),
+        ],
         "reference": control.reference is not None,
-        "idle": asdict(IDLE),
-        "loops": {
-            _LOOP_NAMES[k]: {f: asdict(pi) for f, pi in forms.items()}
-            for k, forms in control.loops.items()
-        },
         "loop_names": {name: _LOOP_NAMES[name] for name in control.loops},
-        "loops_comment": _loops_comment(fit),
-        "decoupling": asdict(control.decoupling),
-        "observer": None if control.observer is None else asdict(control.observer),
-        "zeta_max": control.zeta_max,
+        "observer": control.observer is not None,
     }
 
 
@@ -465,26 +456,7 @@ def control_fixed_html(fits: Sequence[FixedControlFit]) -> list[HtmlTable]:
     ]
 
 
-# What the templates of codes, sine and transforms in fixed point print, for every header of that
-# kind.
-
-
-def fixed_basics(turn: TurnSteps, sine_error: float) -> PlainData:
-    """Context of ``control/fixed_types.j2`` and ``control/fixed_basics.j2``, beside the names of a
-    design; ``sine_error`` is that of sine and cosine in codes.
-    """
-    bits = turn.width - 1
-    found = "exhaustive" if turn.width == 16 else "sampled"
-    return {
-        "format": f"q{bits}",
-        "width": turn.width,
-        "top": 2**bits - 1,
-        "turn": asdict(turn),
-        "table_bits": turn.width - 2 - max(len(turn.table) - 1, 1).bit_length() + 1,
-        "sine_addends": turn.addends,
-        "cosine_addends": turn.cosine_addends,
-        "sine_error": f"; error at most {rounded_up(sine_error)} codes ({found})",
-        "third": round(2**bits / 3),
-        "inverse_root": round(2**bits / math.sqrt(3.0)),
-        "half_root": round(2**bits * math.sqrt(0.75)),
-    }
+def error_words(width: int, sine_error: float) -> str:
+    """What a header says of the error of sine and cosine in codes."""
+    found = "exhaustive" if width == 16 else "sampled"
+    return f"; error at most {rounded_up(sine_error)} codes ({found})"

@@ -12,32 +12,39 @@ import numpy as np
 
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.modulation.registry import MODULATORS
-from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
+from dqforge.machines.transforms import Triple
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
+from dqforge.optimizer.fixed_control.codes import (
+    code_clarke,
+    code_clarke_inverse,
+    code_park,
+    code_park_inverse,
+    full_scale,
+    rotation,
+)
 from dqforge.optimizer.fixed_control.ranges import control_ranges
 from dqforge.optimizer.fixed_control.transforms import (
-    Codes,
-    ControlStep,
+    Control,
     FixedControl,
     FixedDecoupling,
     FixedObserver,
     FixedPi,
     FixedReferences,
     Measured,
-    ObserverState,
+    Pi,
     PiForm,
-    SpeedState,
-    VelocityState,
-    current_control,
-    decouple,
-    full_scale,
-    observe,
+    PiVelocity,
+    ReducedOrder,
+    control_at_rest,
+    decoupling,
+    pi_gains,
     pi_step,
-    pi_velocity,
-    rotation,
+    pi_velocity_step,
+    reduced_order_gains,
+    reduced_order_step,
     speed_loop,
-    torque_control,
 )
+from dqforge.optimizer.fixed_control.vectors import Abc, AlphaBeta, Dq
 from dqforge.optimizer.loops.integer_gains import FixedGain
 
 _LOOP_INPUTS = ("integral", "output", "proportional")
@@ -164,9 +171,9 @@ def _calm(control: FixedControl, rows: CodeArray, generator: np.random.Generator
     names, o = input_names(control), Integers()
     some = rows[: rows.shape[0] // 6]
     column = {name: some[:, k] for k, name in enumerate(names)}
-    codes, top = Codes(o, control.width), full_scale(control.width)
-    fixed = clarke(codes, Triple(column["i_a"], column["i_b"], column["i_c"]))
-    current = park(codes, fixed, rotation(o, control.width, column["theta"]))
+    width, top = control.width, full_scale(control.width)
+    fixed = code_clarke(o, width, Abc(column["i_a"], column["i_b"], column["i_c"]))
+    current = code_park(o, width, fixed, rotation(o, width, column["theta"]))
     for name, value in (("ref_d", current.x), ("ref_q", current.y)):
         noise = np.rint(generator.normal(size=value.shape) * top / 300).astype(np.int64)
         column[name][:] = np.clip(value + noise, -top - 1, top)
@@ -198,48 +205,69 @@ def row_results(
 
 
 def _results(o: Integers, control: FixedControl, x: dict[str, CodeArray]) -> Iterator[CodeArray]:
-    width, codes = control.width, Codes(o, control.width)
-    phases, vector = Triple(x["i_a"], x["i_b"], x["i_c"]), Pair(x["x"], x["y"])
+    width = control.width
+    phases, vector = Abc(x["i_a"], x["i_b"], x["i_c"]), AlphaBeta(x["x"], x["y"])
+    reference, turned = Dq(x["ref_d"], x["ref_q"]), Dq(x["x"], x["y"])
     turn = rotation(o, width, x["theta"])
-    back = clarke_inverse(codes, vector)
-    pairs: list[Pair[Any]] = [turn, clarke(codes, phases)]
-    for pair in pairs:
-        yield from (pair.x, pair.y)
-    yield from (back.a, back.b, back.c)
-    pairs = [park(codes, vector, turn), park_inverse(codes, vector, turn)]
-    pairs.append(decouple(o, width, control.decoupling, x["omega"], vector))
-    for pair in pairs:
-        yield from (pair.x, pair.y)
+    yield from turn
+    yield from code_clarke(o, width, phases)
+    yield from code_clarke_inverse(o, width, vector)
+    yield from code_park(o, width, vector, turn)
+    yield from code_park_inverse(o, width, turned, turn)
+    yield from decoupling(o, width, control.decoupling, x["omega"], turned)
     for loop, forms in control.loops.items():
-        yield from pi_step(
-            o, width, forms["parallel"], x[f"{loop}_integral"], x["error"], x["limit"]
-        )
-        state = VelocityState(x[f"{loop}_output"], x[f"{loop}_proportional"])
-        output, after = pi_velocity(o, forms["velocity"], state, x["error"], x["limit"])
-        yield from (output, after.output, after.proportional)
+        pi, gains = Pi(x[f"{loop}_integral"]), pi_gains(width, forms["parallel"])
+        yield pi_step(o, gains, pi, x["error"], x["limit"])
+        yield pi.integral
+        velocity = PiVelocity(x[f"{loop}_output"], x[f"{loop}_proportional"])
+        gains = pi_gains(width, forms["velocity"])
+        yield pi_velocity_step(o, gains, velocity, x["error"], x["limit"])
+        yield from (velocity.output, velocity.proportional)
     if control.observer is not None:
-        before = ObserverState(x["zeta"], x["omega_hat"], Pair(x["last_d"], x["last_q"]))
-        seen = observe(o, width, control.observer, before, vector, Pair(x["ref_d"], x["ref_q"]))
-        yield from (seen.zeta, seen.omega)
-    measured = Measured(phases, x["theta"], x["omega"], x["v_dc"])
-    integral = Pair(x["i_d_integral"], x["i_q_integral"])
-    kept = np.zeros_like(x["count"]) if control.speed is None else x["speed_integral"]
-    before_speed = SpeedState(x["filtered"], kept, x["torque"], x["count"])
-    ran, speed = speed_loop(o, control, before_speed, x["omega"], x["speed_ref"])
-    yield from (ran.torque, ran.filtered, speed, ran.integral, ran.count)
-    reference = Pair(x["ref_d"], x["ref_q"])
-    yield from _step(current_control(o, control, integral, measured, reference))
+        seen = ReducedOrder(x["zeta"], x["omega_hat"], Dq(x["last_d"], x["last_q"]))
+        own = reduced_order_gains(width, control.observer)
+        reduced_order_step(o, width, own, seen, turned, reference)
+        yield from (seen.zeta, seen.omega_m)
+    yield from _whole(o, control, x, Measured(phases, x["theta"], x["omega"], x["v_dc"]), reference)
+
+
+def _whole(
+    o: Integers,
+    control: FixedControl,
+    x: dict[str, CodeArray],
+    measured: Measured[CodeArray],
+    reference: Dq[CodeArray],
+) -> Iterator[CodeArray]:
+    """Columns of the speed loop and of the control as a whole."""
+    gains, steps, state = control.gains, control.steps, control_at_rest(np.zeros_like(x["count"]))
+
+    def begin(*, speed: bool) -> None:
+        state.d.integral, state.q.integral = x["i_d_integral"], x["i_q_integral"]
+        if speed:
+            state.speed.integral = x.get("speed_integral", state.speed.integral)
+            state.filtered, state.torque, state.count = x["filtered"], x["torque"], x["count"]
+
+    begin(speed=True)
+    yield speed_loop(o, control.width, gains, state, x["omega"], x["speed_ref"])
+    yield from (state.filtered, state.omega_m, state.speed.integral, state.count)
+    begin(speed=False)
+    duty = steps.current_control(o, gains, state, measured, reference)
+    yield from _step(duty, state)
     if control.reference is not None:
-        step, found = torque_control(o, control, integral, measured, x["torque"])
-        yield from (found.x, found.y)
-        yield from _step(step)
-        yield from _step(torque_control(o, control, integral, measured, ran.torque)[0])
+        begin(speed=False)
+        duty = steps.torque_control(o, gains, state, measured, x["torque"])
+        yield from state.reference
+        yield from _step(duty, state)
+        begin(speed=True)
+        duty = steps.speed_control(o, gains, state, measured, x["speed_ref"])
+        yield from _step(duty, state)
 
 
-def _step(step: ControlStep[CodeArray]) -> Iterator[CodeArray]:
+def _step(duty: Triple[CodeArray], state: Control[CodeArray]) -> Iterator[CodeArray]:
     """Columns of a step, as `_STEP_OUTPUTS`."""
-    yield from step.duty
-    for pair in (step.integral, step.voltage, step.current_dq, step.voltage_dq):
+    yield from duty
+    yield from (state.d.integral, state.q.integral)
+    for pair in (state.v, state.i, state.v_dq):
         yield from pair
 
 

@@ -24,7 +24,7 @@ from dqforge.reports.c_code.harness import (
     title,
 )
 from dqforge.reports.capability import Capability
-from dqforge.reports.control.fixed_header import fixed_basics
+from dqforge.reports.control.fixed_header import error_words
 from dqforge.reports.fixed_observers.fixed_observer_model import (
     fixed_observer_from,
     input_names,
@@ -33,6 +33,7 @@ from dqforge.reports.fixed_observers.fixed_observer_model import (
     row_results,
 )
 from dqforge.reports.pages.templating import render
+from dqforge.reports.steps.code_text import code_basics, code_types
 from dqforge.reports.steps.integer_text import integer_observer_text
 
 if TYPE_CHECKING:
@@ -123,8 +124,12 @@ def fixed_observer_files(design: Design, fit: FixedObserverFit) -> dict[str, byt
         "code": observer.method.code,
         "gains": asdict(observer.gains),
         "preamble": _preamble(fit, design),
-        "core": fixed_basics(fit.sine, fit.sine_error),
     }
+    prefix, macro, core = context["prefix"], context["macro"], fit.sine.width
+    context["types"] = code_types(prefix, macro, observer.width)
+    context["core_types"] = code_types(prefix, macro, core, "core")
+    error = error_words(core, fit.sine_error)
+    context["core_basics"] = code_basics(prefix, macro, core, error, "core")
     context["text"] = integer_observer_text(
         observer.method, observer.gains, observer.width, context["prefix"], context["macro"]
     )

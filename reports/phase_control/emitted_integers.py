@@ -32,13 +32,14 @@ from dqforge.reports.control.fixed_header import (
     control_fixed_html,
     control_fixed_programme,
     control_fixed_tables,
-    fixed_basics,
+    error_words,
     plain_fixed_control,
     plain_fixed_evidence,
     sweep_rows,
     wide_programme,
 )
 from dqforge.reports.control.fixed_model import fixed_control_from
+from dqforge.reports.control.fixed_text import pi_text, speed_loop_text
 from dqforge.reports.control.header import (
     ControlModel,
     control_files,
@@ -63,6 +64,7 @@ from dqforge.reports.phase_control.header import (
     plain_solution_control,
 )
 from dqforge.reports.single_headers.fixed_mesh_reading import mesh_from
+from dqforge.reports.steps.code_text import code_basics, code_types
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -205,14 +207,22 @@ def phase_fixed_context(design: Design, fit: FixedPhaseFit) -> PlainData:
     ]
     link = control.bases[1] * 2.0**control.dc_scale
     scales.append({"name": "BASE_DC_VOLTAGE_V", "value": link, "comment": "V, of the dc link"})
+    prefix, macro = design.export.prefix, title(design)["macro"]
     return {
         **title(design),
-        **fixed_basics(control.turn, fit.sine_error),
+        "format": control.format,
+        "width": control.width,
+        "top": control.top,
+        "third": round(2**bits / 3),
+        "half_root": round(2**bits * math.sqrt(0.75)),
+        "types": code_types(prefix, macro, control.width),
+        "basics": code_basics(
+            prefix, macro, control.width, error_words(control.width, fit.sine_error)
+        ),
+        "pis": pi_text(prefix, macro, control.width, {}, _speed_comment(control)),
+        "speed_loop": speed_loop_text(prefix, control.width),
         "control": control,
         "idle": asdict(IDLE),
-        "loops": {},
-        "loops_comment": _speed_comment(control),
-        "reference": False,
         "rule": TOPOLOGIES[control.topology],
         "legs": TOPOLOGIES[control.topology].legs,
         "preamble": _preamble(fit, design),

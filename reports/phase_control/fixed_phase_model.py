@@ -14,7 +14,13 @@ from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.transforms import Pair, Triple
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
-from dqforge.optimizer.fixed_control.transforms import IDLE, SpeedState, speed_loop
+from dqforge.optimizer.fixed_control.transforms import (
+    IDLE,
+    Pi,
+    SpeedLoop,
+    speed_loop,
+    speed_loop_gains,
+)
 from dqforge.optimizer.fixed_phase_control.design import phase_ranges
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedAxis,
@@ -132,11 +138,12 @@ def phase_results(
     )
     step = control_step(o, control, state, sample, x["torque"], Pair(x["d"], x["q"]))
     turning = [value for pair in step.state.harmonics for value in pair]
-    loop, omega = speed_loop(
-        o, control, SpeedState(*(x[name] for name in _SPEED[1:])), x["omega"], x["speed_reference"]
-    )
+    filtered, integral, torque, count = (x[name] for name in _SPEED[1:])
+    loop = SpeedLoop(Pi(integral), filtered, x["omega"], torque, count)
+    gains = speed_loop_gains(control)
+    speed_loop(o, control.width, gains, loop, x["omega"], x["speed_reference"])
     sinusoid = torque_reference(o, control, loop.torque)
-    speed = (loop.filtered, loop.integral, loop.torque, loop.count, omega, sinusoid.y)
+    speed = (loop.filtered, loop.speed.integral, loop.torque, loop.count, loop.omega_m, sinusoid.y)
     found = [*step.duty, *step.state.integral, *turning, *step.voltage, *step.reference, *speed]
     shape = inputs.shape[:1]
     return np.stack([np.broadcast_to(value, shape) for value in found], axis=1)

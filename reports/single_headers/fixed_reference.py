@@ -27,6 +27,7 @@ from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
 from dqforge.reports.pages.templating import REFERENCE, render
 from dqforge.reports.single_headers.fixed_mesh_reading import mesh_from
+from dqforge.reports.steps.code_text import code_types
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -78,6 +79,7 @@ def _context(design: Design, fit: FixedReferenceFit) -> PlainData:
         **title(design),
         "format": mesh.format,
         "width": mesh.width,
+        "types": code_types(design.export.prefix, title(design)["macro"], mesh.width),
         "top": mesh.top,
         "rows": mesh.rows,
         "columns": mesh.columns,

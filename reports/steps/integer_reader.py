@@ -15,7 +15,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar, get_type_hints
 
 from dqforge.machines.transforms import Pair
 from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, rounded, scaled
-from dqforge.optimizer.fixed_control.transforms import rotation
+from dqforge.optimizer.fixed_control.codes import rotation
 from dqforge.optimizer.fixed_observers.kit import (
     WIDTH,
     Dq,
@@ -239,8 +239,9 @@ class IntegerReader:
         return self._kept(integers.narrowed(a, low, high))
 
     def clamp(self, a: Number, low: Any, high: Any) -> Number:
-        """The number nearest to a from low to high."""
-        least, most = integers.number(low), integers.number(high)
+        """The number nearest to a from low to high, of which one may be open."""
+        least = integers.number(a.range.low if low is None else low)
+        most = integers.number(a.range.high if high is None else high)
         found = Range(
             min(max(a.range.low, least.range.low), most.range.low),
             min(max(a.range.high, least.range.high), most.range.high),
@@ -317,6 +318,11 @@ class IntegerReader:
             text = f"{self._side(b, a)} <= {self._side(a, b)}"
         return _Condition(text, (a, b), self._ranges.at_least(a.range, b.range))
 
+    def has_bit(self, a: Number, bit: int) -> _Condition:
+        """Condition that a number has a bit."""
+        text = f"({a.written(UINT32, operand=True)} & {bit}U) != 0U"
+        return _Condition(text, (a,), self._ranges.has_bit(a.range, bit))
+
     def every(self, *conditions: _Condition) -> _Condition:
         """Condition that all hold."""
         decided = self._ranges.every(*(each.decided for each in conditions))
@@ -337,6 +343,19 @@ class IntegerReader:
         self.block, self.branches = outer, (condition.text, found)
         result: _T = found[0][1]
         return result
+
+    def cases(
+        self,
+        name: str | tuple[str, ...],  # noqa: ARG002
+        *branches: tuple[_Condition, Callable[[], _T]],
+        otherwise: Callable[[], _T],
+    ) -> _T:
+        """What all branches return; only in functions whose text every header has."""
+        assert self.dry, "observers have no branch amid a step"
+        found: Any = otherwise()
+        for _, branch in reversed(branches):
+            found = _hull(branch(), found)
+        return found  # type: ignore[no-any-return]
 
     def choose(self, condition: _Condition, a: Number, b: Number) -> Number:
         """A conditional expression, where ranges do not decide it."""

@@ -8,16 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from dqforge.reports.steps.record_text import kind_fields
+from dqforge.reports.steps.record_text import kind_fields, whole_of
 from dqforge.reports.steps.symbols import Expression
 
 
-def vector(kind: type[Any], name: str, *, state: bool = False, mark: str = "") -> Any:
-    """A vector by its name in C; ``state`` of a member of the state, ``mark`` tells when it is
-    read.
-    """
+def vector(kind: type[Any], name: str, *, state: bool = False) -> Any:
+    """A vector by its name in C; ``state`` of a member of the state."""
     texts = [f"{name}.{n}" for n in kind._fields]
-    reads = [frozenset({text + mark} if state else ()) for text in texts]
+    reads = [frozenset({text} if state else ()) for text in texts]
     return kind(
         *(Expression(text, reads=own, whole=name) for text, own in zip(texts, reads, strict=True))
     )
@@ -56,7 +54,7 @@ def assignments(
         return [] if whole == place else [Assignment(place, whole, reads, targets)]
     places = [f"{place}.{axis}" for axis in kind_fields(value)] if len(old) > 1 else [place]
     return [
-        Assignment(own, part.bare(), part.reads, set(last.reads))
+        Assignment(own, part.to(last.kind).bare(), part.reads, set(last.reads))
         for own, part, last in zip(places, parts, old, strict=True)
         if part.text != own
     ]
@@ -88,25 +86,11 @@ class Kept:
         self.version += 1
         mark = f"#{self.version}"
         if isinstance(self.value, tuple):
-            self.value = vector(type(self.value), self.place, state=True, mark=mark)
+            parts = [part.marked(mark, whole=self.place) for part in self.value]
+            self.value = type(self.value)(*parts)
         else:
-            reads = frozenset({self.place + mark})
-            self.value = Expression(self.place, reads=reads, kind=self.kind)
+            self.value = self.value.marked(mark)
         setattr(self.record, self.member, self.value)
-
-
-def whole_of(value: Any) -> str:
-    """The vector or array whose parts these are, in their order; else nothing."""
-    places = {part.whole for part in value if isinstance(part, Expression)}
-    if len(places) != 1:
-        return ""
-    (place,) = places
-    names = (
-        [f"{place}.{n}" for n in kind_fields(value)]
-        if hasattr(value, "_fields")
-        else [f"{place}[{n}]" for n in range(len(value))]
-    )
-    return place if [getattr(part, "text", "") for part in value] == names else ""
 
 
 def handed_on(value: Any) -> str:

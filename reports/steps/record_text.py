@@ -11,7 +11,7 @@ from typing import Any, get_type_hints
 
 from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Dq, Member, Rotation
 from dqforge.reports.c_code.numbers import comment_text, float_literal
-from dqforge.reports.steps.symbols import Origin, folded
+from dqforge.reports.steps.symbols import Expression, Origin, folded
 
 # Vectors that `dqforge.reports.steps.control_types` declares.
 SHARED: dict[type[Any], str] = {
@@ -36,8 +36,22 @@ def comment(text: str) -> list[str]:
 
 def kind_fields(value: Any) -> tuple[str, ...]:
     """Names of the parts of a vector."""
-    names: tuple[str, ...] = type(value)._fields
+    names: tuple[str, ...] = getattr(type(value), "AXES", type(value)._fields)
     return names
+
+
+def whole_of(value: Any) -> str:
+    """The vector or array whose parts these are, in their order; else nothing."""
+    places = {part.whole for part in value if isinstance(part, Expression)}
+    if len(places) != 1:
+        return ""
+    (place,) = places
+    names = (
+        [f"{place}.{n}" for n in kind_fields(value)]
+        if hasattr(value, "_fields")
+        else [f"{place}[{n}]" for n in range(len(value))]
+    )
+    return place if [getattr(part, "text", "") for part in value] == names else ""
 
 
 def _member(kind: type[Any], name: str) -> Member | None:

@@ -167,6 +167,45 @@ class StepReader(Arithmetic):
         self._changed: set[str] = set()
         self._open: Expression | None = None  # a call that changes the state, till it is written
 
+    # What a reader of other numbers says otherwise.
+
+    def type_name(self, name: str) -> str:
+        """Name of a type in C."""
+        return f"{self.prefix}_{name}_t"
+
+    def function_name(self, name: str) -> str:
+        """Name of a function in C."""
+        return f"{self.prefix}_{name}"
+
+    def vector(self, kind: type[Any], name: str, *, state: bool = False) -> Any:
+        """A vector by its name in C."""
+        return vector(kind, name, state=state)
+
+    def inside(self, function: Callable[..., Any], names: Sequence[str]) -> StepReader:  # noqa: ARG002
+        """The reader of a function with parameters of these names."""
+        return StepReader(self.prefix, self.functions, Block("    ", set(names)))
+
+    def member_kind(self, kind: type[Any], name: str) -> str:
+        """Type in C of a member of a record that is a number."""
+        return kind_of(kind, name)
+
+    def number_of(self, name: str, kind: str, **more: Any) -> Expression:
+        """A number by its name and type in C."""
+        return Expression(name, kind=kind, **more)
+
+    def result_kind(self, value: Expression) -> str:
+        """Type in C of a number that the function returns."""
+        return value.kind
+
+    def axis_kinds(self, kind: type[Any]) -> Sequence[str]:
+        """Types in C of the parts of a vector."""
+        return ["float"] * len(cast("Any", kind)._fields)
+
+    def _axes(self, value: Any) -> tuple[Expression, ...]:
+        """Parts of a vector as they are written into one."""
+        kinds = self.axis_kinds(type(value))
+        return tuple(expression(part).to(own) for part, own in zip(value, kinds, strict=True))
+
     def _wrapped(self, theta: Any) -> Any:
         return self._called("wrap", (theta,), None)
 
@@ -272,9 +311,9 @@ class StepReader(Arithmetic):
         self.take(parts)
         into = [f"&{filled}.{axis}" for axis in cast("Any", kind)._fields]
         texts = ", ".join([*(part.bare() for part in parts), *into])
-        self.block.variable(f"{self.prefix}_{c_name(kind)}_t", filled)
-        self.block.work(folded(f"{self.prefix}_{name}(", texts, ");", self.block.indent))
-        return cast("_V", vector(kind, filled))
+        self.block.variable(self.type_name(c_name(kind)), filled)
+        self.block.work(folded(f"{self.function_name(name)}(", texts, ");", self.block.indent))
+        return cast("_V", self.vector(kind, filled))
 
     def has_bit(self, a: Any, bit: int) -> Any:
         """Whether an integer has a bit."""
@@ -387,12 +426,12 @@ class StepReader(Arithmetic):
                 else:
                     self._array(name, parts, meaning)
                 return tuple(Expression(f"{name}[{n}]", whole=name) for n in range(len(value)))
-            text = whole_of(value)
-            kind = f"{self.prefix}_{c_name(type(value))}_t"
+            text, parts = whole_of(value), self._axes(value)
+            kind = self.type_name(c_name(type(value)))
             if text or not self._listed(kind, name, parts, meaning):
                 text = text or f"{{ {', '.join(part.bare() for part in parts)} }}"
                 self._declare(kind, name, text, meaning, parts)
-            return vector(type(value), name)
+            return self.vector(type(value), name)
         number = expression(value)
         self._declare(number.kind, name, number.bare(), meaning, (number,))
         return type(number)(name, kind=number.kind)
@@ -443,9 +482,9 @@ class StepReader(Arithmetic):
                 raise ValueError(f"{self._kept[n].place} changes, which `cases` is not told")
             self._renew(self._kept[n])
         found = tuple(
-            vector(type(part), own)
+            self.vector(type(part), own)
             if isinstance(part, tuple)
-            else Expression(own, kind=self._kind(part))
+            else self.number_of(own, self._kind(part))
             for own, part in zip(names, given, strict=False)
         )
         return cast("_T", found if isinstance(name, tuple) else found[0] if found else None)
@@ -500,7 +539,7 @@ class StepReader(Arithmetic):
 
     def _kind(self, value: Any) -> str:
         if isinstance(value, tuple):
-            return f"{self.prefix}_{c_name(type(value))}_t"
+            return self.type_name(c_name(type(value)))
         return expression(value).kind
 
     def _assign(self, name: str, value: Any) -> None:
@@ -513,7 +552,7 @@ class StepReader(Arithmetic):
         elif text := whole_of(value):
             self.block.add(f"{name} = ", text)
         else:
-            for axis, part in zip(kind_fields(value), parts, strict=True):
+            for axis, part in zip(kind_fields(value), self._axes(value), strict=True):
                 self.block.add(f"{name}.{axis} = ", part.bare())
 
     def _declare(
@@ -595,10 +634,19 @@ class StepReader(Arithmetic):
             else:
                 parts.append(expression(argument))
                 texts.append(parts[-1].bare())
-        text = f"{self.prefix}_{name}({', '.join(texts)})"
+        return self._called_as(name, f"{self.function_name(name)}({', '.join(texts)})", parts, kind)
+
+    def _called_as(
+        self,
+        name: str,  # noqa: ARG002
+        text: str,
+        parts: Sequence[Expression],
+        kind: type[Any] | None,
+    ) -> Any:
+        """What a call returns."""
         if kind is None or kind is type(None):
             return joined(text, *parts, atom=True, kind="float")
-        names: tuple[str, ...] = kind._fields
+        names: tuple[str, ...] = cast("Any", kind)._fields
         found = [joined(f"{text}.{n}", *parts, atom=True, whole=text) for n in names]
         for part in found:
             part.uses = found[0].uses
@@ -635,7 +683,7 @@ class StepReader(Arithmetic):
             names: Of the parameters, none where they are those of the function.
         """
         names = names or list(inspect.signature(function).parameters)[1:]
-        inner = StepReader(self.prefix, self.functions, Block("    ", {*names, *into}))
+        inner = self.inside(function, [*names, *into])
         inside = [inner.parameter(n, item) for n, item in zip(names, arguments, strict=True)]
         result = function(inner, *(value for _, value in inside))
         inner.write_state()
@@ -655,7 +703,7 @@ class StepReader(Arithmetic):
         inner.block.first([f"    (void){n};" for n in names if n not in used])
         lines = [
             *(comment(said) if said else []),
-            *folded(f"static inline {kind} {self.prefix}_{name}(", parameters, ")", ""),
+            *folded(f"static inline {kind} {self.function_name(name)}(", parameters, ")", ""),
             "{",
             *body,
             *([""] if body and end and (into or inner.block.declared is None) else []),
@@ -683,17 +731,18 @@ class StepReader(Arithmetic):
                 end.add(f"*{pointer} = ", part.bare())
             return "void", end.lines
         if not isinstance(result, tuple):
-            end.add("return ", parts[0].bare())
-            return parts[0].kind, end.lines
+            kind = self.result_kind(parts[0])
+            end.add("return ", parts[0].to(kind).bare())
+            return kind, end.lines
         own = c_name(type(result))
-        kind, whole = f"{self.prefix}_{own}_t", whole_of(result)
+        kind, whole = self.type_name(own), whole_of(result)
         if type(result) not in SHARED:
             self.functions.vectors[own] = type(result)
         if whole:
             end.add("return ", whole)
         else:
             self.block.lines.insert(0, f"{self.block.indent}{kind} result;")
-            for n, part in zip(kind_fields(result), parts, strict=True):
+            for n, part in zip(kind_fields(result), self._axes(result), strict=True):
                 end.add(f"result.{n} = ", part.bare())
             end.lines.append(f"{self.block.indent}return result;")
         return kind, end.lines
@@ -706,15 +755,15 @@ class StepReader(Arithmetic):
             like: An argument: a record, a vector, an array or a number.
         """
         if is_dataclass(like):
-            kind = f"{self.prefix}_{c_name(type(like))}_t"
+            kind = self.type_name(c_name(type(like)))
             return f"const {kind} *{name}", self._record(like, name, f"{name}->", frozenset())
         if isinstance(like, Index):
             return f"{like.kind} {name}", Index(name, kind=like.kind)
         if not isinstance(like, tuple):
             return f"float {name}", Expression(name)
         if hasattr(like, "_fields"):
-            kind = f"{self.prefix}_{c_name(type(like))}_t"
-            return f"{kind} {name}", vector(type(like), name)
+            kind = self.type_name(c_name(type(like)))
+            return f"{kind} {name}", self.vector(type(like), name)
         inside = tuple(Expression(f"{name}[{n}]", whole=name) for n in range(len(like)))
         return f"const float {name}[{len(like)}]", inside
 
@@ -724,18 +773,18 @@ class StepReader(Arithmetic):
             value = getattr(like, member.name)
             name = f"{place}{member_name(type(like), member.name)}"
             own = outer | {(c_name(type(like)), member.name)}
-            kind = kind_of(type(like), member.name)
+            kind = self.member_kind(type(like), member.name)
             if is_dataclass(value):
                 values[member.name] = self._record(value, f"&{name}", f"{name}.", own)
             elif hasattr(value, "_fields"):
-                values[member.name] = vector(type(value), name, state=True)
+                values[member.name] = self.vector(type(value), name, state=True)
             elif isinstance(value, tuple):
                 values[member.name] = tuple(
                     Expression(f"{name}[{n}]", members=own, whole=name) for n in range(len(value))
                 )
             elif value is not None:
                 reads = frozenset({name})
-                values[member.name] = Expression(name, members=own, reads=reads, kind=kind)
+                values[member.name] = self.number_of(name, kind, members=own, reads=reads)
             if not is_dataclass(value) and value is not None:
                 kept.append((member.name, name, kind))
         found = replace(like, **values)

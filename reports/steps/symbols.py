@@ -51,6 +51,15 @@ class Expression:
         """Whether it may be written twice, since it computes nothing."""
         return self.atom and "(" not in self.text
 
+    def marked(self, mark: str, *, whole: str = "") -> Expression:
+        """The same member of a state, read at another time."""
+        reads = frozenset({self.text + mark})
+        return type(self)(self.text, reads=reads, whole=whole, kind=self.kind)
+
+    def to(self, kind: str) -> Expression:  # noqa: ARG002
+        """As it is written to a place of a type in C."""
+        return self
+
     def bare(self) -> str:
         """Text where no parentheses are needed.
 

@@ -30,7 +30,7 @@ from dqforge.machines.transforms import (
     phases_to_dq,
 )
 from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges
-from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS, Codes
+from dqforge.optimizer.fixed_control.codes import FIXED_MODULATORS, Codes
 
 SINGLES = Floats(np.float32)
 ROOT = Path(dqforge.__file__).parent

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from dqforge.machines.errors import NoSolutionError
-from dqforge.machines.transforms import Pair
 from dqforge.optimizer.curves.single_precision import (
     SINGLE,
     PiecewisePolynomial,
@@ -40,9 +39,13 @@ from dqforge.optimizer.fixed_control.ranges import (
 from dqforge.optimizer.fixed_control.transforms import (
     FixedObserver,
     FixedPi,
-    ObserverState,
-    VelocityState,
+    Pi,
+    PiVelocity,
+    ReducedOrder,
+    pi_gains,
+    reduced_order_gains,
 )
+from dqforge.optimizer.fixed_control.vectors import Dq
 from dqforge.optimizer.loops.integer_gains import FixedGain, given, quantise
 
 SPANS = [Range(low, high) for low in range(-4, 5) for high in range(low, 5)]
@@ -68,7 +71,7 @@ def test_ranges_of_one_operand_are_exact() -> None:
         for bits in (0, 1, 2):
             assert o.shifted(a, bits) == ends(np.floor(x / 2**bits).astype(int))
             assert ends(numbers.shifted(x, bits)) == o.shifted(a, bits)
-        for low, high in ((-2, 3), (0, 0), (1, 2)):
+        for low, high in ((-2, 3), (0, 0), (1, 2), (None, 1), (-1, None)):
             assert o.clamp(a, low, high) == ends(np.clip(x, low, high))
             assert ends(numbers.clamp(x, low, high)) == o.clamp(a, low, high)
         assert a.largest == int(np.max(np.abs(x)))
@@ -87,9 +90,10 @@ def test_ranges_of_two_operands_are_exact() -> None:
         assert o.product("p", a, b) == ends(x * y)
         assert o.total("s", a, b) == ends(x + y)
         assert a.hull(b) == Range(min(a.low, b.low), max(a.high, b.high))
-        decided = x >= y
-        assert o.at_least(a, b) is (True if decided.all() else None if decided.any() else False)
-        np.testing.assert_array_equal(numbers.at_least(x, y), decided)
+        for name, decided in (("at_least", x >= y), ("above", x > y), ("equal", x == y)):
+            whole = True if decided.all() else None if decided.any() else False
+            assert getattr(o, name)(a, b) is whole
+            np.testing.assert_array_equal(getattr(numbers, name)(x, y), decided)
     for a, b in itertools.product(SPANS, POSITIVE):
         x, y = grid(a, b)
         towards_zero = np.trunc(x / y).astype(int)
@@ -298,18 +302,18 @@ def test_controllers_are_met_by_any_error_and_any_past(
     """
     asked: list[tuple[object, ...]] = []
     monkeypatch.setattr(fixed_ranges, "pi_step", lambda *given: asked.append(given))
-    monkeypatch.setattr(fixed_ranges, "pi_velocity", lambda *given: asked.append(given))
+    monkeypatch.setattr(fixed_ranges, "pi_velocity_step", lambda *given: asked.append(given))
     pi, top = replace(PI, fraction=3), 2 ** (width - 1) - 1
     pi_ranges(width, "x", pi, "parallel")
     *_, state, error, limit = asked[-1]
-    assert asked[-1][1:3] == (width, pi)
-    assert state == Range(-8 * top, 8 * top)
+    assert asked[-1][1] == pi_gains(width, pi)
+    assert state == Pi(Range(-8 * top, 8 * top))
     assert error == Range(1 - 2**width, 2**width - 1)
     assert limit == Range(0, top)
     pi_ranges(width, "x", pi, "velocity")
     _, used, past, error, limit = asked[-1]
-    assert used is pi
-    assert isinstance(past, VelocityState)
+    assert used == pi_gains(width, pi)
+    assert isinstance(past, PiVelocity)
     assert past.output == Range(-8 * top, 8 * top)
     assert past.proportional == scaled(Ranges(32), "kp e", pi.kp, Range(1 - 2**width, 2**width - 1))
     assert error == Range(1 - 2**width, 2**width - 1)
@@ -318,15 +322,15 @@ def test_controllers_are_met_by_any_error_and_any_past(
 
 def test_observer_is_met_by_any_state(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[object, ...]] = []
-    monkeypatch.setattr(fixed_ranges, "observe", lambda *given: asked.append(given))
+    monkeypatch.setattr(fixed_ranges, "reduced_order_step", lambda *given: asked.append(given))
     part = FixedObserver(PI.kp, PI.kp, PI.kp, PI.kp, PI.kp, fraction=2, reach=3)
     observer_ranges(8, part)
     _, width, used, state, voltage, current = asked[0]
-    assert (width, used) == (8, part)
-    assert isinstance(state, ObserverState)
+    assert (width, used) == (8, reduced_order_gains(8, part))
+    assert isinstance(state, ReducedOrder)
     assert state.zeta == Range(-127 * 3 * 4, 127 * 3 * 4)
     every = Range(-128, 127)
-    assert (state.omega, state.current, voltage, current) == (every, *[Pair(every, every)] * 3)
+    assert (state.omega_m, state.i, voltage, current) == (every, *[Dq(every, every)] * 3)
 
 
 def test_roots_are_exact_beside_every_square() -> None:

@@ -19,6 +19,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges, scaled
+from dqforge.optimizer.fixed_control.codes import FIXED_MODULATORS
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
 from dqforge.optimizer.fixed_control.ranges import (
     control_ranges,
@@ -28,7 +29,7 @@ from dqforge.optimizer.fixed_control.ranges import (
     require,
     with_fraction,
 )
-from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS, FixedPi, pi_step
+from dqforge.optimizer.fixed_control.transforms import FixedPi, Pi, pi_gains, pi_step
 from dqforge.optimizer.loops.integer_gains import FixedGain, given, quantise
 from dqforge.reports.control.fixed_model import row_inputs, row_results
 
@@ -140,12 +141,8 @@ def test_the_corners_of_a_controller_are_its_range() -> None:
     top = 32_767
     corners = itertools.product((-65_535, 65_535), (-top << 11, top << 11), (0, top))
     for error, integral, limit in corners:
-        pi_step(
-            Integers(seen),
-            16,
-            pi,
-            *(np.array(value, dtype=np.int64) for value in (integral, error, limit)),
-        )
+        past, *given_now = (np.array(x, dtype=np.int64) for x in (integral, error, limit))
+        pi_step(Integers(seen), pi_gains(16, pi), Pi(past), *given_now)
     for name in ("kp e", "ki t_s e", "integral + ki t_s e", "kp e + integral"):
         assert seen[name] == (proven[name].range.low, proven[name].range.high), name
 

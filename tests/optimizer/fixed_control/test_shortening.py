@@ -9,27 +9,27 @@ import pytest
 from numpy.typing import NDArray
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.transforms import Pair
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.fixed_control.arithmetic import (
-    CodeArray,
-    Integers,
-    inverse_root,
-    longest,
-    reciprocal,
-    shortened,
-)
+from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
-from dqforge.optimizer.fixed_control.transforms import SpeedState, integer_load_turn, speed_loop
+from dqforge.optimizer.fixed_control.shortening import inverse_root, longest, reciprocal, shortened
+from dqforge.optimizer.fixed_control.transforms import (
+    Pi,
+    SpeedLoop,
+    code_load_turn,
+    speed_loop,
+    speed_loop_gains,
+)
+from dqforge.optimizer.fixed_control.vectors import AlphaBeta
 
 WIDTHS = (16, 32)
 
 
 @dataclass(slots=True)
 class Unclamped(Integers):
-    """Arithmetic whose clamps must change nothing: the emitted C has none there."""
+    """Arithmetic in which known limits must change nothing: the emitted C has none there."""
 
-    def clamp(self, a: CodeArray, low: int, high: int) -> CodeArray:
+    def known(self, a: CodeArray, low: int, high: int) -> CodeArray:
         """The numbers, which lie within the limits."""
         assert np.all((a >= low) & (a <= high)), (low, high, np.min(a), np.max(a))
         return a
@@ -55,7 +55,7 @@ def test_voltages_are_shortened_along_their_direction(width: int, size: float) -
     generator, count, top = np.random.default_rng(2), 40_000, 2 ** (width - 1) - 1
     asked = np.rint(generator.uniform(-1.0, 1.0, (2, count)) * size * top).astype(np.int64)
     limit = np.rint(generator.uniform(0.05, 1.0, count) * longest(width)).astype(np.int64)
-    found = shortened(Integers(), width, Pair(*asked), limit)
+    found = shortened(Integers(), width, asked[0], asked[1], limit)
     length = np.maximum(np.hypot(*asked.astype(float)), 1.0)
     share = np.minimum(1.0, limit / length)
     gaps = found.x - share * asked[0], found.y - share * asked[1]
@@ -72,11 +72,11 @@ def test_the_load_angle_is_that_of_power_and_reactive_power() -> None:
     angle, lag = generator.uniform(-np.pi, np.pi, (2, 20_000))
     v, i = generator.uniform(0.2, 0.9, (2, 20_000)) * top
 
-    def vector(length: NDArray[np.float64], at: NDArray[np.float64]) -> Pair[CodeArray]:
+    def vector(length: NDArray[np.float64], at: NDArray[np.float64]) -> AlphaBeta[CodeArray]:
         parts = length * np.cos(at), length * np.sin(at)
-        return Pair(*(np.rint(part).astype(np.int64) for part in parts))
+        return AlphaBeta(*(np.rint(part).astype(np.int64) for part in parts))
 
-    turn = integer_load_turn(Integers(), 16, vector(v, angle), vector(i, angle - lag))
+    turn = code_load_turn(Integers(), 16, vector(v, angle), vector(i, angle - lag))
     found = np.arctan2(turn.y.astype(float), turn.x.astype(float))
     folded = np.where(np.cos(lag) < 0.0, lag - np.pi, lag)
     folded = (folded + np.pi) % (2.0 * np.pi) - np.pi
@@ -100,7 +100,8 @@ def test_speed_loop_follows_a_real_one(width: int) -> None:
     assert control.speed is not None
     pi, top, o = control.speed["parallel"], float(control.top), Integers()
     generator = np.random.default_rng(4)
-    state = SpeedState(*(np.zeros(20, dtype=np.int64) for _ in range(4)))
+    zero, gains = np.zeros(20, dtype=np.int64), speed_loop_gains(control)
+    state = SpeedLoop(Pi(zero), zero, zero, zero, zero)
     share = control.speed_filter.realised / 2.0 ** (width - 2)
     kp, ki, back = (
         gain.realised / 2.0**bits
@@ -112,7 +113,9 @@ def test_speed_loop_follows_a_real_one(width: int) -> None:
         step = 0.2 * top * ((k // 150) % 2)
         noise = generator.uniform(-0.01, 0.01, (2, 20)) * top
         omega, wanted = np.rint(noise + np.array([[0.0], [step]])).astype(np.int64)
-        state, found = speed_loop(o, control, state, omega, wanted)
+        given = speed_loop(o, width, gains, state, omega, wanted)
+        assert np.array_equal(given, state.torque)
+        found = state.omega_m
         speed = speed + share * (omega - speed)
         if k % control.ratio == 0:
             error = wanted - found  # of the integers, so that roundings do not add up

@@ -31,22 +31,24 @@ from dqforge.machines.transforms import (
 )
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
+from dqforge.optimizer.fixed_control.codes import FIXED_MODULATORS, Codes, rotation
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
 from dqforge.optimizer.fixed_control.transforms import (
-    FIXED_MODULATORS,
-    Codes,
+    DutySteps,
     FixedPi,
     Measured,
-    ObserverState,
-    VelocityState,
-    current_control,
-    decouple,
-    duties,
-    observe,
+    Pi,
+    PiVelocity,
+    ReducedOrder,
+    control_at_rest,
+    decoupling,
+    pi_gains,
     pi_step,
-    pi_velocity,
-    rotation,
+    pi_velocity_step,
+    reduced_order_gains,
+    reduced_order_step,
 )
+from dqforge.optimizer.fixed_control.vectors import Abc, AlphaBeta, Dq
 from dqforge.optimizer.loops.integer_gains import given, quantise
 from dqforge.optimizer.observers.reduced_order import estimate_speed, simulate_observer
 
@@ -143,13 +145,13 @@ def test_duties_are_those_of_the_modulators(name: ModulationName, width: int) ->
     voltage = amplitude[:, None] * np.cos(angle[:, None] - shifts)
     current = 7.0 * np.cos((angle - lag)[:, None] - shifts)
     expected = modulate(name, voltage, current, v_dc)
-    vector = Pair(
+    vector = AlphaBeta(
         codes_of(amplitude * np.cos(angle), base, width),
         codes_of(amplitude * np.sin(angle), base, width),
     )
-    i = Triple(*(codes_of(current[:, k], 10.0, width) for k in range(3)))
+    i = Abc(*(codes_of(current[:, k], 10.0, width) for k in range(3)))
     link = np.full(count, codes_of(np.array(v_dc), 400.0, width))
-    found = duties(EXACT, width, name, scale, vector, link, i)
+    found = DutySteps(width, name, scale).duties(EXACT, vector, link, i)
     duty = np.stack([found.a, found.b, found.c], axis=1)
     assert duty.min() >= 0
     assert duty.max() <= one(width)
@@ -169,9 +171,9 @@ def test_duties_are_those_of_the_modulators(name: ModulationName, width: int) ->
 
 def test_duties_saturate_beyond_the_dc_link() -> None:
     full = np.array([32_767, -32_768], dtype=np.int64)
-    found = duties(
-        EXACT, 16, "svpwm", 0, Pair(full, full), np.array([1, 1]), Triple(full, full, full)
-    )
+    steps = DutySteps(16, "svpwm", 0)
+    vector, phases = AlphaBeta(full, full), Abc(full, full, full)
+    found = steps.duties(EXACT, vector, np.array([1, 1]), phases)
     assert all(np.all((part >= 0) & (part <= 32_768)) for part in (found.a, found.b, found.c))
 
 
@@ -196,13 +198,14 @@ def test_controllers_follow_real_ones(width: int) -> None:
     error = np.rint(generator.uniform(-0.05, 0.05, (2000, 50)) * top).astype(np.int64)
     limit = np.full(50, int(top))
     integral = np.zeros(50, dtype=np.int64)
-    state = VelocityState(integral, integral)
+    state, pi = PiVelocity(integral, integral), Pi(integral)
+    gains, swift_gains = pi_gains(width, parallel), pi_gains(width, velocity)
     exact = np.zeros(50)
     real_kp, real_ki = parallel.kp.realised, parallel.ki.realised * 2.0**-14
     for e in error:
         exact = exact + real_ki * e
-        output, integral = pi_step(EXACT, width, parallel, integral, e, limit)
-        swift, state = pi_velocity(EXACT, velocity, state, e, limit)
+        output = pi_step(EXACT, gains, pi, e, limit)
+        swift = pi_velocity_step(EXACT, swift_gains, state, e, limit)
         assert np.max(np.abs(output - real_kp * e - exact)) < 1.0 + 2000 * 0.5 * 2.0**-14 + 0.05
         assert np.max(np.abs(swift - output)) < 2.0 + 2000 * 2.0**-12
 
@@ -219,10 +222,10 @@ def test_the_shift_of_the_thesis_drifts_and_ours_does_not() -> None:
     changes = np.diff(error, prepend=0)
     theirs = ((kp.mantissa * changes) >> 10) + ((ki.mantissa * error) >> 15)
     pi = FixedPi(kp, replace(ki, shift=1), quantise(1.0, 16, 32_768), 14)
-    state = VelocityState(np.zeros((), dtype=np.int64), np.zeros((), dtype=np.int64))
-    limit = np.array(32_767)
+    state = PiVelocity(np.zeros((), dtype=np.int64), np.zeros((), dtype=np.int64))
+    limit, gains = np.array(32_767), pi_gains(16, pi)
     for e in error[:20_000]:
-        output, state = pi_velocity(EXACT, pi, state, e, limit)
+        output = pi_velocity_step(EXACT, gains, state, e, limit)
     real = 0.1328125 * error[19_999] + 26 / 2**15 * error[:20_000].sum()
     assert theirs.sum() < -0.5 * error.size
     assert abs(float(output) - real) < 2.0
@@ -232,19 +235,19 @@ def test_saturation_and_back_calculation() -> None:
     """Held at the limit for long, the controller leaves it in the sample
     in which the error turns.
     """
-    pi = pi_of(2.0, 0.05, 12)
-    integral, limit = np.array([0, 0]), np.array([10_000, 0])
+    gains = pi_gains(16, pi_of(2.0, 0.05, 12))
+    pi, limit = Pi(np.array([0, 0])), np.array([10_000, 0])
     for _ in range(5000):
-        output, integral = pi_step(EXACT, 16, pi, integral, np.array([3000, 3000]), limit)
+        output = pi_step(EXACT, gains, pi, np.array([3000, 3000]), limit)
     assert output.tolist() == [10_000, 0]
-    assert np.all(np.abs(integral) <= 32_767 << 12)
-    output, integral = pi_step(EXACT, 16, pi, integral, np.array([-3000, -3000]), limit)
+    assert np.all(np.abs(pi.integral) <= 32_767 << 12)
+    output = pi_step(EXACT, gains, pi, np.array([-3000, -3000]), limit)
     assert output[0] < 10_000
-    state = VelocityState(np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64))
+    state = PiVelocity(np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64))
     for _ in range(3000):
-        swift, state = pi_velocity(EXACT, pi, state, np.array([3000]), np.array([10_000]))
+        swift = pi_velocity_step(EXACT, gains, state, np.array([3000]), np.array([10_000]))
     assert swift[0] == 10_000
-    swift, state = pi_velocity(EXACT, pi, state, np.array([2000]), np.array([10_000]))
+    swift = pi_velocity_step(EXACT, gains, state, np.array([2000]), np.array([10_000]))
     assert swift[0] < 10_000
 
 
@@ -261,7 +264,7 @@ def test_decoupling_in_volts(width: int) -> None:
     generator = np.random.default_rng(6)
     omega, i_d, i_q = generator.uniform(-0.99, 0.99, (3, 5000))
     codes = [np.rint(x * one(width)).astype(np.int64) for x in (omega, i_d, i_q)]
-    feed = decouple(EXACT, width, control.decoupling, codes[0], Pair(codes[1], codes[2]))
+    feed = decoupling(EXACT, width, control.decoupling, codes[0], Dq(codes[1], codes[2]))
     omega_e = omega * speed * machine.pole_pairs
     quantum = voltage / one(width)
     loose = (
@@ -291,13 +294,12 @@ def test_observer_follows_the_real_one(width: int) -> None:
     current, voltage, speed, _ = fitted(design, width).control.bases
     codes = codes_of(made.i_q, current, width), codes_of(u_q, voltage, width)
     zero = np.zeros((), dtype=np.int64)
-    state = ObserverState(zero, zero, Pair(zero, zero))
+    own, state = reduced_order_gains(width, part), ReducedOrder(zero, zero, Dq(zero, zero))
     found = np.zeros(count)
     for k in range(1, count):
-        state = observe(
-            EXACT, width, part, state, Pair(zero, codes[1][k - 1]), Pair(zero, codes[0][k])
-        )
-        found[k] = float(state.omega)
+        v, i = Dq(zero, codes[1][k - 1]), Dq(zero, codes[0][k])
+        reduced_order_step(EXACT, width, own, state, v, i)
+        found[k] = float(state.omega_m)
     i_q, u = (
         np.asarray(x * base / one(width), dtype=np.float64)
         for x, base in zip(codes, (current, voltage), strict=True)
@@ -400,7 +402,7 @@ def closed_loop(
     )
     beta = generator.uniform(0.5 * np.pi, 1.5 * np.pi, drives)
     reference = size[:, None] * np.stack([np.cos(beta), np.sin(beta)], axis=1)
-    wanted = Pair(*(codes_of(reference[:, k], i_base, width) for k in range(2)))
+    wanted = Dq(*(codes_of(reference[:, k], i_base, width) for k in range(2)))
     link = np.full(
         drives, codes_of(np.array(design.inverter.v_dc), v_base * 2.0**control.dc_scale, width)
     )
@@ -408,7 +410,7 @@ def closed_loop(
     theta = generator.uniform(0.0, 2.0 * np.pi, drives)
     current, voltage = np.zeros((drives, 2)), np.zeros((drives, 2))
     zero = np.zeros(drives, dtype=np.int64)
-    integral, seen = Pair(zero, zero), []
+    state, seen = control_at_rest(zero), []
     for _ in range(steps):
         seen.append(current)
         cosine, sine = np.cos(theta), np.sin(theta)
@@ -420,21 +422,20 @@ def closed_loop(
         phases = fixed[0], -0.5 * fixed[0] + half * fixed[1], -0.5 * fixed[0] - half * fixed[1]
         angle = np.mod(np.rint(theta / (2.0 * np.pi) * 2.0**width), 2.0**width).astype(np.int64)
         measured = Measured(
-            Triple(*(codes_of(x, i_base, width) for x in phases)),
+            Abc(*(codes_of(x, i_base, width) for x in phases)),
             angle,
             codes_of(omega_m, speed, width),
             link,
         )
-        done = current_control(EXACT, control, integral, measured, wanted)
-        integral = done.integral
+        made = control.steps.current_control(EXACT, control.gains, state, measured, wanted)
         v_d, v_q = (
             voltage[:, 0] * cosine + voltage[:, 1] * sine,
             voltage[:, 1] * cosine - voltage[:, 0] * sine,
         )
-        state = np.stack([current[:, 0], current[:, 1], v_d, v_q, np.ones(drives)], axis=1)
-        current = np.einsum("nij,nj->ni", step, state)[:, :2]
+        now = np.stack([current[:, 0], current[:, 1], v_d, v_q, np.ones(drives)], axis=1)
+        current = np.einsum("nij,nj->ni", step, now)[:, :2]
         theta = theta + omega_e * t_s
-        duty = np.stack([done.duty.a, done.duty.b, done.duty.c]) / one(width) * design.inverter.v_dc
+        duty = np.stack([made.a, made.b, made.c]) / one(width) * design.inverter.v_dc
         voltage = np.stack(
             [(2.0 * duty[0] - duty[1] - duty[2]) / 3.0, (duty[1] - duty[2]) / math.sqrt(3.0)],
             axis=1,

@@ -22,8 +22,8 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
+from dqforge.optimizer.fixed_control.codes import FIXED_MODULATORS, sine_error
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
-from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS, sine_error
 from dqforge.reports.control.fixed_header import (
     control_fixed_files,
     control_fixed_harness,

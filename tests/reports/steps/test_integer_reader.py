@@ -18,7 +18,7 @@ from static_checks import program
 
 from dqforge.machines.transforms import N, Pair
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, Range, rounded, scaled
-from dqforge.optimizer.fixed_control.transforms import rotation
+from dqforge.optimizer.fixed_control.codes import rotation
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
     FixedObserverFit,
     FixedPositionObserver,
