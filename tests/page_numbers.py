@@ -302,9 +302,9 @@ def observed_rule() -> Rows:
 
 # Every table by its name.
 NUMBERS: dict[str, Numbers] = {
-    "phase-nodes": Numbers("methods/phase-control-design.md", phase_nodes, 0.2),
+    "phase-nodes": Numbers("methods/phase-control.md", phase_nodes, 0.2),
     "fixed-phase-ripple": Numbers("methods/fixed-point-control.md", fixed_phase_ripple, 0.2),
-    "limited-waveforms": Numbers("methods/phase-control-design.md", limited_waveforms, 0.02),
+    "limited-waveforms": Numbers("methods/phase-control.md", limited_waveforms, 0.02),
     "phase-ripple": Numbers("methods/phase-control.md", lambda: _ripple_rows(trapezoid=False), 0.2),
     "phase-ripple-trapezoid": Numbers(
         "methods/phase-control.md", lambda: _ripple_rows(trapezoid=True), 0.2

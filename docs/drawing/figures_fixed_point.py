@@ -1,4 +1,4 @@
-"""Figure of docs/methods/fixed-point.md: what 16 bits cost."""
+"""Figure of docs/methods/current-reference.md: what 16 bits cost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figure of docs/methods/fixed-reference.md: the mesh of operating points, and the torque that
+"""Figure of docs/methods/field-weakening.md: the mesh of operating points, and the torque that
 integers leave over the speed.
 """
 

@@ -12,7 +12,7 @@ import yaml
 import dqforge
 from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, new_figure, save, style
 
-PAGE = Path(__file__).resolve().parents[1] / "methods" / "from-standstill.md"
+PAGE = Path(__file__).resolve().parents[1] / "methods" / "start-up.md"
 
 _RPM = np.pi / 30.0
 

@@ -1,4 +1,4 @@
-"""Figure of docs/methods/overmodulation.md: vectors, phase voltage and harmonics of both
+"""Figure of docs/methods/modulation.md: vectors, phase voltage and harmonics of both
 methods.
 """
 

@@ -366,6 +366,7 @@ class StepReader(Arithmetic):
             outer.variable("float", kept.place)
         for kept in own:
             outer.work(folded(f"{kept.place} = ", kept.value.bare(), ";", outer.indent))
+            kept.value = Expression(kept.place)
             kept.renewed()
         self._kept += own
         if f"{outer.indent}unsigned int {name};" not in outer.lines:
