@@ -174,6 +174,8 @@ class Floats:
     def choose(self, condition: Any, a: Reals, b: Reals) -> Reals:
         """Numbers a where the condition holds, else b; Python floats get the type of numbers."""
         a, b = (self.number(x) if isinstance(x, float) else x for x in (a, b))
+        if isinstance(condition, bool | np.bool_):
+            return a if condition else b
         return np.where(condition, a, b)
 
     def where_above(
@@ -200,8 +202,8 @@ class Floats:
     ) -> _T:
         """What the first branch returns whose condition holds, else what ``otherwise`` returns.
 
-        The firmware computes one of them; here all are computed, so that what lies outside of a
-        condition may be no number.
+        The firmware computes one of them; here all are computed that hold for one of the drives, so
+        that what lies outside of a condition may be no number.
 
         Args:
             name: Of the local variable that takes the number or vector, or of one for each; where
@@ -210,6 +212,13 @@ class Floats:
             otherwise: What is computed where none holds.
             changing: Records of a state whose members the branches set.
         """
+        while branches and isinstance(branches[0][0], bool | np.bool_):
+            (condition, branch), *others = branches
+            if condition:
+                return branch()
+            branches = tuple(others)
+        if not branches:
+            return otherwise()
         places = [place for record in changing for place in leaves(record)]
         before = [getattr(record, member) for record, member in places]
 
@@ -224,8 +233,14 @@ class Floats:
                 setattr(record, member, value)
 
         with np.errstate(all="ignore"):
-            found, kept = ran(otherwise)
-            for condition, branch in reversed(branches):
+            *above, (condition, branch) = _met(branches, otherwise)
+            value, after = ran(branch)
+            found: _T = self._merged(condition, value, value)
+            kept = [
+                x if x is y else self._merged(condition, x, x)
+                for x, y in zip(after, before, strict=True)
+            ]
+            for condition, branch in reversed(above):
                 value, after = ran(branch)
                 found = self._merged(condition, value, found)
                 kept = [
@@ -236,6 +251,8 @@ class Floats:
         return found
 
     def _merged(self, condition: Any, a: Any, b: Any) -> Any:
+        if a is b and isinstance(a, np.ndarray) and a.shape == np.shape(condition):
+            return a
         if isinstance(a, tuple):
             parts = [self._merged(condition, x, y) for x, y in zip(a, b, strict=True)]
             return type(a)(*parts) if hasattr(a, "_fields") else tuple(parts)
@@ -243,7 +260,7 @@ class Floats:
             names = [field.name for field in fields(a)]
             parts = [self._merged(condition, getattr(a, n), getattr(b, n)) for n in names]
             return replace(a, **dict(zip(names, parts, strict=True)))  # type: ignore[type-var]
-        numbers = isinstance(a, float | np.ndarray | np.generic)
+        numbers = isinstance(a, int | float | np.ndarray | np.generic) and not isinstance(a, bool)
         return self.choose(condition, a, b) if numbers else a
 
     def root(self, a: Reals) -> Reals:
@@ -267,6 +284,23 @@ def leaves(record: Any) -> Iterator[tuple[Any, str]]:
             yield from leaves(value)
         elif value is not None:
             yield record, member.name
+
+
+def _met(
+    branches: Sequence[tuple[Any, Callable[[], _T]]], otherwise: Callable[[], _T]
+) -> list[tuple[Any, Callable[[], _T]]]:
+    """The branches that one of the drives takes, in their order: the last one takes the rest."""
+    left: Any = True
+    found = []
+    for condition, branch in branches:
+        if not isinstance(condition, bool | np.bool_ | np.ndarray):
+            return [*branches, (branches[0][0], otherwise)]
+        if np.any(left & condition):
+            found.append((condition, branch))
+            left = left & np.logical_not(condition)
+            if not np.any(left):
+                return found
+    return [*found, (left, otherwise)]
 
 
 DOUBLES = Floats(np.float64)  # Double precision.

@@ -1,5 +1,4 @@
-"""INFORM as the firmware runs it: written once, in the order of operations of the emitted C
-(``observers/inform.j2``).
+"""INFORM: the step of the firmware, its gains and range.
 
 A sequence is six periods: a voltage along 0, 120 and 240 degrees, each with its opposite, so that
 back-EMF and resistance fall out of the difference. The sum of the differences along gamma_k, turned
@@ -10,7 +9,10 @@ converter to itself. A sequence with a sample that is no number corrects nothing
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -21,10 +23,15 @@ from dqforge.machines.dq_machines.synchronous import Machine, linearised
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.plants.drive_motion import next_flux, plants
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import Reals, park
-from dqforge.optimizer.estimators import Tracker, TrackerLoop, TunedTracker
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.estimators import (
+    WRAPPED,
+    Tracker,
+    TrackerLoop,
+    TrackerSteps,
+    TunedTracker,
+)
 from dqforge.optimizer.observers.models.matsui_model import ObserverRun
-from dqforge.optimizer.observers.parts import ObserverState
 from dqforge.optimizer.observers.sampled_machine import (
     CurrentSensor,
     Trial,
@@ -35,130 +42,244 @@ from dqforge.optimizer.saliency.injection import (
     FASTEST_LOOP,
     MOST_OF_LINK,
     NOISE_ANGLE,
-    POINTS,
     LoadedSaliency,
     along_locus,
-    at_load,
     current_noise,
-    known_sample,
     pll_gains,
     require_saliency,
 )
+from dqforge.optimizer.saliency.load_tables import POINTS, error_at_load, is_known
 from dqforge.optimizer.saliency.sampled_injection import Injection
-from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair, limited
+from dqforge.optimizer.steps.step_arithmetic import (
+    AlphaBeta,
+    Arithmetic,
+    Member,
+    Pair,
+    limited,
+)
 
 LAST = 7  # Place in a sequence at which the answer to its last pulse is seen.
 MIDDLE = 3.0  # Samples from the middle of the pulses to that place.
 DIRECTIONS = ((1.0, 0.0), (-0.5, 0.8660254), (-0.5, -0.8660254))  # Cosine and sine of gamma_k.
-_LARGEST = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class InformGains:
-    """What the firmware needs.
+    """The pulses, and a loop on the angle that they show; tables stand over the load.
 
-    ``t_s`` in s; ``k_p`` and ``k_i`` (1/s) of the phase-locked loop per sequence; ``omega_max`` in
-    rad/s; ``voltage`` in V; ``period`` in samples from one sequence to the next. ``scale`` in rad/A
-    and ``shift`` in rad stand over |i_q| in steps of 1/``per_ampere``.
+    ``scale`` and ``shift`` stand over |i_q| in steps of 1/``per_ampere``; ``period`` is in samples
+    from one sequence to the next.
     """
 
-    t_s: float
-    k_p: float
-    k_i: float
-    omega_max: float
-    voltage: float
+    t_s: Annotated[float, Member("sampling period", "s")]
+    k_p: Annotated[float, Member("share of the angle error per sequence")]
+    k_i: Annotated[float, Member("speed per angle error and sequence", "1/s")]
+    omega_max: Annotated[float, Member("limit of the speed", "rad/s")]
+    voltage: Annotated[float, Member("of the pulses", "V")]
     period: float
-    per_ampere: float
-    scale: tuple[float, ...]
-    shift: tuple[float, ...]
+    per_ampere: Annotated[float, Member("points of the tables per A of i_q")]
+    scale: Annotated[tuple[float, ...], Member("angle error per measured current", "rad/A")]
+    shift: Annotated[tuple[float, ...], Member("what the load adds to it", "rad")]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class InformState(ObserverState):
-    """``vectors``: the last current and z; ``scalars``: the answer to the last pulse in A, whether
-    all samples of the sequence were numbers, and z of the sequence before (alpha, beta). ``n`` is
-    the place in the period.
+@dataclass(frozen=True, slots=True)
+class InductanceMappingGains(InformGains):
+    """The pulses, and a loop on the angle that they show; tables stand over the load, that of the
+    shift has the axis there.
     """
 
-    n: int = 0
+
+@dataclass(slots=True, eq=False)
+class Inform:
+    """What the tracker keeps from sample to sample.
+
+    Arrays of shape (N,); ``n`` and ``started`` are the same of all.
+    """
+
+    sample: Annotated[AlphaBeta, Member("last current", "A")]
+    z: Annotated[AlphaBeta, Member("sum of the differences, turned", "A")]
+    half: Annotated[Reals, Member("answer to the first pulse of a pair", "A")]
+    whole: Annotated[Any, Member("all samples of the sequence were numbers", kind="int")]
+    n: Annotated[Any, Member("place in the period", kind="int")]
+    started: Annotated[Any, Member("0 before the first step", kind="int")]
+    added: Annotated[
+        AlphaBeta,
+        Member("to be added to the voltage that acts from the next sampling instant on", "V"),
+    ]
+    current: Annotated[AlphaBeta, Member("current between the pulses, for the controllers", "A")]
+    theta_e: Annotated[Reals, Member("estimated electrical angle, rad, -pi to pi")]
+    omega_e: Annotated[Reals, Member("estimated electrical speed, rad/s")]
 
 
-def inform_start(gains: InformGains, theta_e: Reals, omega_e: Reals) -> InformState:
+class InductanceMapping(Inform):
+    """What the tracker keeps from sample to sample.
+
+    Arrays of shape (N,); ``n`` and ``started`` are the same of all.
+    """
+
+    __slots__ = ()
+
+
+def _blank(kind: type[Inform]) -> Inform:
+    zero: Any = 0.0
+    pair = AlphaBeta(zero, zero)
+    return kind(pair, pair, zero, 0, 0, 0, pair, pair, zero, zero)
+
+
+def pulses_start(o: Arithmetic, observer: Inform, theta_e: Reals, omega_e: Reals) -> None:
+    """Start from an angle in rad, good to 90 degrees, and a speed in rad/s (electrical) at the
+    instant of the first step.
+    """
+    zero = o.full(0.0, theta_e)
+    pair = AlphaBeta(zero, zero)
+    observer.added, observer.current, observer.sample, observer.z = pair, pair, pair, pair
+    observer.half = zero
+    observer.whole, observer.n, observer.started = 0, 0, 0
+    observer.theta_e, observer.omega_e = o.wrap(theta_e), omega_e
+
+
+@dataclass(frozen=True, slots=True)
+class PulseSteps:
+    """What the firmware does at every sample, with a sequence every so many; ``code`` is part of
+    the names in C.
+    """
+
+    code: str
+    period: int
+
+    def step(
+        self, o: Arithmetic, gains: InformGains, observer: Inform, v: AlphaBeta, i: AlphaBeta
+    ) -> None:
+        """One sample: i in A at the sampling instant; the voltage v that acted is not needed. A
+        sequence with a sample that is no number corrects nothing.
+        """
+        del v
+        cosines, sines = (
+            o.table(name, [pair[axis] for pair in DIRECTIONS])
+            for axis, name in enumerate(("cosines", "sines"))
+        )
+        known = o.let("known", is_known(o, i))
+        last, n = observer.sample, observer.n
+        sample = o.cases("sample", (known, lambda: i), otherwise=lambda: last)
+        moved = o.let("moved", AlphaBeta(sample.alpha - last.alpha, sample.beta - last.beta))
+
+        def along() -> Reals:
+            k = o.let("k", (n - 2) // 2)
+            return o.at(cosines, k) * moved.alpha + o.at(sines, k) * moved.beta
+
+        def ahead() -> None:
+            observer.theta_e = o.wrap(observer.theta_e + gains.t_s * observer.omega_e)
+
+        def begun() -> None:
+            zero = o.full(0.0, observer.half)
+            observer.whole = 1
+            observer.z = AlphaBeta(zero, zero)
+
+        def first() -> AlphaBeta:
+            observer.half = along()
+            return observer.current
+
+        def second() -> AlphaBeta:
+            k = o.let("k", (n - 2) // 2)
+            cosine, sine = o.let("cosine", o.at(cosines, k)), o.let("sine", o.at(sines, k))
+            pair = 0.5 * (observer.half - (cosine * moved.alpha + sine * moved.beta))
+            pair = o.let("pair", pair, "without back-EMF and resistance, A")
+            z = observer.z
+            observer.z = AlphaBeta(z.alpha + cosine * pair, z.beta - sine * pair)
+            return sample
+
+        _where(o, observer, o.negated(o.equal(observer.started, 0)), ahead)
+        observer.started = 1
+        _where(o, observer, o.equal(n, 0), begun)
+        observer.whole = o.choose(known, observer.whole, 0)
+        odd = o.equal(n % 2, 1)
+        told = o.cases(
+            "told",
+            ((n < 2) | (n > LAST), lambda: sample),
+            (odd, second),
+            otherwise=first,
+            changing=(observer,),
+        )
+        _where(o, observer, o.equal(n, LAST), lambda: _corrected(o, gains, observer, told))
+
+        def pulse() -> AlphaBeta:
+            k = o.let("k", n // 2)
+            size = o.let("size", o.choose(o.equal(n % 2, 0), gains.voltage, -gains.voltage))
+            none = o.full(0.0, observer.half)
+            return AlphaBeta(none + o.at(cosines, k) * size, none + o.at(sines, k) * size)
+
+        def rests() -> AlphaBeta:
+            return AlphaBeta(o.full(0.0, observer.half), o.full(0.0, observer.half))
+
+        observer.added = o.cases("added", (n <= 5, pulse), otherwise=rests)
+        observer.sample, observer.current = sample, told
+        period = o.constant(f"{self.code.upper()}_PERIOD", self.period)
+        later = o.let("later", n + 1)
+        observer.n = o.choose(later < period, later, 0)
+
+
+def _where(o: Arithmetic, observer: Inform, condition: Any, change: Callable[[], None]) -> None:
+    o.cases("", (condition, change), otherwise=lambda: None, changing=(observer,))
+
+
+def _corrected(o: Arithmetic, gains: InformGains, observer: Inform, told: AlphaBeta) -> None:
+    """Angle and speed by what a sequence has shown."""
+    theta, z = observer.theta_e, observer.z
+    i_q = o.let("i_q", o.park(told, o.let("now", o.rotation(theta))).q)
+    before = o.wrap(theta - (MIDDLE * gains.t_s) * observer.omega_e)
+    turn = o.let("turn", o.rotation(before))
+    cosine = o.let("cosine", turn.cosine * turn.cosine - turn.sine * turn.sine)
+    sine = o.let("sine", 2.0 * (turn.cosine * turn.sine))
+    found = o.call(error_at_load, gains, cosine * z.beta - sine * z.alpha, i_q)
+    error = o.let("error", o.choose(o.equal(observer.whole, 0), o.full(0.0, i_q), found))
+    omega = o.let("omega", observer.omega_e + gains.k_i * error)
+    observer.omega_e = limited(o, omega, gains.omega_max)
+    observer.theta_e = o.wrap(theta + gains.k_p * error)
+
+
+def pulse_steps(code: str, kind: type[Inform], gains: InformGains) -> TrackerSteps:
+    """What is emitted of gains.
+
+    Args:
+        code: Part of the names in C.
+        kind: The state.
+        gains: The numbers.
+    """
+    period = int(gains.period)
+    return TrackerSteps(
+        _blank(kind),
+        pulses_start,
+        PulseSteps(code, period).step,
+        {"at_load": f"{code}_at", "error_at_load": f"{code}_error"},
+        (
+            (f"{code.upper()}_POINTS", len(gains.scale), "of the tables over the load"),
+            (f"{code.upper()}_PERIOD", period, "samples from one sequence of pulses to the next"),
+        ),
+    )
+
+
+def inform_start(gains: InformGains, theta_e: Reals, omega_e: Reals) -> Inform:
     """State before the first step: angle in rad (wrapped), speed in rad/s."""
     del gains
-    zero = np.zeros_like(theta_e)
-    pair = (zero, zero)
-    return InformState(
-        (pair, pair), theta_e, omega_e, started=False, scalars=(zero, zero), added=pair, seen=pair
-    )
+    state = _blank(Inform)
+    pulses_start(WRAPPED, state, theta_e, omega_e)
+    return state
 
 
 def inform_step(
     gains: InformGains,
-    state: InformState,
+    state: Inform,
     v: Pair,
     i: Pair,
     heard: tuple[Reals, ...],
     maths: Arithmetic,
-) -> InformState:
+) -> Inform:
     """Next state; ``i`` in A (alpha, beta) at the sampling instant, the voltage is not used."""
-    del v, heard
-    n, zero, one = state.n, maths.number(0.0), maths.number(1.0)
-    known, sample = known_sample(i, state.vectors[0], maths)
-    (half, whole), z = state.scalars, state.vectors[1]
-    assert state.seen is not None
-    theta, omega, told = state.theta_e, state.omega_e, sample
-    if state.started:
-        theta = maths.wrap(theta + gains.t_s * omega)
-    if n == 0:
-        whole, z = np.zeros_like(half) + one, (np.zeros_like(half), np.zeros_like(half))
-    whole = np.where(known, whole, zero)
-    if 2 <= n <= LAST:
-        cosine, sine = (maths.number(part) for part in DIRECTIONS[(n - 2) // 2])
-        moved = (sample[0] - state.vectors[0][0], sample[1] - state.vectors[0][1])
-        along = cosine * moved[0] + sine * moved[1]
-        if n % 2 == 0:
-            half, told = along, state.seen
-        else:
-            pair = maths.number(0.5) * (half - along)
-            z = (z[0] + cosine * pair, z[1] - sine * pair)
-    if n == LAST:
-        error = _error(gains, (z, told), theta, omega, maths)
-        error = np.where(whole > zero, error, zero)
-        omega = limited(maths, omega + gains.k_i * error, gains.omega_max)
-        theta = maths.wrap(theta + gains.k_p * error)
-    return InformState(
-        (sample, z),
-        theta,
-        omega,
-        scalars=(half, whole),
-        added=_pulse(gains, n, theta, maths),
-        seen=told,
-        n=(n + 1) % int(gains.period),
-    )
-
-
-def _error(
-    gains: InformGains, found: tuple[Pair, Pair], theta: Reals, omega: Reals, maths: Arithmetic
-) -> Reals:
-    """Angle error in rad of z and the current in A."""
-    z, told = found
-    i_q = park(maths, told, maths.rotation(theta))[1]
-    cosine, sine = maths.rotation(maths.wrap(theta - (maths.number(MIDDLE) * gains.t_s) * omega))
-    twice = (cosine * cosine - sine * sine, maths.number(2.0) * (cosine * sine))
-    scale, shift = at_load(gains, i_q, maths)
-    error = scale * (twice[0] * z[1] - twice[1] * z[0]) - shift
-    return limited(maths, error, maths.number(_LARGEST))
-
-
-def _pulse(gains: InformGains, n: int, theta: Reals, maths: Arithmetic) -> Pair:
-    """The voltage that is to be added from the next sampling instant on."""
-    zero = np.zeros_like(theta)
-    if n > 5:
-        return zero, zero
-    cosine, sine = DIRECTIONS[n // 2]
-    size = gains.voltage if n % 2 == 0 else -gains.voltage
-    return zero + maths.number(cosine) * size, zero + maths.number(sine) * size
+    del heard
+    after = replace(state)
+    steps = PulseSteps("inform", int(gains.period))
+    steps.step(maths, gains, after, AlphaBeta(*v), AlphaBeta(*i))
+    return after
 
 
 # INFORM as a tracker, with the axis of the saliency taken for the d axis (``inform``), or with a
@@ -265,7 +386,7 @@ def design_inform(mapped: bool, design: Design, settings: ObserverSettings) -> I
     damping = 1.0 if settings.damping is None else settings.damping
     k_p, k_i = pll_gains(bandwidth, damping, period * t_s)
     axis = loaded.axis if mapped else np.zeros(POINTS)
-    gains = InformGains(
+    gains = (InductanceMappingGains if mapped else InformGains)(
         t_s=t_s,
         k_p=k_p,
         k_i=k_i,
@@ -337,18 +458,20 @@ def _tracking(gains: InformGains) -> TrackerLoop:
 
 def pulse_tracker(name: str, title: str, *, mapped: bool) -> Tracker:
     """The record of a tracker by pulses, with or without the table over the load."""
+    code = name.replace("-", "_")
     return Tracker(
         name=name,
-        code=name.replace("-", "_"),
+        code=code,
         title=title,
         design=partial(design_inform, mapped),
         start=inform_start,
         step=inform_step,
-        gains=InformGains,
+        gains=InductanceMappingGains if mapped else InformGains,
         speeds=_speeds,
         in_words=_in_words,
         injects=True,
         loop=_tracking,
+        steps=partial(pulse_steps, code, InductanceMapping if mapped else Inform),
     )
 
 

@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
+from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.steps.symbols import Condition, Expression, expression, folded, joined
 
 
@@ -36,10 +37,20 @@ def place(text: str, **more: Any) -> Index:
 
 def item(table: Sequence[Any], place: Any) -> Any:
     """The number of an array at a place."""
-    if not isinstance(place, Index):
+    if not isinstance(place, Expression):
         return table[place]
     parts = expression(table[0]), place
     return joined(f"{parts[0].whole}[{place.bare()}]", *parts, atom=True, kind="float")
+
+
+def constants(reader: Writer, name: str, values: Sequence[float]) -> tuple[Expression, ...]:
+    """Constant numbers of an array."""
+    block = reader.block
+    block.take(name)
+    texts = ", ".join(map(float_literal, values))
+    begin = f"static const float {name}[{len(values)}] = {{ "
+    block.constants(folded(begin, texts, " };", block.indent))
+    return tuple(Expression(f"{name}[{n}]", whole=name) for n in range(len(values)))
 
 
 def filled(

@@ -58,10 +58,12 @@ def member_name(kind: type[Any], name: str) -> str:
     return name if member is None or not member.suffix else f"{name}_{member.suffix}"
 
 
-def kind_of(kind: type[Any], name: str) -> str:
-    """Type in C of a member of a record that is a number."""
+def kind_of(kind: type[Any], name: str, prefix: str = "") -> str:
+    """Type in C of a member of a record that is a number; ``prefix`` is that of enumerations."""
     member = _member(kind, name)
-    return "uint32_t" if member is not None and member.whole else "float"
+    if member is None or not member.kind:
+        return "uint32_t" if member is not None and member.whole else "float"
+    return member.kind if isinstance(member.kind, str) else f"{prefix}_{c_name(member.kind)}_t"
 
 
 def sentence(item: Any) -> str:
@@ -101,11 +103,14 @@ def record_structs(
         if is_dataclass(value):
             yield from record_structs(value, prefix, members, known)
             lines.append((f"{prefix}_{c_name(type(value))}_t {own}", text))
-        elif hasattr(value, "_fields"):
-            lines.append((f"{prefix}_{c_name(type(value))}_t {own}", text))
         else:
-            size = f"[{len(value)}]" if isinstance(value, tuple) else ""
-            lines.append((f"{kind_of(kind, name)} {own}{size}", text))
+            size = ""
+            if isinstance(value, tuple) and not hasattr(value, "_fields"):
+                value, size = value[0], f"[{len(value)}]"  # noqa: PLW2901
+            if hasattr(value, "_fields"):
+                lines.append((f"{prefix}_{c_name(type(value))}_t {own}{size}", text))
+            else:
+                lines.append((f"{kind_of(kind, name, prefix)} {own}{size}", text))
     if c_name(kind) not in known:
         known.add(c_name(kind))
         yield [*comment(sentence(kind)), *struct(f"{prefix}_{c_name(kind)}_t", lines)]

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from enum import IntEnum
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numpy as np
@@ -25,9 +26,17 @@ from dqforge.optimizer.steps.step_arithmetic import (
     Rotation,
 )
 from dqforge.reports.c_code.numbers import comment_text
-from dqforge.reports.steps.counted_loops import Index, filled, item, reached, summed
+from dqforge.reports.steps.blocks import Arm, Block
+from dqforge.reports.steps.counted_loops import (
+    Index,
+    constants,
+    filled,
+    item,
+    place,
+    reached,
+    summed,
+)
 from dqforge.reports.steps.record_text import (
-    LINE,
     SHARED,
     c_name,
     comment,
@@ -36,14 +45,27 @@ from dqforge.reports.steps.record_text import (
     member_name,
     sentence,
 )
+from dqforge.reports.steps.state_text import (
+    Assignment,
+    Kept,
+    assignments,
+    handed_on,
+    members_at,
+    ordered,
+    state_vector,
+    vector,
+    whole_name,
+)
 from dqforge.reports.steps.symbols import (
     WIDTH,
     Condition,
     Expression,
     Origin,
+    equal,
     expression,
     folded,
     joined,
+    name_of,
 )
 
 _T = TypeVar("_T")
@@ -52,71 +74,11 @@ _P = ParamSpec("_P")
 
 
 @dataclass(slots=True)
-class Block:
-    """Statements of a function in the order of their text; ``names`` are taken in it, ``inside``
-    in the blocks of its loops, and ``declared`` lines stand before the first statement that is no
-    declaration, None without one.
-    """
-
-    indent: str
-    names: set[str]
-    lines: list[str] = field(default_factory=list)
-    declared: int | None = None
-    inside: set[str] = field(default_factory=set)
-
-    def inner(self) -> Block:
-        """A block in it."""
-        return Block(self.indent + "    ", set(self.names))
-
-    def take(self, name: str) -> None:
-        """Take a name.
-
-        Raises:
-            ValueError: It is taken.
-        """
-        if name in self.names | self.inside:
-            raise ValueError(f"there is a {name} already")
-        self.names.add(name)
-
-    def add(self, begin: str, text: str, meaning: str = "") -> None:
-        """A statement, with a comment behind or above it."""
-        found = folded(begin, text, ";", self.indent)
-        if meaning:
-            said = f"/* {comment_text(meaning)} */"
-            if len(found) == 1 and len(found[0]) + len(said) < LINE:
-                found[0] += f" {said}"
-            else:
-                found.insert(0, f"{self.indent}{said}")
-        self.lines += found
-
-    def variable(self, kind: str, name: str) -> None:
-        """Declare what statements will give its value, before all of them."""
-        if self.declared is None:
-            self.lines.append(f"{self.indent}{kind} {name};")
-        else:
-            self.lines.insert(self.declared, f"{self.indent}{kind} {name};")
-            self.declared += 1
-
-    def first(self, lines: Sequence[str]) -> None:
-        """Statements before all others."""
-        if lines:
-            self.work([])
-            place = (self.declared or 0) + bool(self.lines)
-            self.lines[place:place] = lines
-
-    def work(self, lines: Sequence[str]) -> None:
-        """Statements that are no declarations."""
-        if self.declared is None:
-            self.declared = len(self.lines)
-            self.lines += [""] if self.lines else []
-        self.lines += lines
-
-
-@dataclass(slots=True)
 class Functions:
     """What steps have needed so far: ``texts`` and ``results`` of functions, by name, and which
     members of their arguments they change, ``members`` of records, and ``vectors`` that are
-    declared nowhere else. A function with a result and no text stands elsewhere.
+    declared nowhere else. A function with a result and no text stands elsewhere. ``kinds`` are
+    the types of results that are no ``float``, ``names`` those in C of functions that have others.
     """
 
     texts: dict[str, str] = field(default_factory=dict)
@@ -124,39 +86,8 @@ class Functions:
     changes: dict[str, list[frozenset[str]]] = field(default_factory=dict)
     members: set[Origin] = field(default_factory=set)
     vectors: dict[str, type[Any]] = field(default_factory=dict)
-
-
-@dataclass(slots=True)
-class _Kept:
-    """A member of a state: where it stands in C, and its value there."""
-
-    record: Any
-    member: str
-    place: str
-    value: Any
-    kind: str = "float"
-    version: int = 0
-
-    @property
-    def set_to(self) -> Any:
-        """What the step has made of it."""
-        return getattr(self.record, self.member)
-
-    def targets(self) -> set[str]:
-        """What is no longer to be read when it changes."""
-        parts = self.value if isinstance(self.value, tuple) else (self.value,)
-        return {name for part in parts for name in part.reads}
-
-    def renewed(self) -> None:
-        """Let it be read as it is from now on."""
-        self.version += 1
-        mark = f"#{self.version}"
-        if isinstance(self.value, tuple):
-            self.value = vector(type(self.value), self.place, state=True, mark=mark)
-        else:
-            reads = frozenset({self.place + mark})
-            self.value = Expression(self.place, reads=reads, kind=self.kind)
-        setattr(self.record, self.member, self.value)
+    kinds: dict[str, str] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)
 
 
 class StepReader(Arithmetic):
@@ -175,7 +106,7 @@ class StepReader(Arithmetic):
         self.prefix, self.functions, self.block = prefix, functions, block
         self.branches: tuple[str, list[tuple[Block, Any]]] | None = None
         self._records: list[tuple[Any, str, frozenset[Origin]]] = []
-        self._kept: list[_Kept] = []
+        self._kept: list[Kept] = []
         self._dead: set[str] = set()
         self._changed: set[str] = set()
         self._open: Expression | None = None  # a call that changes the state, till it is written
@@ -297,11 +228,46 @@ class StepReader(Arithmetic):
         kind = next((part.kind for part in (a, b) if isinstance(part, Expression)), "float")
         parts = expression(a, kind), expression(b, kind)
         text = " : ".join(part.operand(signed=True) for part in parts)
-        return joined(f"({condition.text()}) ? {text}", *condition.terms, *parts, kind=kind)
+        head = condition.operand() if condition.is_name else f"({condition.text()})"
+        return joined(f"{head} ? {text}", *condition.terms, *parts, kind=kind)
 
     def at(self, table: Sequence[Any], place: Any) -> Any:
         """A number of an array."""
         return item(table, place)
+
+    def placed(self, array: tuple[Any, ...], place: Any, value: Any) -> Any:
+        """A statement that sets a number of an array of the state."""
+        self.write_state()
+        (kept,) = (kept for kept in self._kept if kept.value is array)
+        parts = expression(place, "int"), expression(value)
+        self.take(parts)
+        text = f"{kept.place}[{parts[0].bare()}] = "
+        self.block.work(folded(text, parts[1].bare(), ";", self.block.indent))
+        self._renew(kept)
+        return kept.value
+
+    def table(self, name: str, values: Sequence[float]) -> Any:
+        """A constant array."""
+        return constants(self, name, values)
+
+    def place(self, a: Any) -> Any:
+        """A number as a place."""
+        return place(f"(unsigned int){a.operand()}", reads=a.reads, members=a.members, atom=False)
+
+    def constant(self, name: str, value: Any) -> Any:
+        """A name in capitals."""
+        kind = "int"
+        if isinstance(value, IntEnum):
+            kind = f"{self.prefix}_{c_name(type(value))}_t"
+        return Expression(f"{self.prefix.upper()}_{name}", kind=kind)
+
+    def equal(self, a: Any, b: Any) -> Any:
+        """A comparison of whole numbers."""
+        return equal(a, b)
+
+    def negated(self, condition: Any) -> Any:
+        """What holds where a condition does not."""
+        return condition.negated()
 
     def each(self, name: str, count: int, of: Callable[[Any], Any]) -> tuple[Any, ...]:
         """An array that a counted loop fills."""
@@ -336,12 +302,12 @@ class StepReader(Arithmetic):
         if isinstance(value, tuple):
             parts = tuple(map(expression, value))
             if not hasattr(value, "_fields"):
-                if text := _whole(value):
+                if text := whole_name(value):
                     self._declare("float *const", name, text, meaning, parts)
                 else:
                     self._array(name, parts, meaning)
                 return tuple(Expression(f"{name}[{n}]", whole=name) for n in range(len(value)))
-            text = _whole(value)
+            text = whole_name(value)
             kind = f"{self.prefix}_{c_name(type(value))}_t"
             if text or not self._listed(kind, name, parts, meaning):
                 text = text or f"{{ {', '.join(part.bare() for part in parts)} }}"
@@ -349,7 +315,7 @@ class StepReader(Arithmetic):
             return vector(type(value), name)
         number = expression(value)
         self._declare(number.kind, name, number.bare(), meaning, (number,))
-        return type(number)(name, kind=number.kind)
+        return name_of(name, number.kind) if type(number) is Expression else place(name)
 
     def cases(
         self,
@@ -362,30 +328,59 @@ class StepReader(Arithmetic):
         they change.
         """
         self.write_state()
+        heads, begin = list[Arm[_T]](), "if ("
+        for condition, branch in branches:
+            self.take(condition.terms)
+            lines = folded(begin, condition.text(), ") {", self.block.indent)
+            heads.append(Arm(lines, branch))
+            begin = "} else if ("
+        otherwise_ = Arm([f"{self.block.indent}}} else {{"], otherwise, dropped=True)
+        return self._chosen(name, [*heads, otherwise_], changing)
+
+    def switch(
+        self,
+        name: str | tuple[str, ...],
+        value: Any,
+        branches: Mapping[Any, Callable[[], _T]],
+        otherwise: Callable[[], _T],
+        changing: Sequence[Any] = (),
+    ) -> _T:
+        """A switch, whose branches end with a break."""
+        self.write_state()
+        number, indent = expression(value), self.block.indent
+        self.take((number,))
+        opened = [f"{indent}switch ({number.bare()}) {{"]
+        arms = list[Arm[_T]]()
+        for key, branch in branches.items():
+            keys = key if isinstance(key, tuple) else (key,)
+            labels = [f"{indent}case {expression(one, number.kind).text}:" for one in keys]
+            arms.append(Arm([*opened, *labels], branch, breaks=True))
+            opened = []
+        arms.append(Arm([*opened, f"{indent}default:"], otherwise, breaks=True))
+        return self._chosen(name, arms, changing)
+
+    def _chosen(
+        self, name: str | tuple[str, ...], arms: Sequence[Arm[_T]], changing: Sequence[Any]
+    ) -> _T:
         names = name if isinstance(name, tuple) else (name,) if name else ()
-        outer, lines, begin = self.block, list[str](), "if ("
+        outer, lines = self.block, list[str]()
         dead, before = set(self._dead), [kept.value for kept in self._kept]
         versions, changed = [kept.version for kept in self._kept], set[int]()
         given: Any = ()
-        for condition, branch in (*branches, (None, otherwise)):
-            if condition is not None:
-                self.take(condition.terms)
-                lines += folded(begin, condition.text(), ") {", outer.indent)
+        for arm in arms:
             self.block = Block(outer.indent + "    ", outer.names | set(names))
-            value: Any = branch()
+            value: Any = arm.branch()
             given = value if isinstance(name, tuple) else (value,)
             for own, part in zip(names, given, strict=False):
                 self._assign(own, part)
             self.write_state()
-            if condition is None and self.block.lines:
-                lines.append(f"{outer.indent}}} else {{")
-            lines += self.block.lines
+            lines += arm.text(self.block)
             for n, kept in enumerate(self._kept):
                 if kept.version != versions[n]:
                     changed.add(n)
                 kept.value, kept.version = before[n], versions[n]
-                setattr(kept.record, kept.member, kept.value)
-            self._dead, begin = set(dead), "} else if ("
+                kept.put()
+            self._dead = set(dead)
         self.block = outer
         for own, part in zip(names, given, strict=False):
             self.block.take(own)
@@ -397,14 +392,12 @@ class StepReader(Arithmetic):
                 raise ValueError(f"{self._kept[n].place} changes, which `cases` is not told")
             self._renew(self._kept[n])
         found = tuple(
-            vector(type(part), own)
-            if isinstance(part, tuple)
-            else Expression(own, kind=self._kind(part))
+            vector(type(part), own) if isinstance(part, tuple) else name_of(own, self._kind(part))
             for own, part in zip(names, given, strict=False)
         )
         return cast("_T", found if isinstance(name, tuple) else found[0] if found else None)
 
-    def _renew(self, kept: _Kept) -> None:
+    def _renew(self, kept: Kept) -> None:
         self._dead |= kept.targets()
         self._changed.add(kept.place)
         kept.renewed()
@@ -449,7 +442,8 @@ class StepReader(Arithmetic):
         if meaning:
             self.block.lines[-1] += f" /* {comment_text(meaning)} */"
         for part, end in zip(parts, ends, strict=True):
-            self.block.lines += folded("", part.bare(), end, self.block.indent + "    ")
+            found = folded("", part.bare(), end, self.block.indent + "    ")
+            self.block.lines += [line for line in found if line.strip()]
         self.block.lines.append(f"{self.block.indent}}};")
 
     def _kind(self, value: Any) -> str:
@@ -464,7 +458,7 @@ class StepReader(Arithmetic):
         self.block.work([])
         if not isinstance(value, tuple):
             self.block.add(f"{name} = ", parts[0].bare())
-        elif text := _whole(value):
+        elif text := whole_name(value):
             self.block.add(f"{name} = ", text)
         else:
             for axis, part in zip(kind_fields(value), parts, strict=True):
@@ -497,6 +491,7 @@ class StepReader(Arithmetic):
         """A call; the first one writes the function."""
         assert not kwargs, "arguments of a function of the firmware have their places"
         name = function.__name__.lstrip("_")
+        name = self.functions.names.get(name, name)
         if name not in self.functions.results:
             self.write(name, function, args)
         changes = self.functions.changes.get(name, [])
@@ -513,7 +508,7 @@ class StepReader(Arithmetic):
         for kept in self._kept:
             if kept.place in places:
                 self._renew(kept)
-        self._open = result[0] if isinstance(result, tuple) else result
+        self._open = result[0] if isinstance(result, tuple) else expression(result)
         if self.functions.results[name] is type(None):
             self.block.work([f"{self.block.indent}{self._open.bare()};"])
             return cast("_T", None)
@@ -529,14 +524,16 @@ class StepReader(Arithmetic):
                 if not any(self.functions.changes.get(name, [])):
                     parts.append(Expression(place[0], reads=self._state_of(place[0])))
             elif isinstance(argument, tuple):
-                texts.append(_handed_on(argument))
+                texts.append(handed_on(argument))
                 parts += [expression(part) for part in argument]
             else:
                 parts.append(expression(argument))
                 texts.append(parts[-1].bare())
         text = f"{self.prefix}_{name}({', '.join(texts)})"
         if kind is None or kind is type(None):
-            return joined(text, *parts, atom=True, kind="float")
+            own = self.functions.kinds.get(name, "float")
+            result = joined(text, *parts, atom=True, kind=own)
+            return Condition((result,)) if own == "bool" else result
         names: tuple[str, ...] = kind._fields
         found = [joined(f"{text}.{n}", *parts, atom=True, whole=text) for n in names]
         for part in found:
@@ -594,6 +591,8 @@ class StepReader(Arithmetic):
         none = type(None) if result is None else None
         self.functions.results[name] = type(result) if isinstance(result, tuple) else none
         self.functions.changes[name] = changes
+        if kind not in ("void", "float"):
+            self.functions.kinds[name] = kind
 
     def returned(self, result: Any) -> tuple[str, list[str]]:
         """Type of what a function returns, and the statements that return it."""
@@ -606,7 +605,7 @@ class StepReader(Arithmetic):
             end.add("return ", parts[0].bare())
             return parts[0].kind, end.lines
         own = c_name(type(result))
-        kind, whole = f"{self.prefix}_{own}_t", _whole(result)
+        kind, whole = f"{self.prefix}_{own}_t", whole_name(result)
         if type(result) not in SHARED:
             self.functions.vectors[own] = type(result)
         if whole:
@@ -631,7 +630,8 @@ class StepReader(Arithmetic):
         if isinstance(like, Index):
             return f"{like.kind} {name}", Index(name, kind=like.kind)
         if not isinstance(like, tuple):
-            return f"float {name}", Expression(name)
+            kind = expression(like).kind
+            return f"{kind} {name}", name_of(name, kind)
         if hasattr(like, "_fields"):
             kind = f"{self.prefix}_{c_name(type(like))}_t"
             return f"{kind} {name}", vector(type(like), name)
@@ -640,19 +640,26 @@ class StepReader(Arithmetic):
 
     def _record(self, like: Any, address: str, place: str, outer: frozenset[Origin]) -> Any:
         values, kept = dict[str, Any](), list[tuple[str, str, str]]()
+        frozen = like.__dataclass_params__.frozen
         for member in fields(like):
             value = getattr(like, member.name)
             name = f"{place}{member_name(type(like), member.name)}"
             own = outer | {(c_name(type(like)), member.name)}
-            kind = kind_of(type(like), member.name)
+            kind = kind_of(type(like), member.name, self.prefix)
             if is_dataclass(value):
                 values[member.name] = self._record(value, f"&{name}", f"{name}.", own)
             elif hasattr(value, "_fields"):
                 values[member.name] = vector(type(value), name, state=True)
-            elif isinstance(value, tuple):
+            elif isinstance(value, tuple) and hasattr(next(iter(value), 0.0), "_fields"):
+                values[member.name] = tuple(
+                    state_vector(item, f"{name}[{n}]") for n, item in enumerate(value)
+                )
+            elif isinstance(value, tuple) and frozen:
                 values[member.name] = tuple(
                     Expression(f"{name}[{n}]", members=own, whole=name) for n in range(len(value))
                 )
+            elif isinstance(value, tuple):
+                values[member.name] = state_vector(value, name)
             elif value is not None:
                 reads = frozenset({name})
                 values[member.name] = Expression(name, members=own, reads=reads, kind=kind)
@@ -660,10 +667,15 @@ class StepReader(Arithmetic):
                 kept.append((member.name, name, kind))
         found = replace(like, **values)
         self._records.append((found, address, outer))
-        if not like.__dataclass_params__.frozen:
-            self._kept += [
-                _Kept(found, member, name, values[member], kind) for member, name, kind in kept
-            ]
+        for member_, place_, kind in () if frozen else kept:
+            value = values[member_]
+            if isinstance(value, tuple) and isinstance(next(iter(value), None), tuple):
+                self._kept += [
+                    Kept(found, member_, f"{place_}[{n}]", part, at=n)
+                    for n, part in enumerate(value)
+                ]
+            else:
+                self._kept.append(Kept(found, member_, place_, value, kind))
         return found
 
     def either(self, condition: Any, then: Callable[[], _T], otherwise: Callable[[], _T]) -> _T:
@@ -675,88 +687,3 @@ class StepReader(Arithmetic):
             found.append((self.block, branch()))
         self.block, self.branches = outer, (text, found)
         return found[0][1]
-
-
-def vector(kind: type[Any], name: str, *, state: bool = False, mark: str = "") -> Any:
-    """A vector by its name in C; ``state`` of a member of the state, ``mark`` tells when it is
-    read.
-    """
-    texts = [f"{name}.{n}" for n in kind._fields]
-    reads = [frozenset({text + mark} if state else ()) for text in texts]
-    return kind(
-        *(Expression(text, reads=own, whole=name) for text, own in zip(texts, reads, strict=True))
-    )
-
-
-def members_at(address: str) -> str:
-    """What the members of a record begin with."""
-    return f"{address[1:]}." if address.startswith("&") else f"{address}->"
-
-
-@dataclass(frozen=True, slots=True)
-class Assignment:
-    """A statement ``place = text``, what it reads, and whose reading it ends."""
-
-    place: str
-    text: str
-    reads: frozenset[str]
-    targets: set[str]
-
-
-def assignments(
-    place: str, value: Any, parts: Sequence[Expression], before: Any
-) -> list[Assignment]:
-    """Statements that give a number or vector of the state its value, without what it has.
-
-    Args:
-        place: In C.
-        value, before: What it is to be, and what it is.
-        parts: The numbers of the value.
-    """
-    old = tuple(before) if isinstance(before, tuple) else (before,)
-    whole = _whole(value) if isinstance(value, tuple) else ""
-    if whole:
-        reads = frozenset[str]().union(*(part.reads for part in parts))
-        targets = {name for part in old for name in part.reads}
-        return [] if whole == place else [Assignment(place, whole, reads, targets)]
-    places = [f"{place}.{axis}" for axis in kind_fields(value)] if len(old) > 1 else [place]
-    return [
-        Assignment(own, part.bare(), part.reads, set(last.reads))
-        for own, part, last in zip(places, parts, old, strict=True)
-        if part.text != own
-    ]
-
-
-def ordered(open_: list[Assignment], block: Block) -> None:
-    """Write assignments to what changes, none before another one that reads the old value."""
-    while open_:
-        free = [
-            item
-            for item in open_
-            if not any(item.targets & other.reads for other in open_ if other is not item)
-        ]
-        if not free:
-            raise ValueError(f"{open_[0].place} is needed after it changed: name it by `let`")
-        block.add(f"{free[0].place} = ", free[0].text)
-        open_.remove(free[0])
-
-
-def _whole(value: Any) -> str:
-    """The vector or array whose parts these are, in their order; else nothing."""
-    places = {part.whole for part in value if isinstance(part, Expression)}
-    if len(places) != 1:
-        return ""
-    (place,) = places
-    names = (
-        [f"{place}.{n}" for n in kind_fields(value)]
-        if hasattr(value, "_fields")
-        else [f"{place}[{n}]" for n in range(len(value))]
-    )
-    return place if [getattr(part, "text", "") for part in value] == names else ""
-
-
-def _handed_on(value: Any) -> str:
-    text = _whole(value)
-    if not text:
-        raise ValueError("a vector is handed on by its name: name it by `let`")
-    return text
