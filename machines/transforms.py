@@ -22,6 +22,7 @@ from dqforge.machines.records import dataclass
 N = TypeVar("N")
 C = TypeVar("C")
 _T = TypeVar("_T")
+_TRUTHS = (bool, np.bool_)
 Reals = NDArray[Any]  # float64 or float32, any shape.
 
 # Electrical angles of the axes of the phases a, b, c in rad, shape (3,).
@@ -171,11 +172,12 @@ class Floats:
         """Whether a >= b; false for not-a-number."""
         return a >= b
 
-    def choose(self, condition: Any, a: Reals, b: Reals) -> Reals:
+    def choose(self, condition: Any, a: Any, b: Any) -> Reals:
         """Numbers a where the condition holds, else b; Python floats get the type of numbers."""
+        if isinstance(condition, _TRUTHS):
+            one: Any = a if condition else b
+            return self.number(one) if type(one) is float else one
         a, b = (self.number(x) if isinstance(x, float) else x for x in (a, b))
-        if isinstance(condition, bool | np.bool_):
-            return a if condition else b
         return np.where(condition, a, b)
 
     def where_above(
@@ -212,12 +214,13 @@ class Floats:
             otherwise: What is computed where none holds.
             changing: Records of a state whose members the branches set.
         """
-        while branches and isinstance(branches[0][0], bool | np.bool_):
-            (condition, branch), *others = branches
+        for place, (condition, branch) in enumerate(branches):
+            if not isinstance(condition, _TRUTHS):
+                branches = branches[place:]
+                break
             if condition:
                 return branch()
-            branches = tuple(others)
-        if not branches:
+        else:
             return otherwise()
         places = [place for record in changing for place in leaves(record)]
         before = [getattr(record, member) for record, member in places]
@@ -269,7 +272,7 @@ class Floats:
 
     def full(self, value: Any, like: Reals) -> Reals:
         """A constant for every drive of ``like``."""
-        return np.full_like(like, value)
+        return self.number(value) if isinstance(like, np.generic) else np.full_like(like, value)
 
 
 def leaves(record: Any) -> Iterator[tuple[Any, str]]:

@@ -165,7 +165,8 @@ class PulseSteps:
 
         def along() -> Reals:
             k = o.let("k", (n - 2) // 2)
-            return o.at(cosines, k) * moved.alpha + o.at(sines, k) * moved.beta
+            found: Reals = o.at(cosines, k) * moved.alpha + o.at(sines, k) * moved.beta
+            return found
 
         def ahead() -> None:
             observer.theta_e = o.wrap(observer.theta_e + gains.t_s * observer.omega_e)

@@ -241,13 +241,15 @@ class InjectionSteps:
         """What a sample adds to the demodulated current."""
         c = o.let("c", o.at(gains.reference, observer.n))
         if not self.rotating:
-            return (turn.cosine * i.beta - turn.sine * i.alpha) * c
+            found: Reals = (turn.cosine * i.beta - turn.sine * i.alpha) * c
+            return found
         s = o.let("s", o.at(gains.reference_beta, observer.n))
         alpha = o.let("alpha", c * i.alpha - s * i.beta)
         beta = o.let("beta", s * i.alpha + c * i.beta)
         cosine = o.let("cosine", turn.cosine * turn.cosine - turn.sine * turn.sine)
         sine = o.let("sine", 2.0 * (turn.cosine * turn.sine))
-        return cosine * beta - sine * alpha
+        product: Reals = cosine * beta - sine * alpha
+        return product
 
 
 def injection_notch(
@@ -261,7 +263,8 @@ def injection_notch(
 ) -> Reals:
     """One value of the current without what the injected voltage makes of it."""
     b_0, b_1, b_2, a_1, a_2 = gains.notch
-    return (((b_0 * now + b_1 * last) + b_2 * before) - a_1 * told) - a_2 * told_before
+    value: Reals = (((b_0 * now + b_1 * last) + b_2 * before) - a_1 * told) - a_2 * told_before
+    return value
 
 
 def _fundamental(
@@ -299,7 +302,8 @@ def _second_difference(
     share = o.let("share", o.call(at_load, gains, gains.rest, i_q))
     bent = cosine * beta - sine * alpha
     own = bent - share * (cosine * moved_beta - sine * moved_alpha)
-    return o.let("bent", own * o.at(gains.reference, observer.n))
+    found: Reals = own * o.at(gains.reference, observer.n)
+    return o.let("bent", found)
 
 
 def injection_steps(gains: InjectionGains) -> TrackerSteps:

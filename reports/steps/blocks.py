@@ -17,7 +17,8 @@ _T = TypeVar("_T")
 class Block:
     """Statements of a function in the order of their text; ``names`` are taken in it, ``inside``
     in the blocks of its loops, and ``declared`` lines stand before the first statement that is no
-    declaration, None without one; ``fixed`` lines, those of constants, before all others.
+    declaration, None without one; ``remarks`` wait for the next one; ``fixed`` lines, those of
+    constants, stand before all others.
     """
 
     indent: str
@@ -26,6 +27,7 @@ class Block:
     declared: int | None = None
     inside: set[str] = field(default_factory=set)
     fixed: int = 0
+    remarks: list[str] = field(default_factory=list)
 
     def inner(self) -> Block:
         """A block in it."""
@@ -50,7 +52,17 @@ class Block:
                 found[0] += f" {said}"
             else:
                 found.insert(0, f"{self.indent}{said}")
-        self.lines += found
+        self.lines += [*self._remarked(), *found]
+
+    def _remarked(self) -> list[str]:
+        found, self.remarks = self.remarks, []
+        return found
+
+    def close(self) -> None:
+        """Nothing comes behind a remark."""
+        if self.remarks:
+            self.work([])
+            self.lines += self._remarked()
 
     def variable(self, kind: str, name: str) -> None:
         """Declare what statements will give its value, before all of them."""
@@ -79,7 +91,8 @@ class Block:
         if self.declared is None:
             self.declared = len(self.lines)
             self.lines += [""] if self.lines else []
-        self.lines += lines
+        if lines:
+            self.lines += [*self._remarked(), *lines]
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +108,7 @@ class Arm(Generic[_T]):
 
     def text(self, body: Block) -> list[str]:
         """Its lines with those of its block."""
+        body.close()
         if self.dropped and not body.lines:
             return []
         if not self.breaks:

@@ -40,7 +40,8 @@ def item(table: Sequence[Any], place: Any) -> Any:
     if not isinstance(place, Expression):
         return table[place]
     parts = expression(table[0]), place
-    return joined(f"{parts[0].whole}[{place.bare()}]", *parts, atom=True, kind="float")
+    text = f"{parts[0].whole}[{place.bare()}]"
+    return joined(text, *parts, atom=True, kind=parts[0].kind)
 
 
 def constants(reader: Writer, name: str, values: Sequence[float]) -> tuple[Expression, ...]:

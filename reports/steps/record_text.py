@@ -11,7 +11,7 @@ from typing import Any, get_type_hints
 
 from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Dq, Member, Rotation
 from dqforge.reports.c_code.numbers import comment_text, float_literal
-from dqforge.reports.steps.symbols import Origin, folded
+from dqforge.reports.steps.symbols import Origin, expression, folded
 
 # Vectors that `dqforge.reports.steps.control_types` declares.
 SHARED: dict[type[Any], str] = {
@@ -86,7 +86,7 @@ def struct(name: str, members: Sequence[tuple[str, str]]) -> list[str]:
 
 def vector_struct(kind: type[Any], prefix: str) -> list[str]:
     """The type of a vector that no header declares."""
-    members = [(f"float {n}", said(kind, n)) for n in kind._fields]
+    members = [(f"{kind_of(kind, n, prefix)} {n}", said(kind, n)) for n in kind._fields]
     return [*comment(sentence(kind)), *struct(f"{prefix}_{c_name(kind)}_t", members)]
 
 
@@ -116,18 +116,21 @@ def record_structs(
         yield [*comment(sentence(kind)), *struct(f"{prefix}_{c_name(kind)}_t", lines)]
 
 
-def record_values(like: Any, members: set[Origin]) -> list[str]:
-    """Lines of an initialiser, without the outermost braces."""
+def record_values(like: Any, members: set[Origin] | None) -> list[str]:
+    """Lines of an initialiser, without the outermost braces; ``members`` as of `record_structs`."""
     found, indent = list[str](), "    "
-    for _, value in _needed(like, members):
+    for name, value in _needed(like, members):
+        kind = kind_of(type(like), name)
         if is_dataclass(value):
             inner = [line.strip() for line in record_values(value, members)]
             found.append("\n".join(folded("{ ", " ".join(inner), " }", indent)))
         elif isinstance(value, tuple):
             numbers = ", ".join(map(float_literal, value))
             found.append("\n".join(folded("{ ", numbers, " }", indent)))
-        else:
+        elif kind == "float":
             found.append(indent + float_literal(value))
+        else:
+            found.append(indent + expression(value, kind).text)
     return ",\n".join(found).split("\n")
 
 

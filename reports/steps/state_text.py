@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from dqforge.reports.steps.blocks import Block
-from dqforge.reports.steps.record_text import kind_fields
-from dqforge.reports.steps.symbols import Expression
+from dqforge.reports.steps.record_text import kind_fields, kind_of
+from dqforge.reports.steps.symbols import Expression, expression
 
 
 def vector(kind: type[Any], name: str, *, state: bool = False, mark: str = "") -> Any:
@@ -17,9 +17,17 @@ def vector(kind: type[Any], name: str, *, state: bool = False, mark: str = "") -
     """
     texts = [f"{name}.{n}" for n in kind._fields]
     reads = [frozenset({text + mark} if state else ()) for text in texts]
-    return kind(
-        *(Expression(text, reads=own, whole=name) for text, own in zip(texts, reads, strict=True))
-    )
+    kinds = [kind_of(kind, n) for n in kind._fields]
+    parts = zip(texts, reads, kinds, strict=True)
+    return kind(*(Expression(text, reads=own, whole=name, kind=n) for text, own, n in parts))
+
+
+def numbers_of(value: Any) -> tuple[Expression, ...]:
+    """The numbers of a vector, of the types of its members, or of an array."""
+    if not hasattr(value, "_fields"):
+        return tuple(map(expression, value))
+    kinds = (kind_of(type(value), axis) for axis in value._fields)
+    return tuple(expression(part, kind) for part, kind in zip(value, kinds, strict=True))
 
 
 def state_vector(like: Any, place: str, mark: str = "") -> Any:

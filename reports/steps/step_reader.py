@@ -51,6 +51,7 @@ from dqforge.reports.steps.state_text import (
     assignments,
     handed_on,
     members_at,
+    numbers_of,
     ordered,
     state_vector,
     vector,
@@ -66,6 +67,7 @@ from dqforge.reports.steps.symbols import (
     folded,
     joined,
     name_of,
+    whole_kind,
 )
 
 _T = TypeVar("_T")
@@ -225,7 +227,8 @@ class StepReader(Arithmetic):
 
     def choose(self, condition: Any, a: Any, b: Any) -> Any:
         """A conditional expression."""
-        kind = next((part.kind for part in (a, b) if isinstance(part, Expression)), "float")
+        kind = next((part.kind for part in (a, b) if isinstance(part, Expression)), "")
+        kind = kind or whole_kind(a)
         parts = expression(a, kind), expression(b, kind)
         text = " : ".join(part.operand(signed=True) for part in parts)
         head = condition.operand() if condition.is_name else f"({condition.text()})"
@@ -256,10 +259,13 @@ class StepReader(Arithmetic):
 
     def constant(self, name: str, value: Any) -> Any:
         """A name in capitals."""
-        kind = "int"
+        kind, text = "int32_t", f"{self.prefix.upper()}_{name}"
+        if isinstance(value, tuple):
+            each = (f"{text}[{n}]" for n in range(len(value)))
+            return tuple(Expression(one, whole=text, kind=kind) for one in each)
         if isinstance(value, IntEnum):
             kind = f"{self.prefix}_{c_name(type(value))}_t"
-        return Expression(f"{self.prefix.upper()}_{name}", kind=kind)
+        return Expression(text, kind=kind)
 
     def equal(self, a: Any, b: Any) -> Any:
         """A comparison of whole numbers."""
@@ -283,7 +289,7 @@ class StepReader(Arithmetic):
 
     def remark(self, text: str) -> None:
         """A comment on a line of its own."""
-        self.block.lines.append(f"{self.block.indent}/* {comment_text(text)} */")
+        self.block.remarks.append(f"{self.block.indent}/* {comment_text(text)} */")
 
     def let(self, name: str, value: _T, meaning: str = "") -> _T:
         """A constant of the block, or as many as an array has numbers to be computed."""
@@ -300,7 +306,7 @@ class StepReader(Arithmetic):
                 found[at] = named.get(id(item), item)
             return found
         if isinstance(value, tuple):
-            parts = tuple(map(expression, value))
+            parts = numbers_of(value)
             if not hasattr(value, "_fields"):
                 if text := whole_name(value):
                     self._declare("float *const", name, text, meaning, parts)
@@ -449,11 +455,14 @@ class StepReader(Arithmetic):
     def _kind(self, value: Any) -> str:
         if isinstance(value, tuple):
             return f"{self.prefix}_{c_name(type(value))}_t"
-        return expression(value).kind
+        if isinstance(value, Condition):
+            return "bool"
+        return expression(value, whole_kind(value)).kind
 
     def _assign(self, name: str, value: Any) -> None:
         """Give a variable its value at the end of a block."""
-        parts = tuple(map(expression, value if isinstance(value, tuple) else (value,)))
+        single = () if isinstance(value, tuple) else (expression(value, whole_kind(value)),)
+        parts = single or numbers_of(value)
         self.take(parts)
         self.block.work([])
         if not isinstance(value, tuple):
@@ -510,7 +519,7 @@ class StepReader(Arithmetic):
                 self._renew(kept)
         self._open = result[0] if isinstance(result, tuple) else expression(result)
         if self.functions.results[name] is type(None):
-            self.block.work([f"{self.block.indent}{self._open.bare()};"])
+            self.block.work(folded("", self._open.bare(), ";", self.block.indent))
             return cast("_T", None)
         return cast("_T", result)
 
@@ -527,7 +536,7 @@ class StepReader(Arithmetic):
                 texts.append(handed_on(argument))
                 parts += [expression(part) for part in argument]
             else:
-                parts.append(expression(argument))
+                parts.append(expression(argument, whole_kind(argument)))
                 texts.append(parts[-1].bare())
         text = f"{self.prefix}_{name}({', '.join(texts)})"
         if kind is None or kind is type(None):
@@ -599,7 +608,7 @@ class StepReader(Arithmetic):
         end = Block(self.block.indent, set())
         if result is None:
             return "void", []
-        parts = tuple(map(expression, result if isinstance(result, tuple) else (result,)))
+        parts = numbers_of(result) if isinstance(result, tuple) else (expression(result),)
         self.take(parts)
         if not isinstance(result, tuple):
             end.add("return ", parts[0].bare())
@@ -630,7 +639,7 @@ class StepReader(Arithmetic):
         if isinstance(like, Index):
             return f"{like.kind} {name}", Index(name, kind=like.kind)
         if not isinstance(like, tuple):
-            kind = expression(like).kind
+            kind = expression(like, whole_kind(like)).kind
             return f"{kind} {name}", name_of(name, kind)
         if hasattr(like, "_fields"):
             kind = f"{self.prefix}_{c_name(type(like))}_t"

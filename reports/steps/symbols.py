@@ -162,11 +162,12 @@ class Expression:
 @dataclass(frozen=True, slots=True)
 class Condition:
     """Comparisons all of which must hold; ``against`` is the text of what holds where they do not,
-    empty where it is written with ``!``.
+    empty where it is written with ``!``; ``ored`` is one that holds where one of others does.
     """
 
     terms: tuple[Expression, ...]
     against: str = ""
+    ored: bool = False
 
     def __and__(self, other: Condition) -> Condition:
         """Both conditions."""
@@ -175,7 +176,9 @@ class Condition:
     def __or__(self, other: Condition) -> Condition:
         """One of both conditions, or both."""
         terms = self.terms + other.terms
-        return Condition((joined(f"{self.operand()} || {other.operand()}", *terms, kind="bool"),))
+        left = self.text() if self.ored else self.operand()
+        text = f"{left} || {other.operand()}"
+        return Condition((joined(text, *terms, atom=False, kind="bool"),), ored=True)
 
     def __bool__(self) -> bool:
         """Nothing decides it here.
@@ -247,6 +250,12 @@ def equal(a: Any, b: Any) -> Condition:
     return Condition((joined(" == ".join(texts), *parts, kind="bool"),), " != ".join(texts))
 
 
+def whole_kind(value: Any) -> str:
+    """Type in C of a Python number."""
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    return "int32_t" if whole else "float"
+
+
 def name_of(name: str, kind: str) -> Any:
     """What a name stands for: a condition where it is one of ``bool``, else a number."""
     found = Expression(name, kind=kind)
@@ -285,7 +294,7 @@ def _break(text: str, most: int) -> int:
     for at, sign in enumerate(text[: most + 1]):
         depth += (sign in "({[") - (sign in ")}]")
         behind = text[at - 1] == ","
-        before = text[at + 1 : at + 3] in ("+ ", "- ", "* ", "/ ", "&&", "? ", ": ")
+        before = text[at + 1 : at + 3] in ("+ ", "- ", "* ", "/ ", "&&", "||", "? ", ": ")
         if at >= most // 4 and sign == " " and (before or behind):
             found[depth, not behind] = at
     return found[min(found)] if found else 0

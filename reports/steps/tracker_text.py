@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from dqforge.optimizer.observers.parts import FirmwareStep
 from dqforge.optimizer.steps.step_arithmetic import AlphaBeta
@@ -40,12 +40,12 @@ def tracker_text(tracker: Tracker, gains: Any, prefix: str, macro: str) -> str:
     assert tracker.members is not None
 
     def start(theta_e: Reals, omega_e: Reals) -> ObserverState:
-        return tracker.start(gains, theta_e, omega_e)
+        return cast("ObserverState", tracker.start(gains, theta_e, omega_e))
 
     def step(
         own: Any, state: ObserverState, v: Pair, i: Pair, o: Arithmetic, *heard: Reals
     ) -> ObserverState:
-        return tracker.step(own, state, v, i, heard, o)
+        return cast("ObserverState", tracker.step(own, state, v, i, heard, o))
 
     emitted = FirmwareStep(
         tracker.code,
