@@ -22,6 +22,7 @@ from dqforge.machines.records import dataclass
 N = TypeVar("N")
 C = TypeVar("C")
 _T = TypeVar("_T")
+_TRUTHS = (bool, np.bool_)
 Reals = NDArray[Any]  # float64 or float32, any shape.
 
 # Electrical angles of the axes of the phases a, b, c in rad, shape (3,).
@@ -171,10 +172,13 @@ class Floats:
         """Whether a >= b; false for not-a-number."""
         return a >= b
 
-    def choose(self, condition: Any, a: Reals | float, b: Reals | float) -> Reals:
+    def choose(self, condition: Any, a: Any, b: Any) -> Reals:
         """Numbers a where the condition holds, else b; Python floats get the type of numbers."""
-        x, y = (self.number(part) if isinstance(part, float) else part for part in (a, b))
-        return np.where(condition, x, y)
+        if isinstance(condition, _TRUTHS):
+            one: Any = a if condition else b
+            return self.number(one) if type(one) is float else one
+        a, b = (self.number(x) if isinstance(x, float) else x for x in (a, b))
+        return np.where(condition, a, b)
 
     def where_above(
         self,
@@ -200,8 +204,8 @@ class Floats:
     ) -> _T:
         """What the first branch returns whose condition holds, else what ``otherwise`` returns.
 
-        The firmware computes one of them; here all are computed, so that what lies outside of a
-        condition may be no number.
+        The firmware computes one of them; here all are computed that hold for one of the drives, so
+        that what lies outside of a condition may be no number.
 
         Args:
             name: Of the local variable that takes the number or vector, or of one for each; where
@@ -210,6 +214,14 @@ class Floats:
             otherwise: What is computed where none holds.
             changing: Records of a state whose members the branches set.
         """
+        for place, (condition, branch) in enumerate(branches):
+            if not isinstance(condition, _TRUTHS):
+                branches = branches[place:]
+                break
+            if condition:
+                return branch()
+        else:
+            return otherwise()
         places = [place for record in changing for place in leaves(record)]
         before = [getattr(record, member) for record, member in places]
 
@@ -224,8 +236,14 @@ class Floats:
                 setattr(record, member, value)
 
         with np.errstate(all="ignore"):
-            found, kept = ran(otherwise)
-            for condition, branch in reversed(branches):
+            *above, (condition, branch) = _met(branches, otherwise)
+            value, after = ran(branch)
+            found: _T = self._merged(condition, value, value)
+            kept = [
+                x if x is y else self._merged(condition, x, x)
+                for x, y in zip(after, before, strict=True)
+            ]
+            for condition, branch in reversed(above):
                 value, after = ran(branch)
                 found = self._merged(condition, value, found)
                 kept = [
@@ -236,6 +254,8 @@ class Floats:
         return found
 
     def _merged(self, condition: Any, a: Any, b: Any) -> Any:
+        if a is b and isinstance(a, np.ndarray) and a.shape == np.shape(condition):
+            return a
         if isinstance(a, tuple):
             parts = [self._merged(condition, x, y) for x, y in zip(a, b, strict=True)]
             return type(a)(*parts) if hasattr(a, "_fields") else tuple(parts)
@@ -243,7 +263,7 @@ class Floats:
             names = [field.name for field in fields(a)]
             parts = [self._merged(condition, getattr(a, n), getattr(b, n)) for n in names]
             return replace(a, **dict(zip(names, parts, strict=True)))  # type: ignore[type-var]
-        numbers = isinstance(a, float | np.ndarray | np.generic)
+        numbers = isinstance(a, int | float | np.ndarray | np.generic) and not isinstance(a, bool)
         return self.choose(condition, a, b) if numbers else a
 
     def root(self, a: Reals) -> Reals:
@@ -252,7 +272,7 @@ class Floats:
 
     def full(self, value: Any, like: Reals) -> Reals:
         """A constant for every drive of ``like``."""
-        return np.full_like(like, value)
+        return self.number(value) if isinstance(like, np.generic) else np.full_like(like, value)
 
 
 def leaves(record: Any) -> Iterator[tuple[Any, str]]:
@@ -267,6 +287,23 @@ def leaves(record: Any) -> Iterator[tuple[Any, str]]:
             yield from leaves(value)
         elif value is not None:
             yield record, member.name
+
+
+def _met(
+    branches: Sequence[tuple[Any, Callable[[], _T]]], otherwise: Callable[[], _T]
+) -> list[tuple[Any, Callable[[], _T]]]:
+    """The branches that one of the drives takes, in their order: the last one takes the rest."""
+    left: Any = True
+    found = []
+    for condition, branch in branches:
+        if not isinstance(condition, bool | np.bool_ | np.ndarray):
+            return [*branches, (branches[0][0], otherwise)]
+        if np.any(left & condition):
+            found.append((condition, branch))
+            left = left & np.logical_not(condition)
+            if not np.any(left):
+                return found
+    return [*found, (left, otherwise)]
 
 
 DOUBLES = Floats(np.float64)  # Double precision.

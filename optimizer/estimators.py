@@ -6,7 +6,7 @@ their names.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -18,8 +18,8 @@ from dqforge.machines.names import TRACKER_NAMES, LoadedByName
 from dqforge.machines.plants.scenario import ComplexArray
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.observers.parts import ObserverState, StateMembers
-from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair
+from dqforge.optimizer.observers.parts import StateMembers
+from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic, Pair
 
 # What a tracker may be told besides: the mean over the period that ends of v_a + v_b + v_c against
 # the star point, or that of each phase voltage, in V.
@@ -48,6 +48,43 @@ class TrackerLoop:
         return self.k_p / self.k_i
 
 
+class TrackerState(Protocol):
+    """Angle in rad and speed in rad/s (electrical) of N trackers."""
+
+    @property
+    def theta_e(self) -> Reals:
+        """Wrapped, shape (N,)."""
+        ...
+
+    @property
+    def omega_e(self) -> Reals:
+        """Shape (N,)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerSteps:
+    """What the firmware runs of a tracker whose state is a record of its own.
+
+    Args:
+        state: The members of the state, for their names and types.
+        start: (arithmetic, state, electrical angle in rad, electrical speed in rad/s).
+        step: (arithmetic, gains, state, voltage that acted, current).
+        names: What functions that these call are named in C.
+        counts: Macros: name without prefix, value, what it is.
+    """
+
+    state: Any
+    start: Callable[..., None]
+    step: Callable[..., None]
+    names: dict[str, str]
+    counts: tuple[tuple[str, int, str], ...]
+
+
+# For states that begin at angles which are wrapped already.
+WRAPPED = Arithmetic(np.float64, lambda theta: theta, EXACT.rotation)
+
+
 @dataclass(frozen=True, slots=True)
 class Tracker:
     """One method of tracking the position.
@@ -61,7 +98,7 @@ class Tracker:
         step: (gains, state, voltage that acted, current, further signals in the order of ``hears``,
             arithmetic) -> next state; with ``injects`` its ``added`` is the voltage (alpha, beta)
             in V that is to be added to the one that acts from the next sampling instant on, and its
-            ``seen`` the current without what that voltage makes of it.
+            ``current`` the current without what that voltage makes of it.
         gains: The dataclass that ``design`` returns.
         speeds: (design, gains) -> least and largest electrical speed in rad/s at which it holds.
         in_words: gains -> by what numbers it is tuned.
@@ -71,15 +108,16 @@ class Tracker:
         loop: gains -> its phase-locked loop, with which a speed loop is judged; None where it has
             none.
         members: What the firmware calls vectors and scalars of the state: the C of the tracker is
-            written from ``step``. None of one that has a template ``observers/<code>.j2``.
+            written from ``step``. None of one that has ``steps``.
+        steps: gains -> what is emitted of one whose state is a record of its own.
     """
 
     name: str
     code: str
     title: str
     design: Callable[[Design, ObserverSettings], Any]
-    start: Callable[[Any, Reals, Reals], ObserverState]
-    step: Callable[[Any, Any, Pair, Pair, tuple[Reals, ...], Arithmetic], ObserverState]
+    start: Callable[[Any, Reals, Reals], TrackerState]
+    step: Callable[[Any, Any, Pair, Pair, tuple[Reals, ...], Arithmetic], TrackerState]
     gains: type[Any]
     speeds: Callable[[Design, Any], tuple[float, float]]
     in_words: Callable[[Any], str]
@@ -88,6 +126,7 @@ class Tracker:
     at_speed: bool = False
     loop: Callable[[Any], TrackerLoop] | None = None
     members: StateMembers | None = None
+    steps: Callable[[Any], TrackerSteps] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

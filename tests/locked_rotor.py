@@ -104,9 +104,7 @@ def track_at_rest(
         state = tracker.step(
             gains, state, (before.real, before.imag), (seen.real, seen.imag), (), EXACT
         )
-        assert state.added is not None
-        assert state.seen is not None
-        error = wanted - (state.seen[0] + 1j * state.seen[1]) / turn
+        error = wanted - (state.current[0] + 1j * state.current[1]) / turn
         integral = integral + 0.05 * kp * error
         v = (before + _lost(i * turn, design, rest.dead_time)) / turn
         v = v + machine.r_s * wanted + kp * error + integral

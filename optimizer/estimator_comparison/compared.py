@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import fields, replace
-from typing import cast, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -507,7 +507,7 @@ def tracked(
     half = np.exp(0.5j * drives.omega * t_s)
     answer = np.zeros(count, dtype=np.complex128)  # to what was added, in the rotor's frame
     acting = waiting = np.zeros(count, dtype=np.complex128)
-    state = tracker.start(tuned.gains, np.asarray(EXACT.wrap(angle)), speed)
+    state: Any = tracker.start(tuned.gains, np.asarray(EXACT.wrap(angle)), speed)
     for k in range(samples):
         theta = np.asarray(EXACT.wrap(drives.omega * t_s * k))
         turn = np.exp(1j * theta)
@@ -524,7 +524,7 @@ def tracked(
         state = tracker.step(tuned.gains, state, _pair(before), _pair(seen), heard, EXACT)
         yield np.asarray(EXACT.wrap(np.asarray(state.theta_e) - theta)), np.asarray(state.omega_e)
         acting = waiting
-        if state.added is not None:
+        if tracker.injects:
             waiting = np.asarray(state.added[0] + 1j * state.added[1])
         acted = acting
         if dead:

@@ -43,9 +43,7 @@ class ObserverState:
     speed in rad/s (electrical).
 
     ``started`` is false until the first step, which takes the currents of the instant for which the
-    angle was given. ``scalars`` are what else it remembers, none of which turns with the rotor;
-    ``added`` is the voltage in V that an estimator asks for, None where it asks for none; ``seen``
-    is the current in A without what that voltage makes of it, for the controllers.
+    angle was given. ``scalars`` are what else it remembers, none of which turns with the rotor.
     """
 
     vectors: tuple[Pair, ...]
@@ -53,8 +51,6 @@ class ObserverState:
     omega_e: Reals
     started: bool = True
     scalars: tuple[Reals, ...] = ()
-    added: Pair | None = None
-    seen: Pair | None = None
 
 
 # Steady states of a position observer: fixed points of its step, poles,

@@ -1,3 +1,3 @@
-"""The position from the saliency of the inductances, at standstill too: injected voltages, pulses,
-and the polarity of the magnet.
+"""The position from the saliency of the inductances, at standstill too: injected voltages and
+pulses.
 """

@@ -1,5 +1,4 @@
-"""INFORM as the firmware runs it: written once, in the order of operations of the emitted C
-(``observers/inform.j2``).
+"""INFORM: the step of the firmware, its gains and range.
 
 A sequence is six periods: a voltage along 0, 120 and 240 degrees, each with its opposite, so that
 back-EMF and resistance fall out of the difference. The sum of the differences along gamma_k, turned
@@ -10,8 +9,10 @@ converter to itself. A sequence with a sample that is no number corrects nothing
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -22,10 +23,15 @@ from dqforge.machines.dq_machines.synchronous import Machine, linearised
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.plants.scenario import next_flux, plants
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import Reals, park
-from dqforge.optimizer.estimators import Tracker, TrackerLoop, TunedTracker
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.estimators import (
+    WRAPPED,
+    Tracker,
+    TrackerLoop,
+    TrackerSteps,
+    TunedTracker,
+)
 from dqforge.optimizer.observers.models.matsui_model import ObserverRun
-from dqforge.optimizer.observers.parts import ObserverState
 from dqforge.optimizer.observers.sampled_machine import (
     CurrentSensor,
     Trial,
@@ -36,130 +42,245 @@ from dqforge.optimizer.saliency.injection import (
     FASTEST_LOOP,
     MOST_OF_LINK,
     NOISE_ANGLE,
-    POINTS,
     LoadedSaliency,
     along_locus,
-    at_load,
     current_noise,
-    known_sample,
     pll_gains,
     require_saliency,
 )
+from dqforge.optimizer.saliency.load_tables import POINTS, error_at_load, is_known
 from dqforge.optimizer.saliency.sampled_injection import Injection
-from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair, limited
+from dqforge.optimizer.steps.step_arithmetic import (
+    AlphaBeta,
+    Arithmetic,
+    Member,
+    Pair,
+    limited,
+)
 
 LAST = 7  # Place in a sequence at which the answer to its last pulse is seen.
 MIDDLE = 3.0  # Samples from the middle of the pulses to that place.
 DIRECTIONS = ((1.0, 0.0), (-0.5, 0.8660254), (-0.5, -0.8660254))  # Cosine and sine of gamma_k.
-_LARGEST = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class InformGains:
-    """What the firmware needs.
+    """The pulses, and a loop on the angle that they show; tables stand over the load.
 
-    ``t_s`` in s; ``k_p`` and ``k_i`` (1/s) of the phase-locked loop per sequence; ``omega_max`` in
-    rad/s; ``voltage`` in V; ``period`` in samples from one sequence to the next. ``scale`` in rad/A
-    and ``shift`` in rad stand over |i_q| in steps of 1/``per_ampere``.
+    ``scale`` and ``shift`` stand over |i_q| in steps of 1/``per_ampere``; ``period`` is in samples
+    from one sequence to the next.
     """
 
-    t_s: float
-    k_p: float
-    k_i: float
-    omega_max: float
-    voltage: float
+    t_s: Annotated[float, Member("sampling period", "s")]
+    k_p: Annotated[float, Member("share of the angle error per sequence")]
+    k_i: Annotated[float, Member("speed per angle error and sequence", "1/s")]
+    omega_max: Annotated[float, Member("limit of the speed", "rad/s")]
+    voltage: Annotated[float, Member("of the pulses", "V")]
     period: float
-    per_ampere: float
-    scale: tuple[float, ...]
-    shift: tuple[float, ...]
+    per_ampere: Annotated[float, Member("points of the tables per A of i_q")]
+    scale: Annotated[tuple[float, ...], Member("angle error per measured current", "rad/A")]
+    shift: Annotated[tuple[float, ...], Member("what the load adds to it", "rad")]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class InformState(ObserverState):
-    """``vectors``: the last current and z; ``scalars``: the answer to the last pulse in A, whether
-    all samples of the sequence were numbers, and z of the sequence before (alpha, beta). ``n`` is
-    the place in the period.
+@dataclass(frozen=True, slots=True)
+class InductanceMappingGains(InformGains):
+    """The pulses, and a loop on the angle that they show; tables stand over the load, that of the
+    shift has the axis there.
     """
 
-    n: int = 0
+
+@dataclass(slots=True, eq=False)
+class Inform:
+    """What the tracker keeps from sample to sample.
+
+    Arrays of shape (N,); ``n`` and ``started`` are the same of all.
+    """
+
+    sample: Annotated[AlphaBeta, Member("last current", "A")]
+    z: Annotated[AlphaBeta, Member("sum of the differences, turned", "A")]
+    half: Annotated[Reals, Member("answer to the first pulse of a pair", "A")]
+    whole: Annotated[Any, Member("all samples of the sequence were numbers", kind="int")]
+    n: Annotated[Any, Member("place in the period", kind="int")]
+    started: Annotated[Any, Member("0 before the first step", kind="int")]
+    added: Annotated[
+        AlphaBeta,
+        Member("to be added to the voltage that acts from the next sampling instant on", "V"),
+    ]
+    current: Annotated[AlphaBeta, Member("current between the pulses, for the controllers", "A")]
+    theta_e: Annotated[Reals, Member("estimated electrical angle, rad, -pi to pi")]
+    omega_e: Annotated[Reals, Member("estimated electrical speed, rad/s")]
 
 
-def inform_start(gains: InformGains, theta_e: Reals, omega_e: Reals) -> InformState:
+class InductanceMapping(Inform):
+    """What the tracker keeps from sample to sample.
+
+    Arrays of shape (N,); ``n`` and ``started`` are the same of all.
+    """
+
+    __slots__ = ()
+
+
+def _blank(kind: type[Inform]) -> Inform:
+    zero: Any = 0.0
+    pair = AlphaBeta(zero, zero)
+    return kind(pair, pair, zero, 0, 0, 0, pair, pair, zero, zero)
+
+
+def pulses_start(o: Arithmetic, observer: Inform, theta_e: Reals, omega_e: Reals) -> None:
+    """Start from an angle in rad, good to 90 degrees, and a speed in rad/s (electrical) at the
+    instant of the first step.
+    """
+    zero = o.full(0.0, theta_e)
+    pair = AlphaBeta(zero, zero)
+    observer.added, observer.current, observer.sample, observer.z = pair, pair, pair, pair
+    observer.half = zero
+    observer.whole, observer.n, observer.started = 0, 0, 0
+    observer.theta_e, observer.omega_e = o.wrap(theta_e), omega_e
+
+
+@dataclass(frozen=True, slots=True)
+class PulseSteps:
+    """What the firmware does at every sample, with a sequence every so many; ``code`` is part of
+    the names in C.
+    """
+
+    code: str
+    period: int
+
+    def step(
+        self, o: Arithmetic, gains: InformGains, observer: Inform, v: AlphaBeta, i: AlphaBeta
+    ) -> None:
+        """One sample: i in A at the sampling instant; the voltage v that acted is not needed. A
+        sequence with a sample that is no number corrects nothing.
+        """
+        del v
+        cosines, sines = (
+            o.table(name, [pair[axis] for pair in DIRECTIONS])
+            for axis, name in enumerate(("cosines", "sines"))
+        )
+        known = o.let("known", is_known(o, i))
+        last, n = observer.sample, observer.n
+        sample = o.cases("sample", (known, lambda: i), otherwise=lambda: last)
+        moved = o.let("moved", AlphaBeta(sample.alpha - last.alpha, sample.beta - last.beta))
+
+        def along() -> Reals:
+            k = o.let("k", (n - 2) // 2)
+            found: Reals = o.at(cosines, k) * moved.alpha + o.at(sines, k) * moved.beta
+            return found
+
+        def ahead() -> None:
+            observer.theta_e = o.wrap(observer.theta_e + gains.t_s * observer.omega_e)
+
+        def begun() -> None:
+            zero = o.full(0.0, observer.half)
+            observer.whole = 1
+            observer.z = AlphaBeta(zero, zero)
+
+        def first() -> AlphaBeta:
+            observer.half = along()
+            return observer.current
+
+        def second() -> AlphaBeta:
+            k = o.let("k", (n - 2) // 2)
+            cosine, sine = o.let("cosine", o.at(cosines, k)), o.let("sine", o.at(sines, k))
+            pair = 0.5 * (observer.half - (cosine * moved.alpha + sine * moved.beta))
+            pair = o.let("pair", pair, "without back-EMF and resistance, A")
+            z = observer.z
+            observer.z = AlphaBeta(z.alpha + cosine * pair, z.beta - sine * pair)
+            return sample
+
+        _where(o, observer, o.negated(o.equal(observer.started, 0)), ahead)
+        observer.started = 1
+        _where(o, observer, o.equal(n, 0), begun)
+        observer.whole = o.choose(known, observer.whole, 0)
+        odd = o.equal(n % 2, 1)
+        told = o.cases(
+            "told",
+            ((n < 2) | (n > LAST), lambda: sample),
+            (odd, second),
+            otherwise=first,
+            changing=(observer,),
+        )
+        _where(o, observer, o.equal(n, LAST), lambda: _corrected(o, gains, observer, told))
+
+        def pulse() -> AlphaBeta:
+            k = o.let("k", n // 2)
+            size = o.let("size", o.choose(o.equal(n % 2, 0), gains.voltage, -gains.voltage))
+            none = o.full(0.0, observer.half)
+            return AlphaBeta(none + o.at(cosines, k) * size, none + o.at(sines, k) * size)
+
+        def rests() -> AlphaBeta:
+            return AlphaBeta(o.full(0.0, observer.half), o.full(0.0, observer.half))
+
+        observer.added = o.cases("added", (n <= 5, pulse), otherwise=rests)
+        observer.sample, observer.current = sample, told
+        period = o.constant(f"{self.code.upper()}_PERIOD", self.period)
+        later = o.let("later", n + 1)
+        observer.n = o.choose(later < period, later, 0)
+
+
+def _where(o: Arithmetic, observer: Inform, condition: Any, change: Callable[[], None]) -> None:
+    o.cases("", (condition, change), otherwise=lambda: None, changing=(observer,))
+
+
+def _corrected(o: Arithmetic, gains: InformGains, observer: Inform, told: AlphaBeta) -> None:
+    """Angle and speed by what a sequence has shown."""
+    theta, z = observer.theta_e, observer.z
+    i_q = o.let("i_q", o.park(told, o.let("now", o.rotation(theta))).q)
+    before = o.wrap(theta - (MIDDLE * gains.t_s) * observer.omega_e)
+    turn = o.let("turn", o.rotation(before))
+    cosine = o.let("cosine", turn.cosine * turn.cosine - turn.sine * turn.sine)
+    sine = o.let("sine", 2.0 * (turn.cosine * turn.sine))
+    found = o.call(error_at_load, gains, cosine * z.beta - sine * z.alpha, i_q)
+    error = o.let("error", o.choose(o.equal(observer.whole, 0), o.full(0.0, i_q), found))
+    omega = o.let("omega", observer.omega_e + gains.k_i * error)
+    observer.omega_e = limited(o, omega, gains.omega_max)
+    observer.theta_e = o.wrap(theta + gains.k_p * error)
+
+
+def pulse_steps(code: str, kind: type[Inform], gains: InformGains) -> TrackerSteps:
+    """What is emitted of gains.
+
+    Args:
+        code: Part of the names in C.
+        kind: The state.
+        gains: The numbers.
+    """
+    period = int(gains.period)
+    return TrackerSteps(
+        _blank(kind),
+        pulses_start,
+        PulseSteps(code, period).step,
+        {"at_load": f"{code}_at", "error_at_load": f"{code}_error"},
+        (
+            (f"{code.upper()}_POINTS", len(gains.scale), "of the tables over the load"),
+            (f"{code.upper()}_PERIOD", period, "samples from one sequence of pulses to the next"),
+        ),
+    )
+
+
+def inform_start(gains: InformGains, theta_e: Reals, omega_e: Reals) -> Inform:
     """State before the first step: angle in rad (wrapped), speed in rad/s."""
     del gains
-    zero = np.zeros_like(theta_e)
-    pair = (zero, zero)
-    return InformState(
-        (pair, pair), theta_e, omega_e, started=False, scalars=(zero, zero), added=pair, seen=pair
-    )
+    state = _blank(Inform)
+    pulses_start(WRAPPED, state, theta_e, omega_e)
+    return state
 
 
 def inform_step(
     gains: InformGains,
-    state: InformState,
+    state: Inform,
     v: Pair,
     i: Pair,
     heard: tuple[Reals, ...],
     maths: Arithmetic,
-) -> InformState:
+) -> Inform:
     """Next state; ``i`` in A (alpha, beta) at the sampling instant, the voltage is not used."""
-    del v, heard
-    n, zero, one = state.n, maths.number(0.0), maths.number(1.0)
-    known, sample = known_sample(i, state.vectors[0], maths)
-    (half, whole), z = state.scalars, state.vectors[1]
-    assert state.seen is not None
-    theta, omega, told = state.theta_e, state.omega_e, sample
-    if state.started:
-        theta = maths.wrap(theta + gains.t_s * omega)
-    if n == 0:
-        whole, z = np.zeros_like(half) + one, (np.zeros_like(half), np.zeros_like(half))
-    whole = np.where(known, whole, zero)
-    if 2 <= n <= LAST:
-        cosine, sine = (maths.number(part) for part in DIRECTIONS[(n - 2) // 2])
-        moved = (sample[0] - state.vectors[0][0], sample[1] - state.vectors[0][1])
-        along = cosine * moved[0] + sine * moved[1]
-        if n % 2 == 0:
-            half, told = along, state.seen
-        else:
-            pair = maths.number(0.5) * (half - along)
-            z = (z[0] + cosine * pair, z[1] - sine * pair)
-    if n == LAST:
-        error = _error(gains, (z, told), theta, omega, maths)
-        error = np.where(whole > zero, error, zero)
-        omega = limited(maths, omega + gains.k_i * error, gains.omega_max)
-        theta = maths.wrap(theta + gains.k_p * error)
-    return InformState(
-        (sample, z),
-        theta,
-        omega,
-        scalars=(half, whole),
-        added=_pulse(gains, n, theta, maths),
-        seen=told,
-        n=(n + 1) % int(gains.period),
-    )
-
-
-def _error(
-    gains: InformGains, found: tuple[Pair, Pair], theta: Reals, omega: Reals, maths: Arithmetic
-) -> Reals:
-    """Angle error in rad of z and the current in A."""
-    z, told = found
-    i_q = park(maths, told, maths.rotation(theta))[1]
-    cosine, sine = maths.rotation(maths.wrap(theta - (maths.number(MIDDLE) * gains.t_s) * omega))
-    twice = (cosine * cosine - sine * sine, maths.number(2.0) * (cosine * sine))
-    scale, shift = at_load(gains, i_q, maths)
-    error = scale * (twice[0] * z[1] - twice[1] * z[0]) - shift
-    return limited(maths, error, maths.number(_LARGEST))
-
-
-def _pulse(gains: InformGains, n: int, theta: Reals, maths: Arithmetic) -> Pair:
-    """The voltage that is to be added from the next sampling instant on."""
-    zero = np.zeros_like(theta)
-    if n > 5:
-        return zero, zero
-    cosine, sine = DIRECTIONS[n // 2]
-    size = gains.voltage if n % 2 == 0 else -gains.voltage
-    return zero + maths.number(cosine) * size, zero + maths.number(sine) * size
+    del heard
+    after = replace(state)
+    steps = PulseSteps("inform", int(gains.period))
+    steps.step(maths, gains, after, AlphaBeta(*v), AlphaBeta(*i))
+    return after
 
 
 # INFORM as a tracker, with the axis of the saliency taken for the d axis (``inform``), or with a
@@ -266,7 +387,7 @@ def design_inform(mapped: bool, design: Design, settings: ObserverSettings) -> I
     damping = 1.0 if settings.damping is None else settings.damping
     k_p, k_i = pll_gains(bandwidth, damping, period * t_s)
     axis = loaded.axis if mapped else np.zeros(POINTS)
-    gains = InformGains(
+    gains = (InductanceMappingGains if mapped else InformGains)(
         t_s=t_s,
         k_p=k_p,
         k_i=k_i,
@@ -338,214 +459,26 @@ def _tracking(gains: InformGains) -> TrackerLoop:
 
 def pulse_tracker(name: str, title: str, *, mapped: bool) -> Tracker:
     """The record of a tracker by pulses, with or without the table over the load."""
+    code = name.replace("-", "_")
     return Tracker(
         name=name,
-        code=name.replace("-", "_"),
+        code=code,
         title=title,
         design=partial(design_inform, mapped),
         start=inform_start,
         step=inform_step,
-        gains=InformGains,
+        gains=InductanceMappingGains if mapped else InformGains,
         speeds=_speeds,
         in_words=_in_words,
         injects=True,
         loop=_tracking,
+        steps=partial(pulse_steps, code, InductanceMapping if mapped else Inform),
     )
 
 
 TRACKER = pulse_tracker(
     "inform", "INFORM: pairs of voltage pulses that show the saliency", mapped=False
 )
-
-
-# The pulses that tell north from south, from the saturation of the flux map.
-#
-# Where the d axis saturates like L_dd(i) = L_d (1 - s i/I), equal volt-seconds to +-I_p leave peaks
-# that differ by D = s I_p^2/I. Noise of sigma per sample decides wrongly with probability Q(D
-# sqrt(n/2)/sigma) over n pairs. D is taken from the map itself, s is what it means at the largest
-# current.
-
-WRONG = 1e-4  # Largest probability of a wrong decision.
-VISIBLE = 5.0  # Least s I over the noise of a sample.
-_MOST_PULSES = 16
-_STEPS = 40
-
-
-@dataclass(frozen=True, slots=True)
-class PolarityPlan:
-    """The pulses and what they promise.
-
-    ``i_peak`` in A; ``saturation`` is s; ``difference`` in A is that of both peaks, ``sigma`` in A
-    the noise of a sample, ``wrong`` the probability of a wrong decision; ``duration`` in s.
-    """
-
-    gains: PolarityGains
-    i_peak: float
-    saturation: float
-    difference: float
-    sigma: float
-    wrong: float
-    duration: float
-
-
-def wrong_decision(difference: float, sigma: float, pulses: int) -> float:
-    """Probability of taking south for north.
-
-    Args:
-        difference: Of both peaks in A.
-        sigma: Noise of a sample in A.
-        pulses: Pairs of pulses whose sum decides.
-    """
-    return 0.5 * math.erfc(difference * math.sqrt(0.5 * pulses) / sigma / math.sqrt(2.0))
-
-
-def peak_difference(machine: Machine, i_peak: float) -> float:
-    """By how much the peak along the magnet exceeds that against it, in A, after equal volt-seconds
-    that make ``i_peak`` in A against it or ``i_peak`` along it, whichever is the larger.
-
-    Negative where the larger is the one against the magnet; 0 without saturation.
-    """
-    grid = np.linspace(-i_peak, i_peak, 2 * _STEPS + 1)
-    none = np.zeros_like(grid)
-    if not np.all(machine.known(grid, none)):
-        grid = grid[machine.known(grid, none)]
-        none = np.zeros_like(grid)
-    flux = machine.flux(grid, none)[0]
-    flux = flux - np.interp(0.0, grid, flux)
-    # the volt-seconds that both directions reach with at most i_peak
-    most = min(flux[-1], -flux[0])
-    along, against = (float(np.interp(x, flux, grid)) for x in (most, -most))
-    return along + against
-
-
-def plan_polarity(design: Design) -> PolarityPlan:
-    """The smallest current and the fewest pulses that decide wrongly once in 10,000 at most.
-
-    Raises:
-        NoSolutionError: The d axis saturates too little to be seen; the message has the numbers.
-    """
-    machine, i_max = design.machine, design.i_max
-    sigma, t_s = current_noise(design), design.control.t_s
-    saturation = abs(peak_difference(machine, i_max)) / i_max
-    if saturation * i_max < VISIBLE * sigma:
-        raise NoSolutionError(
-            "control.observer: the polarity of the magnet does not show: the d axis saturates by "
-            f"s = {saturation:.3g} at {i_max:.4g} A, so that opposite pulses differ by "
-            f"{saturation * i_max:.3g} A, and {VISIBLE * sigma:.3g} A (five times the noise of a "
-            "sample) are needed; write a flux map that has the saturation, or align the rotor first"
-        )
-    for pulses in (1, 2, 4, 8, _MOST_PULSES):
-        for i_peak in np.linspace(0.1, 1.0, 19) * i_max:
-            difference = peak_difference(machine, float(i_peak))
-            if wrong_decision(abs(difference), sigma, pulses) <= WRONG:
-                return _plan(design, float(i_peak), pulses, difference, saturation)
-    raise NoSolutionError(
-        f"control.observer: {_MOST_PULSES} pairs of pulses of {i_max:.4g} A tell north from south "
-        f"wrongly with {wrong_decision(saturation * i_max, sigma, _MOST_PULSES):.2g}, {WRONG:g} is "
-        f"permitted; {t_s:g} s per sample and {sigma:.3g} A of noise leave no more"
-    )
-
-
-def _plan(
-    design: Design, i_peak: float, pulses: int, difference: float, saturation: float
-) -> PolarityPlan:
-    t_s, sigma = design.control.t_s, current_noise(design)
-    most = 0.5 * design.inverter.v_dc / math.sqrt(3.0)
-    seconds = linearised(design.machine).l_d * i_peak
-    periods = max(1, math.ceil(seconds / (most * t_s)))
-    gains = PolarityGains(
-        voltage=seconds / (periods * t_s),
-        periods=float(periods),
-        pause=float(4 + periods),
-        pulses=float(pulses),
-        sign=1.0 if difference > 0.0 else -1.0,
-    )
-    return PolarityPlan(
-        gains=gains,
-        i_peak=i_peak,
-        saturation=saturation,
-        difference=abs(difference),
-        sigma=sigma,
-        wrong=wrong_decision(abs(difference), sigma, pulses),
-        duration=2.0 * pulses * (2.0 * periods + gains.pause) * t_s,
-    )
-
-
-# North from south as the firmware does it: written once, in the order of operations of the emitted
-# C (``observers/polarity.j2``).
-#
-# Equal volt-seconds along the assumed d axis, positive then negative, each taken back by its
-# opposite: iron that the magnet has saturated answers the pulse that saturates it further with the
-# larger current. The sum of both peaks decides; after an odd number of wrong ones it is still the
-# mean that counts.
-
-# Samples from the one at which a voltage is asked for to the one at which the answer to its first
-# period is seen.
-DELAY = 2
-
-
-@dataclass(frozen=True, slots=True)
-class PolarityGains:
-    """What the firmware needs.
-
-    ``voltage`` in V of a pulse of ``periods`` samples, followed by its opposite and a pause of
-    ``pause`` samples; ``pulses`` pairs in all. ``sign`` is 1 where the peak along the magnet is the
-    larger, -1 where it is the smaller.
-    """
-
-    voltage: float
-    periods: float
-    pause: float
-    pulses: float
-    sign: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PolarityState:
-    """``place`` counts the samples of a half pair, ``half`` the half pairs that are over; ``total``
-    is the sum of the peaks in A, shape (N,). ``turned`` is 1 where d points to the south pole.
-    """
-
-    place: int
-    half: int
-    total: Reals
-    voltage: Reals
-    done: bool
-    turned: Reals
-
-
-def polarity_start(count: int, maths: Arithmetic) -> PolarityState:
-    """Before the first step, of ``count`` drives."""
-    zero = np.zeros(count, dtype=maths.number)
-    return PolarityState(0, 0, zero, zero, False, zero)
-
-
-def polarity_step(
-    gains: PolarityGains, state: PolarityState, i_d: Reals, maths: Arithmetic
-) -> PolarityState:
-    """Next state; ``i_d`` in A along the assumed d axis, ``voltage`` of the state in V is to act
-    along it from the next sampling instant on.
-    """
-    zero = np.zeros_like(state.total)
-    if state.done:
-        return replace(state, voltage=zero)
-    periods, total = int(gains.periods), state.total
-    if state.place == periods + DELAY - 1:
-        # a sample that is no number takes no side
-        known = np.abs(i_d) < maths.number(1.0e15)
-        total = total + np.where(known, i_d, zero)
-    size = maths.number(gains.voltage if state.half % 2 == 0 else -gains.voltage)
-    voltage = zero
-    if state.place < periods:
-        voltage = zero + size
-    elif state.place < 2 * periods:
-        voltage = zero - size
-    place, half = state.place + 1, state.half
-    if place == 2 * periods + int(gains.pause):
-        place, half = 0, half + 1
-    done = half == 2 * int(gains.pulses)
-    turned = np.where(gains.sign * total < maths.number(0.0), maths.number(1.0), zero)
-    return PolarityState(place, half, total, voltage, done, turned)
 
 
 # The saliency tracker at work on simulated drives, its own voltage included.

@@ -1,5 +1,4 @@
-"""A tracker of the saliency by an injected wave as the firmware runs it: written once, in the order
-of operations of the emitted C (``observers/injection.j2``).
+"""A tracker of the saliency by an injected wave: the step of the firmware, its gains and range.
 
 Square wave (two samples): the second difference of the current in stator axes, across the direction
 in which the voltage acted, less what the rest of the voltage makes of it; sine along the assumed d
@@ -12,7 +11,8 @@ that is not a number corrects nothing.
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from dataclasses import replace
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -23,213 +23,321 @@ from dqforge.machines.dq_machines.synchronous import Machine, linearised
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import InjectionWave
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import Reals, park
-from dqforge.optimizer.estimators import Tracker, TrackerLoop
-from dqforge.optimizer.observers.parts import ObserverState, usual_disturbances
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.estimators import WRAPPED, Tracker, TrackerLoop, TrackerSteps
+from dqforge.optimizer.observers.parts import usual_disturbances
 from dqforge.optimizer.observers.sampled_machine import electrical_limit
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
+from dqforge.optimizer.saliency.load_tables import POINTS, at_load, error_at_load, is_known
 from dqforge.optimizer.saliency.sampled_injection import DELAY, LONGEST, admittance
-from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair, limited
+from dqforge.optimizer.steps.step_arithmetic import (
+    AlphaBeta,
+    Arithmetic,
+    Member,
+    Pair,
+    Rotation,
+    limited,
+)
 
-POINTS = 9  # Of the tables over the load.
-_UNKNOWN = 1.0e15
-_LARGEST = 0.5  # Largest error in rad that a sample may claim.
-_FILLED = 3.0
-
-
-class LoadTables(Protocol):
-    """Gains with tables over the load."""
-
-    @property
-    def per_ampere(self) -> float:
-        """Points per A of |i_q|."""
-        ...
-
-    @property
-    def scale(self) -> tuple[float, ...]:
-        """Angle error per demodulated current, in rad/A."""
-        ...
-
-    @property
-    def shift(self) -> tuple[float, ...]:
-        """What the load adds to it, in rad."""
-        ...
+_FILLED = 3.0  # Samples of which a second difference is made.
 
 
 @dataclass(frozen=True, slots=True)
-class WaveGains:
-    """What the firmware needs.
+class InjectionGains:
+    """The injected wave, what demodulates it, and a loop on the angle that it shows; tables stand
+    over the load.
 
-    ``t_s`` in s; ``k_p`` and ``k_i`` (1/s) of the phase-locked loop; ``omega_max`` in rad/s. The
-    fundamental of the current is ``notch[0..2]`` of the last three samples less ``notch[3..4]`` of
-    its last two values. ``scale`` (rad per what is demodulated), ``shift`` in rad and ``rest`` in
-    A/V (what a voltage across makes of the current in a period) stand over |i_q| in steps of
-    1/``per_ampere``. ``carrier`` in V is that of the d axis, or of alpha with
-    that of beta besides (then it rotates); ``reference`` demodulates.
+    Numbers of ``scale`` (rad per what is demodulated), ``shift`` and ``rest`` stand over |i_q| in
+    steps of 1/``per_ampere``. ``carrier`` is that of the d axis, or of alpha with that of beta
+    besides (then it rotates).
     """
 
-    t_s: float
-    k_p: float
-    k_i: float
-    omega_max: float
-    notch: tuple[float, float, float, float, float]
-    per_ampere: float
-    scale: tuple[float, ...]
-    shift: tuple[float, ...]
-    carrier: tuple[float, ...]
+    t_s: Annotated[float, Member("sampling period", "s")]
+    k_p: Annotated[float, Member("share of the angle error per period")]
+    k_i: Annotated[float, Member("speed per angle error and period", "1/s")]
+    omega_max: Annotated[float, Member("limit of the speed", "rad/s")]
+    notch: Annotated[
+        tuple[float, float, float, float, float],
+        Member("of the fundamental: last three samples, less its last two values"),
+    ]
+    per_ampere: Annotated[float, Member("points of the tables per A of i_q")]
+    scale: Annotated[tuple[float, ...], Member("angle error per demodulated current", "rad/A")]
+    shift: Annotated[tuple[float, ...], Member("what the load adds to it", "rad")]
+    rest: Annotated[
+        tuple[float, ...], Member("current that a voltage across makes in a period", "A/V")
+    ]
+    carrier: Annotated[tuple[float, ...], Member("injected voltage", "V")]
     carrier_beta: tuple[float, ...]
-    reference: tuple[float, ...]
+    reference: Annotated[tuple[float, ...], Member("demodulating carrier")]
     reference_beta: tuple[float, ...]
-    rest: tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WaveState(ObserverState):
-    """``vectors``: the last two currents, the last two of the fundamental, the last three
-    directions (cosine, sine) of the voltage, the voltage that was asked for before the last, and
-    the rest of that which acted; ``scalars``: samples known in a row, and demodulated currents.
-    ``n`` is the place in the wave.
+@dataclass(slots=True, eq=False)
+class Injection:
+    """What the tracker keeps from sample to sample.
+
+    Arrays of shape (N,). ``asked`` and ``rest`` are those of a square wave, None of others,
+    ``products`` those of the others.
     """
 
-    n: int = 0
+    sample: Annotated[tuple[AlphaBeta, AlphaBeta], Member("last currents", "A")]
+    told: Annotated[AlphaBeta, Member("fundamental before the last", "A")]
+    direction: Annotated[tuple[Rotation, Rotation, Rotation], Member("of the last voltages")]
+    asked: Annotated[AlphaBeta | None, Member("voltage before the last", "V")]
+    rest: Annotated[AlphaBeta | None, Member("of the voltage that acted last", "V")]
+    known: Annotated[Reals, Member("samples that were numbers in a row, up to 3")]
+    products: Annotated[tuple[Reals, ...] | None, Member("demodulated currents", "A")]
+    n: Annotated[Any, Member("place in the injected period", kind="int")]
+    started: Annotated[Any, Member("0 before the first step", kind="int")]
+    added: Annotated[
+        AlphaBeta,
+        Member("to be added to the voltage that acts from the next sampling instant on", "V"),
+    ]
+    current: Annotated[AlphaBeta, Member("fundamental of the current, for the controllers", "A")]
+    theta_e: Annotated[Reals, Member("estimated electrical angle, rad, -pi to pi")]
+    omega_e: Annotated[Reals, Member("estimated electrical speed, rad/s")]
 
 
-def wave_start(gains: WaveGains, theta_e: Reals, omega_e: Reals) -> WaveState:
-    """State before the first step: angle in rad (wrapped), speed in rad/s."""
-    zero = np.zeros_like(theta_e)
-    pair = (zero, zero)
-    products = 0 if len(gains.carrier) == 2 else len(gains.carrier)
-    return WaveState(
-        (pair,) * 9, theta_e, omega_e, started=False, scalars=(zero,) * (1 + products),
-        added=pair, seen=pair,
-    )  # fmt: skip
+@dataclass(frozen=True, slots=True)
+class InjectionSteps:
+    """What the firmware does with a wave of ``count`` samples per period."""
+
+    count: int
+    rotating: bool
+
+    @classmethod
+    def of(cls, gains: InjectionGains) -> InjectionSteps:
+        """Those of gains."""
+        return cls(len(gains.carrier), bool(gains.carrier_beta))
+
+    @property
+    def square(self) -> bool:
+        """Whether the wave changes its sign at every sample."""
+        return self.count == 2
+
+    def state(self, zero: Any) -> Injection:
+        """The members of a state, all of them ``zero``."""
+        pair, turn = AlphaBeta(zero, zero), Rotation(zero, zero)
+        last = pair if self.square else None
+        products = None if self.square else (zero,) * self.count
+        return Injection(
+            (pair, pair), pair, (turn, turn, turn), last, last, zero, products, 0, 0, pair, pair,
+            zero, zero,
+        )  # fmt: skip
+
+    def start(self, o: Arithmetic, observer: Injection, theta_e: Reals, omega_e: Reals) -> None:
+        """Start from an angle in rad, good to 90 degrees, and a speed in rad/s (electrical) at the
+        instant of the first step.
+        """
+        zero = o.full(0.0, theta_e)
+        pair, turn = AlphaBeta(zero, zero), Rotation(zero, zero)
+        observer.added, observer.current, observer.told = pair, pair, pair
+        if self.square:
+            observer.asked, observer.rest = pair, pair
+        observer.sample, observer.direction = (pair, pair), (turn, turn, turn)
+        if observer.products is not None:
+            observer.products = (zero,) * self.count
+        observer.known = zero
+        observer.n, observer.started = 0, 0
+        observer.theta_e, observer.omega_e = o.wrap(theta_e), omega_e
+
+    def step(
+        self, o: Arithmetic, gains: InjectionGains, observer: Injection, v: AlphaBeta, i: AlphaBeta
+    ) -> None:
+        """One sample: i in A at the sampling instant, v in V acted until then (only a square wave
+        needs it). A sample that is no number corrects nothing.
+        """
+        known = o.let("known", is_known(o, i))
+        last = observer.sample[0]
+        sample = o.cases("sample", (known, lambda: i), otherwise=lambda: last)
+        rest = self._rest(o, observer, v)
+
+        def first() -> AlphaBeta:
+            observer.started = 1
+            observer.sample = (sample, observer.sample[1])
+            observer.current = sample
+            return sample
+
+        def then() -> AlphaBeta:
+            theta = o.let("theta", o.wrap(observer.theta_e + gains.t_s * observer.omega_e))
+            turn = o.let("turn", o.rotation(theta))
+            fundamental = o.let("fundamental", _fundamental(o, gains, observer, sample))
+            i_q = o.let("i_q", o.park(fundamental, turn).q)
+            more = o.choose(observer.known < _FILLED, observer.known + 1.0, observer.known)
+            observer.known = fresh = o.let("fresh", o.choose(known, more, o.full(0.0, i_q)))
+            if rest is not None:
+                bent = _second_difference(o, gains, observer, (sample, rest), i_q)
+                found = o.let("found", o.choose(fresh >= _FILLED, bent, o.full(0.0, i_q)))
+            else:
+                found = self._demodulated(o, gains, observer, (known, sample), turn)
+            error = o.call(error_at_load, gains, found, i_q)
+            if rest is not None:
+                error = o.choose(fresh >= _FILLED, error, o.full(0.0, i_q))
+            error = o.let("error", error)
+            omega = o.let("omega", observer.omega_e + gains.k_i * error)
+            observer.omega_e = limited(o, omega, gains.omega_max)
+            observer.theta_e = o.wrap(theta + gains.k_p * error)
+            return fundamental
+
+        told = o.cases(
+            "told", (o.equal(observer.started, 0), first), otherwise=then, changing=(observer,)
+        )
+        if rest is not None:
+            observer.asked, observer.rest = observer.added, rest
+        ahead = o.wrap(observer.theta_e + (1.5 * gains.t_s) * observer.omega_e)
+        direction = o.let("direction", o.rotation(ahead))
+        observer.added = self._asked(o, gains, observer, direction)
+        observer.sample = (sample, observer.sample[0])
+        observer.told, observer.current = observer.current, told
+        observer.direction = (direction, *observer.direction[:2])
+        count = o.constant("INJECTION_SAMPLES", self.count)
+        later = o.let("later", observer.n + 1)
+        observer.n = o.choose(later < count, later, 0)
+
+    def _rest(self, o: Arithmetic, observer: Injection, v: AlphaBeta) -> AlphaBeta | None:
+        """What acted less what was asked for, in V; only a square wave takes it off."""
+        asked = observer.asked
+        if asked is None:
+            return None
+        acted = o.cases("acted", (is_known(o, v), lambda: v), otherwise=lambda: asked)
+        return o.let("rest", AlphaBeta(acted.alpha - asked.alpha, acted.beta - asked.beta))
+
+    def _asked(
+        self, o: Arithmetic, gains: InjectionGains, observer: Injection, direction: Rotation
+    ) -> AlphaBeta:
+        """The voltage that is to be added from the next sampling instant on."""
+        n = observer.n
+        if self.rotating:
+            zero = o.full(0.0, direction.cosine)
+            made = (zero + o.at(table, n) for table in (gains.carrier, gains.carrier_beta))
+            return AlphaBeta(*made)
+        carrier = o.let("carrier", o.at(gains.carrier, n), "V")
+        return AlphaBeta(direction.cosine * carrier, direction.sine * carrier)
+
+    def _demodulated(
+        self,
+        o: Arithmetic,
+        gains: InjectionGains,
+        observer: Injection,
+        seen: tuple[Any, AlphaBeta],
+        turn: Rotation,
+    ) -> Reals:
+        """The sum of a period; ``seen`` is whether the sample is known, and the sample."""
+        (known, i), products, n = seen, observer.products, observer.n
+        assert products is not None
+        product = self._product(o, gains, observer, i, turn)
+        now = o.choose(known, product, o.full(0.0, i.alpha))
+        observer.products = kept = o.with_item(products, n, now)
+        return o.summed("found", o.full(0.0, i.alpha), self.count, lambda k: o.at(kept, k))
+
+    def _product(
+        self,
+        o: Arithmetic,
+        gains: InjectionGains,
+        observer: Injection,
+        i: AlphaBeta,
+        turn: Rotation,
+    ) -> Reals:
+        """What a sample adds to the demodulated current."""
+        c = o.let("c", o.at(gains.reference, observer.n))
+        if not self.rotating:
+            found: Reals = (turn.cosine * i.beta - turn.sine * i.alpha) * c
+            return found
+        s = o.let("s", o.at(gains.reference_beta, observer.n))
+        alpha = o.let("alpha", c * i.alpha - s * i.beta)
+        beta = o.let("beta", s * i.alpha + c * i.beta)
+        cosine = o.let("cosine", turn.cosine * turn.cosine - turn.sine * turn.sine)
+        sine = o.let("sine", 2.0 * (turn.cosine * turn.sine))
+        product: Reals = cosine * beta - sine * alpha
+        return product
 
 
-def known_sample(i: Pair, last: Pair, maths: Arithmetic) -> tuple[Reals, Pair]:
-    """Whether a sample is a number, and the sample, or the last one in its place."""
-    known = (np.abs(i[0]) < maths.number(_UNKNOWN)) & (np.abs(i[1]) < maths.number(_UNKNOWN))
-    return known, (np.where(known, i[0], last[0]), np.where(known, i[1], last[1]))
-
-
-def place_of(gains: LoadTables, i_q: Reals, maths: Arithmetic) -> tuple[Any, Reals]:
-    """Where an i_q in A lies in the tables: the point below, and the part of the way to the next
-    one.
-    """
-    place, last = np.abs(i_q) * gains.per_ampere, maths.number(POINTS - 1.001)
-    inside = np.where(place < last, place, last)
-    index = inside.astype(np.int64)
-    return index, inside - index.astype(maths.number)
-
-
-def between(table: tuple[float, ...], place: tuple[Any, Reals], maths: Arithmetic) -> Reals:
-    """A table there, by lines."""
-    values, (index, part) = np.array(table, dtype=maths.number), place
-    return np.asarray(values[index] + part * (values[index + 1] - values[index]))
-
-
-def at_load(gains: LoadTables, i_q: Reals, maths: Arithmetic) -> tuple[Reals, Reals]:
-    """Scale and shift at an i_q in A."""
-    place = place_of(gains, i_q, maths)
-    offset = between(gains.shift, place, maths)
-    return between(gains.scale, place, maths), np.where(i_q < 0.0, -offset, offset)
-
-
-def _fundamental(gains: WaveGains, i: Pair, vectors: tuple[Pair, ...]) -> Pair:
+def injection_notch(
+    o: Arithmetic,  # noqa: ARG001
+    gains: InjectionGains,
+    now: Reals,
+    last: Reals,
+    before: Reals,
+    told: Reals,
+    told_before: Reals,
+) -> Reals:
+    """One value of the current without what the injected voltage makes of it."""
     b_0, b_1, b_2, a_1, a_2 = gains.notch
-    last, before, told, told_before = vectors[:4]
-    x, y = (
-        (((b_0 * i[n] + b_1 * last[n]) + b_2 * before[n]) - a_1 * told[n]) - a_2 * told_before[n]
+    value: Reals = (((b_0 * now + b_1 * last) + b_2 * before) - a_1 * told) - a_2 * told_before
+    return value
+
+
+def _fundamental(
+    o: Arithmetic, gains: InjectionGains, observer: Injection, i: AlphaBeta
+) -> AlphaBeta:
+    (last, before), told, told_before = observer.sample, observer.current, observer.told
+    alpha, beta = (
+        o.call(injection_notch, gains, i[n], last[n], before[n], told[n], told_before[n])
         for n in (0, 1)
     )
-    return x, y
+    return AlphaBeta(alpha, beta)
 
 
 def _second_difference(
-    gains: WaveGains, state: WaveState, seen: tuple[Pair, Pair, Pair], maths: Arithmetic
+    o: Arithmetic,
+    gains: InjectionGains,
+    observer: Injection,
+    seen: tuple[AlphaBeta, AlphaBeta],
+    i_q: Reals,
 ) -> Reals:
     """Of the current, across the sum of the directions of the voltages that acted, less what the
-    rest of the voltage has made of it.
+    rest of the voltage has made of it; ``seen`` are the sample and that rest.
     """
-    i, rest, told = seen
-    x = gains.t_s * state.omega_e
-    twice = 2.0 - x * x
-    last, before = state.vectors[:2]
-    bent = tuple((i[n] - twice * last[n]) + before[n] for n in (0, 1))
-    moved = tuple(rest[n] - state.vectors[8][n] for n in (0, 1))
-    cosine, sine = (state.vectors[5][n] + state.vectors[6][n] for n in (0, 1))
-    ahead = maths.rotation(maths.wrap(state.theta_e + gains.t_s * state.omega_e))
-    share = between(gains.rest, place_of(gains, park(maths, told, ahead)[1], maths), maths)
-    own = (cosine * bent[1] - sine * bent[0]) - share * (cosine * moved[1] - sine * moved[0])
-    return np.asarray(own * gains.reference[state.n])
+    (i, rest), (last, before), acted = seen, observer.sample, observer.rest
+    assert acted is not None
+    x = o.let("x", gains.t_s * observer.omega_e)
+    twice = o.let("twice", 2.0 - x * x)
+    alpha = o.let("alpha", (i.alpha - twice * last.alpha) + before.alpha)
+    beta = o.let("beta", (i.beta - twice * last.beta) + before.beta)
+    moved_alpha = o.let("moved_alpha", rest.alpha - acted.alpha)
+    moved_beta = o.let("moved_beta", rest.beta - acted.beta)
+    _, one, other = observer.direction
+    cosine = o.let("cosine", one.cosine + other.cosine)
+    sine = o.let("sine", one.sine + other.sine)
+    share = o.let("share", o.call(at_load, gains, gains.rest, i_q))
+    bent = cosine * beta - sine * alpha
+    own = bent - share * (cosine * moved_beta - sine * moved_alpha)
+    found: Reals = own * o.at(gains.reference, observer.n)
+    return o.let("bent", found)
 
 
-def _product(gains: WaveGains, n: int, i: Pair, turn: Pair) -> Reals:
-    """What a sample adds to the demodulated current."""
-    if not gains.carrier_beta:
-        return np.asarray((turn[0] * i[1] - turn[1] * i[0]) * gains.reference[n])
-    c, s = gains.reference[n], gains.reference_beta[n]
-    alpha, beta = c * i[0] - s * i[1], s * i[0] + c * i[1]
-    cosine, sine = turn[0] * turn[0] - turn[1] * turn[1], 2.0 * (turn[0] * turn[1])
-    return np.asarray(cosine * beta - sine * alpha)
-
-
-def wave_step(
-    gains: WaveGains, state: WaveState, v: Pair, i: Pair, heard: tuple[Reals, ...],
-    maths: Arithmetic,
-) -> WaveState:  # fmt: skip
-    """Next state; ``i`` in A (alpha, beta) at the sampling instant, ``v`` in V acted until then."""
-    del heard
-    theta, omega, count = state.theta_e, state.omega_e, len(gains.carrier)
-    known, sample = known_sample(i, state.vectors[0], maths)
-    assert state.added is not None
-    acted = known_sample(v, state.vectors[7], maths)[1]
-    rest = (acted[0] - state.vectors[7][0], acted[1] - state.vectors[7][1])
-    vectors, fresh, products = state.vectors, state.scalars[0], list(state.scalars[1:])
-    if not state.started:
-        vectors, told = (sample,) * 4 + vectors[4:], sample
-        fresh = np.zeros_like(fresh)
-    else:
-        ahead = maths.wrap(theta + gains.t_s * omega)
-        turn = maths.rotation(ahead)
-        told = _fundamental(gains, sample, vectors)
-        more = np.where(fresh < maths.number(_FILLED), fresh + maths.number(1.0), fresh)
-        fresh = np.where(known, more, maths.number(0.0))
-        if count == 2:
-            found = _second_difference(gains, state, (sample, rest, told), maths)
-            found = np.where(fresh >= maths.number(_FILLED), found, maths.number(0.0))
-        else:
-            product = _product(gains, state.n, sample, turn)
-            products[state.n] = np.where(known, product, maths.number(0.0))
-            found = np.zeros_like(theta)
-            for each in products:
-                found = found + each
-        scale, shift = at_load(gains, park(maths, told, turn)[1], maths)
-        error = limited(maths, scale * found - shift, maths.number(_LARGEST))
-        if count == 2:
-            error = np.where(fresh >= maths.number(_FILLED), error, maths.number(0.0))
-        omega = limited(maths, omega + gains.k_i * error, gains.omega_max)
-        theta = maths.wrap(ahead + gains.k_p * error)
-    direction = maths.rotation(maths.wrap(theta + (1.5 * gains.t_s) * omega))
-    return WaveState(
+def injection_steps(gains: InjectionGains) -> TrackerSteps:
+    """What is emitted of gains."""
+    own = InjectionSteps.of(gains)
+    return TrackerSteps(
+        own.state(0.0),
+        own.start,
+        own.step,
+        {"at_load": "injection_at", "error_at_load": "injection_error"},
         (
-            *(sample, vectors[0], told, vectors[2]),
-            *(direction, vectors[4], vectors[5], state.added, rest),
+            ("INJECTION_SAMPLES", own.count, "samples per injected period"),
+            ("INJECTION_POINTS", len(gains.scale), "of the tables over the load"),
         ),
-        theta,
-        omega,
-        scalars=(fresh, *products),
-        added=_asked(gains, state.n, direction),
-        seen=told,
-        n=(state.n + 1) % count,
     )
 
 
-def _asked(gains: WaveGains, n: int, direction: Pair) -> Pair:
-    """The voltage that is to be added from the next sampling instant on."""
-    if gains.carrier_beta:
-        zero = np.zeros_like(direction[0])
-        return zero + gains.carrier[n], zero + gains.carrier_beta[n]
-    return direction[0] * gains.carrier[n], direction[1] * gains.carrier[n]
+def wave_start(gains: InjectionGains, theta_e: Reals, omega_e: Reals) -> Injection:
+    """State before the first step: angle in rad (wrapped), speed in rad/s."""
+    steps = InjectionSteps.of(gains)
+    state = steps.state(0.0)
+    steps.start(WRAPPED, state, theta_e, omega_e)
+    return state
+
+
+def wave_step(
+    gains: InjectionGains, state: Injection, v: Pair, i: Pair, heard: tuple[Reals, ...],
+    maths: Arithmetic,
+) -> Injection:  # fmt: skip
+    """Next state; ``i`` in A (alpha, beta) at the sampling instant, ``v`` in V acted until then."""
+    del heard
+    after = replace(state)
+    InjectionSteps.of(gains).step(maths, gains, after, AlphaBeta(*v), AlphaBeta(*i))
+    return after
 
 
 # The saliency of a machine along the currents that it is driven with, from its flux map.
@@ -330,7 +438,7 @@ def require_saliency(found: LoadedSaliency, name: str) -> None:
 # at the end of it, the product of a longer wave counts over the whole wave.
 
 
-def _seen_at(gains: WaveGains) -> tuple[tuple[int, float], ...]:
+def _seen_at(gains: InjectionGains) -> tuple[tuple[int, float], ...]:
     """How many samples before the correction the errors were made that it counts, and in what
     shares; 0 is the predicted angle of now.
     """
@@ -340,13 +448,13 @@ def _seen_at(gains: WaveGains) -> tuple[tuple[int, float], ...]:
     return tuple((n, 1.0 / count) for n in range(count))
 
 
-def wave_tracking(gains: WaveGains) -> TrackerLoop:
+def wave_tracking(gains: InjectionGains) -> TrackerLoop:
     """The loop for the judgement of a speed loop."""
     ahead = 1.5 if len(gains.carrier) == 2 else 0.0
     return TrackerLoop(gains.t_s, gains.k_p, gains.k_i, _seen_at(gains), ahead)
 
 
-def loop_matrices(gains: WaveGains) -> tuple[FloatArray, FloatArray]:
+def loop_matrices(gains: InjectionGains) -> tuple[FloatArray, FloatArray]:
     """Transition of (angle, speed, earlier errors) and the input of an error of the measurement in
     rad, shapes (n, n) and (n,).
     """
@@ -374,12 +482,12 @@ def loop_matrices(gains: WaveGains) -> tuple[FloatArray, FloatArray]:
     return a, b
 
 
-def largest_pole(gains: WaveGains) -> float:
+def largest_pole(gains: InjectionGains) -> float:
     """Largest modulus of the poles: stable below 1."""
     return float(np.max(np.abs(np.linalg.eigvals(loop_matrices(gains)[0]))))
 
 
-def angle_noise(gains: WaveGains, current_noise: float) -> float:
+def angle_noise(gains: InjectionGains, current_noise: float) -> float:
     """Standard deviation of the angle in rad without load, by white noise of the current of
     ``current_noise`` A per axis.
     """
@@ -509,7 +617,7 @@ def _settings(
     return wave, samples, voltage
 
 
-def design_injection(design: Design, settings: ObserverSettings) -> WaveGains:
+def design_injection(design: Design, settings: ObserverSettings) -> InjectionGains:
     """Gains of the firmware.
 
     Raises:
@@ -556,13 +664,13 @@ class _Shape:
     loop: tuple[float, float]
 
 
-def _gains(shape: _Shape, voltage: float) -> WaveGains:
+def _gains(shape: _Shape, voltage: float) -> InjectionGains:
     machine, t_s = linearised(shape.design.machine), shape.design.control.t_s
     y, loaded = admittance(machine, t_s, shape.samples), shape.loaded
     parts, whole = _wave(shape.wave, shape.samples, voltage, complex(y[0, 0] - y[1, 1]))
     share = loaded.y_delta / (0.5 * (1.0 / machine.l_d - 1.0 / machine.l_q))
     cosine = np.cos(2.0 * loaded.axis)
-    return WaveGains(
+    return InjectionGains(
         t_s=t_s,
         k_p=shape.loop[0],
         k_i=shape.loop[1],
@@ -585,14 +693,14 @@ def current_noise(design: Design) -> float:
     return usual_disturbances(machine, design.inverter.v_dc, 1.0).i_noise
 
 
-def _raised(gains: WaveGains, design: Design) -> float:
+def _raised(gains: InjectionGains, design: Design) -> float:
     """The voltage in V that leaves little noise, as far as the link allows."""
     voltage, noise = gains.carrier[0], angle_noise(gains, current_noise(design))
     most = max(MOST_OF_LINK * design.inverter.v_dc, voltage)
     return min(voltage * max(noise / QUIET_ANGLE, 1.0), most)
 
 
-def _require_stable(gains: WaveGains) -> None:
+def _require_stable(gains: InjectionGains) -> None:
     """Refuse a loop that swings."""
     if largest_pole(gains) >= 1.0:
         raise NoSolutionError(
@@ -601,7 +709,7 @@ def _require_stable(gains: WaveGains) -> None:
         )
 
 
-def _require_quiet(gains: WaveGains, design: Design) -> None:
+def _require_quiet(gains: InjectionGains, design: Design) -> None:
     """Refuse a voltage that noise hides."""
     noise = angle_noise(gains, current_noise(design))
     if noise > NOISE_ANGLE:
@@ -614,7 +722,7 @@ def _require_quiet(gains: WaveGains, design: Design) -> None:
         )
 
 
-def _speeds(design: Design, gains: WaveGains) -> tuple[float, float]:
+def _speeds(design: Design, gains: InjectionGains) -> tuple[float, float]:
     """From standstill to where a turn lasts ten injected periods or the voltage leaves no room for
     the injection.
     """
@@ -628,7 +736,7 @@ def _speeds(design: Design, gains: WaveGains) -> tuple[float, float]:
     return 0.0, min(turn, room / flux, gains.omega_max)
 
 
-def _in_words(gains: WaveGains) -> str:
+def _in_words(gains: InjectionGains) -> str:
     wave = "rotating" if gains.carrier_beta else ("square" if len(gains.carrier) == 2 else "sine")
     frequency = 1.0 / (len(gains.carrier) * gains.t_s)
     bandwidth = math.sqrt(gains.k_i / gains.t_s)
@@ -645,9 +753,10 @@ TRACKER = Tracker(
     design=design_injection,
     start=wave_start,
     step=wave_step,
-    gains=WaveGains,
+    gains=InjectionGains,
     speeds=_speeds,
     in_words=_in_words,
     injects=True,
     loop=wave_tracking,
+    steps=injection_steps,
 )

@@ -1,5 +1,5 @@
-"""Control of a six-step drive in the order of operations of the emitted C: catching a rotor that
-turns, forced start, blocks by the estimator, current and speed.
+"""Control of a six-step drive as the firmware runs it: catching a rotor that turns, forced start,
+blocks by the estimator, current and speed.
 
     stopped -> caught (all legs rest, the back-EMF shows whether and how the rotor turns)
     caught  -> running, where it turns fast enough; else aligning in one block, then in the next
@@ -21,23 +21,23 @@ The current is that of the phase which both blocks share, so that a commutation 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
+from typing import Annotated, Any, NamedTuple
 
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.six_step.sectors import (
-    FED,
-    RETURN,
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.six_step.sector_step import (
+    SIXTH,
     BlockGains,
     BlockState,
-    Real,
-    kept_fed,
-    rising,
-    seen_angle,
+    at_rest,
+    block_start,
+    block_step,
+    rises,
+    six_step_phase,
+    six_step_seen,
 )
-from dqforge.optimizer.six_step.sectors import start as start_estimator
-from dqforge.optimizer.six_step.sectors import step as estimate
+from dqforge.optimizer.six_step.sectors import FED, RETURN
+from dqforge.optimizer.steps.step_arithmetic import Abc, Arithmetic, Member
 
 STOPPED, CATCHING, ALIGNING, RAMP, RUNNING, FAULT = range(6)
 
@@ -45,322 +45,433 @@ STOPPED, CATCHING, ALIGNING, RAMP, RUNNING, FAULT = range(6)
 STAGES = ("stopped", "catching", "aligning", "ramp", "running", "fault")
 NO_FAULT, NO_START, LOST = range(3)
 FAULTS = ("none", "no start", "lost")  # Names of the faults, by their numbers.
+_WHOLE = "int32_t"
 
 
 @dataclass(frozen=True, slots=True)
 class SixStepGains:
-    """Numbers of the control.
-
-    Args:
-        observer: Of the estimator.
-        kp, ki_ts: Of the current of two phases in series, V/A; the integral's per period.
-        emf: Mean back-EMF of two phases in series over the electrical speed in V s/rad.
-        torque: Torque over current in N m/A.
-        i_max: Limit of the current reference in A.
-        duty_least: Least duty cycle while the position is estimated, so that the on-time can be
-            sampled.
-        speed_kp, speed_ki_ts: Of the speed at the least speed, N m s/rad; the integral's per period
-            of the speed controller.
-        omega_low, speed_scale: Least electrical speed in rad/s, and how far the gains may rise with
-            the speed.
-        pole_pairs: Number of pole pairs.
-        ratio: Periods per period of the speed controller.
-        omega_least: Mechanical speed reference in rad/s below which the drive stops.
-        omega_caught: Least electrical speed in rad/s from which it runs on its estimator.
-        i_start, v_start: Current of alignment and ramp in A, and the voltage in V that two phases
-            in series at rest take for it, dead time included.
-        align: Periods of each of the two blocks of the alignment.
-        rise, rate: Of the ramp: blocks per period, its rise per period and its end.
-        settle, gap: Periods from the opening of all legs to the first look at the back-EMF, and
-            from there to the second.
-    """
+    """Numbers of the control."""
 
     observer: BlockGains
-    kp: float
-    ki_ts: float
-    emf: float
-    torque: float
-    i_max: float
-    duty_least: float
-    speed_kp: float
-    speed_ki_ts: float
-    omega_low: float
-    speed_scale: float
+    kp: Annotated[float, Member("of the current of two phases in series", "V/A")]
+    ki_ts: Annotated[float, Member("its integral per period", "V/A")]
+    emf: Annotated[
+        float,
+        Member("mean back-EMF of two phases in series over the electrical speed", "V s/rad"),
+    ]
+    torque: Annotated[float, Member("over the current", "N m/A")]
+    i_max: Annotated[float, Member("A")]
+    duty_least: Annotated[
+        float, Member("while the position is estimated: the on-time can be sampled")
+    ]
+    speed_kp: Annotated[float, Member("at the least speed", "N m s/rad")]
+    speed_ki_ts: Annotated[
+        float, Member("its integral per period of the speed controller", "N m s/rad")
+    ]
+    omega_low: Annotated[float, Member("least speed, rad/s (electrical)")]
+    speed_scale: Annotated[float, Member("how far the gains rise with the speed")]
     pole_pairs: float
-    ratio: int
-    omega_least: float
-    omega_caught: float
-    i_start: float
-    v_start: float
-    align: int
-    rise: float
-    rate: float
-    settle: int
-    gap: int
+    ratio: Annotated[int, Member("periods per period of the speed controller", kind=_WHOLE)]
+    omega_least: Annotated[
+        float, Member("speed reference below which the drive stops, rad/s (mechanical)")
+    ]
+    omega_caught: Annotated[
+        float, Member("least speed from which it runs on its estimator, rad/s (electrical)")
+    ]
+    i_start: Annotated[float, Member("of alignment and ramp", "A")]
+    v_start: Annotated[
+        float, Member("that two phases in series take for it at rest, dead time included", "V")
+    ]
+    align: Annotated[int, Member("periods of each of its two blocks", kind=_WHOLE)]
+    rise: Annotated[float, Member("of the ramp: blocks per period and period")]
+    rate: Annotated[float, Member("its end, blocks per period")]
+    settle: Annotated[
+        int,
+        Member("periods with all legs at rest before the back-EMF is looked at", kind=_WHOLE),
+    ]
+    gap: Annotated[int, Member("and between both looks", kind=_WHOLE)]
 
 
 @dataclass(slots=True)
-class SixStepState:
-    """What the control holds; whole numbers but for ``rate`` and ``phase`` of the ramp, ``beyond``
-    of the first look, the ``integral`` of the current in V, that of the speed and the ``asked``
-    torque in N m. ``ramped`` says that the ramp is over.
-    """
+class SixStep:
+    """What the control keeps from period to period."""
 
-    stage: int
-    fault: int
-    direction: int
-    sector: int
-    count: int
-    ramped: int
-    seen: int
-    tick: int
-    rate: Real
-    phase: Real
-    beyond: Real
-    integral: Real
-    speed_integral: Real
-    asked: Real
-    current: Real
+    stage: Annotated[Any, Member("", kind=_WHOLE)]
+    fault: Annotated[Any, Member("", kind=_WHOLE)]
+    direction: Annotated[Any, Member("1 or -1", kind=_WHOLE)]
+    sector: Annotated[Any, Member("0 to 5: fed now", kind=_WHOLE)]
+    count: Annotated[Any, Member("periods in this stage", kind=_WHOLE)]
+    ramped: Annotated[Any, Member("1: the ramp is over", kind=_WHOLE)]
+    seen: Annotated[Any, Member("sector at the first look", kind=_WHOLE)]
+    tick: Annotated[Any, Member("periods since the speed controller ran", kind=_WHOLE)]
+    rate: Annotated[Reals, Member("of the ramp, blocks per period")]
+    phase: Annotated[Reals, Member("of its block")]
+    beyond: Annotated[Reals, Member("the crossing at the first look, rad")]
+    integral: Annotated[Reals, Member("of the current, V")]
+    speed_integral: Annotated[Reals, Member("N m")]
+    asked: Annotated[Reals, Member("torque, N m")]
+    current: Annotated[Reals, Member("reference, A")]
     observer: BlockState
 
 
-@dataclass(frozen=True, slots=True)
-class Legs:
-    """What the legs do until the next step: the phases ``high`` and ``low``, -1 where all rest, and
-    which of both is ``chopped``: ``duty`` is the share of the period, about its middle, in which it
-    lies at its own rail, else at that of the other.
+class SixStepLegs(NamedTuple):
+    """What the legs do in the next period; phases 0, 1, 2, or -1 where all rest: high lies at the
+    positive rail, low at the negative one, the third leg rests. One of both is chopped: it lies at
+    its rail for the share duty of the period, about its middle, and at the other rail before and
+    after.
     """
 
-    high: int
-    low: int
-    chopped: int
-    duty: Real
+    high: Annotated[Any, Member("", kind=_WHOLE)]
+    low: Annotated[Any, Member("", kind=_WHOLE)]
+    chopped: Annotated[Any, Member("", kind=_WHOLE)]
+    duty: Reals
 
 
-def reset(gains: SixStepGains, real: type) -> SixStepState:
-    """A drive at rest, without a fault.
-
-    Args:
-        gains: Of the control.
-        real: Floating type.
-    """
-    zero = real(0.0)
-    observer = start_estimator(gains.observer, 0, 1, real(gains.omega_caught), zero, real)
-    whole = (STOPPED, NO_FAULT, 1, 0, 0, 0, 0, 0)
-    return SixStepState(*whole, zero, zero, zero, zero, zero, zero, zero, observer)
+def _stage(o: Arithmetic, stage: int) -> Any:
+    name = STAGES[stage].upper()
+    return o.constant(f"SIX_STEP_{name}", stage)
 
 
-def _begin(state: SixStepState, stage: int, real: type) -> None:
-    state.stage = stage
-    state.count = 0
-    state.integral = real(0.0)
+def _fault(o: Arithmetic, fault: int) -> Any:
+    name = FAULTS[fault].upper().replace(" ", "_")
+    return o.constant(f"SIX_STEP_FAULT_{name}", fault)
 
 
-def _catch(gains: SixStepGains, state: SixStepState, v: Sequence[Real], real: type) -> None:
+def blank() -> SixStep:
+    """Members of a state before `six_step_reset`."""
+    zero: Any = 0.0
+    return SixStep(STOPPED, NO_FAULT, 1, *(0,) * 5, *(zero,) * 7, at_rest())
+
+
+def six_step_reset(o: Arithmetic, gains: SixStepGains, drive: SixStep) -> None:
+    """A drive at rest, without a fault."""
+    zero = o.full(0.0, gains.omega_caught)
+    drive.stage, drive.fault = _stage(o, STOPPED), _fault(o, NO_FAULT)
+    drive.direction = 1
+    drive.sector, drive.count, drive.ramped, drive.seen, drive.tick = 0, 0, 0, 0, 0
+    drive.rate, drive.phase, drive.beyond = zero, zero, zero
+    drive.integral, drive.speed_integral, drive.asked, drive.current = zero, zero, zero, zero
+    o.call(block_start, gains.observer, drive.observer, 0, 1, gains.omega_caught, zero)
+
+
+def six_step_begin(o: Arithmetic, drive: SixStep, stage: Any) -> None:
+    """A stage begins."""
+    drive.stage, drive.count = stage, 0
+    drive.integral = o.full(0.0, drive.integral)
+
+
+def six_step_begin_start(o: Arithmetic, drive: SixStep, direction: Any) -> None:
+    """A start in a direction begins."""
+    drive.direction, drive.ramped = direction, 0
+    drive.fault = _fault(o, NO_FAULT)
+    o.call(six_step_begin, drive, _stage(o, CATCHING))
+
+
+def six_step_catch(o: Arithmetic, gains: SixStepGains, drive: SixStep, v: Abc) -> None:
     """All legs rest: two looks at the back-EMF."""
-    state.count += 1
-    if state.count == gains.settle:
-        state.seen, state.beyond, _ = seen_angle(v, state.direction, real)
-    if state.count < gains.settle + gains.gap:
-        return
-    sector, beyond, largest = seen_angle(v, state.direction, real)
-    blocks = (sector - state.seen if state.direction > 0 else state.seen - sector) % 6
-    blocks = blocks - 6 if blocks > 3 else blocks
-    turned = real(1.0471976) * real(blocks) + (beyond - state.beyond)
-    omega = turned / (real(gains.gap) * real(gains.observer.t_s))
-    held = real(0.5) * (real(gains.emf) * real(gains.omega_caught))
-    least = real(0.7) * real(gains.omega_caught)
-    if largest >= held and omega >= least:
-        state.sector = sector
-        x = omega * real(gains.observer.t_s)
-        ahead = beyond + x * real(gains.observer.latency)
-        state.observer = start_estimator(
-            gains.observer, sector, state.direction, omega, ahead, real
+    direction = drive.direction
+    seen = o.let("seen", o.call(six_step_seen, v, direction))
+    drive.count = count = o.let("count", drive.count + 1)
+
+    def first() -> None:
+        drive.seen, drive.beyond = seen.sector, seen.beyond
+
+    def second() -> None:
+        x = o.let("x", o.real(gains.gap) * gains.observer.t_s)
+        held = o.let("held", 0.5 * (gains.emf * gains.omega_caught))
+        least = o.let("least", 0.7 * gains.omega_caught)
+        forwards, backwards = seen.sector - drive.seen, drive.seen - seen.sector
+        passed = o.let("passed", (o.choose(direction > 0, forwards, backwards) + 6) % 6)
+        blocks = o.let("blocks", o.choose(passed > 3, passed - 6, passed))
+        turned = SIXTH * o.real(blocks) + (seen.beyond - drive.beyond)
+        omega = o.let("omega", turned / x)
+
+        def caught() -> None:
+            latency = gains.observer.latency
+            ahead = o.let("ahead", seen.beyond + (omega * gains.observer.t_s) * latency)
+            drive.sector = seen.sector
+            start = gains.observer, drive.observer, seen.sector, direction, omega, ahead
+            o.call(block_start, *start)
+            drive.speed_integral = 0.5 * (gains.torque * gains.i_start)
+            drive.tick = 0
+            o.call(six_step_begin, drive, _stage(o, RUNNING))
+
+        def failed() -> None:
+            drive.fault = _fault(o, NO_START)
+            o.call(six_step_begin, drive, _stage(o, FAULT))
+
+        def waits() -> None:
+            o.remark("it turns the other way: wait")
+            drive.count = 0
+
+        def aligns() -> None:
+            drive.sector = 0
+            o.call(six_step_begin, drive, _stage(o, ALIGNING))
+
+        shows = o.let("shows", seen.largest >= held)
+        o.cases(
+            "",
+            (shows & (omega >= least), caught),
+            (o.negated(o.equal(drive.ramped, 0)), failed),
+            (shows & (omega <= -least), waits),
+            otherwise=aligns,
+            changing=(drive,),
         )
-        state.speed_integral = real(0.5) * (real(gains.torque) * real(gains.i_start))
-        state.tick = 0
-        _begin(state, RUNNING, real)
-    elif state.ramped != 0:
-        state.fault = NO_START
-        _begin(state, FAULT, real)
-    elif largest >= held and omega <= -least:
-        state.count = 0  # it turns the other way: wait
-    else:
-        state.sector = 0
-        _begin(state, ALIGNING, real)
+
+    _where(o, drive, o.equal(count, gains.settle), first)
+    _where(o, drive, count >= gains.settle + gains.gap, second)
 
 
-def _force(gains: SixStepGains, state: SixStepState, real: type) -> None:
+def _where(o: Arithmetic, drive: SixStep, condition: Any, change: Any) -> None:
+    o.cases("", (condition, change), otherwise=lambda: None, changing=(drive,))
+
+
+def six_step_force(o: Arithmetic, gains: SixStepGains, drive: SixStep) -> None:
     """Alignment in two blocks, then blocks at a rising frequency."""
-    one = 1 if state.direction > 0 else 5
-    if state.stage == ALIGNING:
-        state.count += 1
-        if state.count == gains.align:
-            state.sector = (state.sector + one) % 6
-        if state.count >= 2 * gains.align:
-            state.rate = real(0.0)
-            state.phase = real(0.0)
-            state.stage = RAMP
-        return
-    state.rate = state.rate + real(gains.rise)
-    state.phase = state.phase + state.rate
-    if state.phase >= real(1.0):
-        state.phase = state.phase - real(1.0)
-        state.sector = (state.sector + one) % 6
-    if state.rate >= real(gains.rate):
-        state.ramped = 1
-        _begin(state, CATCHING, real)
+    following = (drive.sector + o.choose(drive.direction > 0, 1, 5)) % 6
+    following = o.let("following", following)
+
+    def on() -> None:
+        drive.sector = following
+
+    def aligning() -> None:
+        drive.count = count = o.let("count", drive.count + 1)
+
+        def aligned() -> None:
+            zero = o.full(0.0, drive.rate)
+            drive.rate, drive.phase = zero, zero
+            drive.stage = _stage(o, RAMP)
+
+        _where(o, drive, o.equal(count, gains.align), on)
+        _where(o, drive, count >= 2 * gains.align, aligned)
+
+    def ramp() -> None:
+        drive.rate = rate = o.let("rate", drive.rate + gains.rise)
+        drive.phase = phase = o.let("phase", drive.phase + rate)
+
+        def passed() -> None:
+            drive.phase = phase - 1.0
+            on()
+
+        def ended() -> None:
+            drive.ramped = 1
+            o.call(six_step_begin, drive, _stage(o, CATCHING))
+
+        _where(o, drive, phase >= 1.0, passed)
+        _where(o, drive, rate >= gains.rate, ended)
+
+    aligns = o.equal(drive.stage, _stage(o, ALIGNING))
+    o.cases("", (aligns, aligning), otherwise=ramp, changing=(drive,))
 
 
-def _begin_start(state: SixStepState, direction: int, real: type) -> None:
-    state.direction = direction
-    state.ramped = 0
-    state.fault = NO_FAULT
-    _begin(state, CATCHING, real)
+def six_step_wanted(o: Arithmetic, gains: SixStepGains, drive: SixStep) -> Reals:
+    """Current in A that is wanted."""
+
+    def running() -> Reals:
+        along = o.choose(drive.direction > 0, drive.asked, -drive.asked)
+        current = o.let("asked", along / gains.torque)
+        above = o.let("above", o.choose(current > 0.0, current, o.full(0.0, current)))
+        return o.choose(above < gains.i_max, above, gains.i_max)
+
+    runs = o.equal(drive.stage, _stage(o, RUNNING))
+    return o.cases("current", (runs, running), otherwise=lambda: gains.i_start)
 
 
-def _measured(state: SixStepState, i: Sequence[Real], sector: int) -> Real:
-    if kept_fed(sector, state.direction):
-        return i[FED[sector]]
-    return -i[RETURN[sector]]
-
-
-def _voltage(gains: SixStepGains, state: SixStepState, i: Real, v_dc: Real, real: type) -> Real:
+def six_step_voltage(
+    o: Arithmetic, gains: SixStepGains, drive: SixStep, i: Reals, v_dc: Reals
+) -> Reals:
     """Duty cycle of the fed leg by the current controller."""
-    zero, one = real(0.0), real(1.0)
-    running = state.stage == RUNNING
-    omega = state.observer.omega_e
-    speed = omega if omega >= zero else -omega
-    ahead = real(gains.emf) * speed if running else zero
-    low = real(gains.duty_least) if running else zero
-    error = state.current - i
-    wanted = (ahead + state.integral) + real(gains.kp) * error
-    if not running:
-        rate = state.rate if state.stage == RAMP else zero
-        over = i - real(gains.i_max)
-        wanted = real(gains.v_start) + (real(gains.emf) * rate) * (
-            real(1.0471976) / real(gains.observer.t_s)
-        )
-        wanted = wanted - real(gains.kp) * (over if over > zero else zero)
-        error = zero
-    duty = wanted / v_dc if v_dc > zero else zero
-    if duty >= low and duty <= one:
-        state.integral = state.integral + real(gains.ki_ts) * error
-    elif duty > one:
-        duty = one
-        state.integral = state.integral + real(gains.ki_ts) * (error if error < zero else zero)
-    else:
-        duty = low
-        state.integral = state.integral + real(gains.ki_ts) * (error if error > zero else zero)
-    return duty
+    zero = o.full(0.0, i)
+
+    def regulated() -> tuple[Reals, Reals, Reals]:
+        omega = drive.observer.omega_e
+        speed = o.choose(omega >= 0.0, omega, -omega)
+        difference = o.let("difference", drive.current - i)
+        wanted = (gains.emf * speed + drive.integral) + gains.kp * difference
+        return wanted, difference, gains.duty_least
+
+    def forced() -> tuple[Reals, Reals, Reals]:
+        o.remark("a voltage: a regulated current would leave the rotor to swing without damping")
+        ramps = o.equal(drive.stage, _stage(o, RAMP))
+        rate = o.let("rate", o.choose(ramps, drive.rate, zero))
+        over = o.let("over", i - gains.i_max)
+        emf = (gains.emf * rate) * (SIXTH / gains.observer.t_s)
+        excess = o.choose(over > 0.0, over, zero)
+        return (gains.v_start + emf) - gains.kp * excess, zero, zero
+
+    runs = o.equal(drive.stage, _stage(o, RUNNING))
+    wanted, error, low = o.cases(("wanted", "error", "low"), (runs, regulated), otherwise=forced)
+    asked = o.let("asked", o.choose(v_dc > 0.0, wanted / v_dc, zero))
+
+    def moved(by: Reals) -> None:
+        drive.integral = drive.integral + gains.ki_ts * by
+
+    def within() -> Reals:
+        moved(error)
+        return asked
+
+    def above() -> Reals:
+        moved(o.choose(error < 0.0, error, zero))
+        return o.full(1.0, asked)
+
+    def below() -> Reals:
+        moved(o.choose(error > 0.0, error, zero))
+        return low
+
+    return o.cases(
+        "duty",
+        ((asked >= low) & (asked <= 1.0), within),
+        (asked > 1.0, above),
+        otherwise=below,
+        changing=(drive,),
+    )
 
 
-def _wanted_current(gains: SixStepGains, state: SixStepState, real: type) -> Real:
-    zero = real(0.0)
-    if state.stage != RUNNING:
-        return real(gains.i_start)
-    along = state.asked if state.direction > 0 else -state.asked
-    current = along / real(gains.torque)
-    current = zero if not current > zero else current
-    return current if current < real(gains.i_max) else real(gains.i_max)
-
-
-def speed_control(gains: SixStepGains, state: SixStepState, reference: Real, real: type) -> Real:
-    """Torque in N m for a mechanical speed reference in rad/s; call it before `step`.
-
-    A stopped drive starts where the reference asks for a speed, and a running one stops where it
+def six_step_speed_control(
+    o: Arithmetic, gains: SixStepGains, drive: SixStep, reference: Reals
+) -> Reals:
+    """Torque in N m for a mechanical speed reference in rad/s; call it once per period, before the
+    step. A stopped drive starts where the reference asks for a speed, a running one stops where it
     asks for none, or for the other direction.
-
-    Args:
-        gains: Of the control.
-        state: Before and after.
-        reference: Mechanical speed in rad/s.
-        real: Floating type.
     """
-    zero = real(0.0)
-    way = 1 if reference >= zero else -1
-    size = reference if way > 0 else -reference
-    wanted = bool(size >= real(gains.omega_least))
-    if state.stage == STOPPED:
-        if wanted:
-            _begin_start(state, way, real)
-    elif state.stage == RUNNING:
-        if not wanted or way != state.direction:
-            slow = state.observer.omega_e if way > 0 else -state.observer.omega_e
-            slow = slow if slow >= zero else -slow
-            if state.observer.lost != 0 or slow < real(gains.omega_caught):
-                _begin(state, STOPPED, real)
-            state.asked = zero
-            state.speed_integral = zero
-        elif state.tick == 0:
-            most = real(gains.torque) * real(gains.i_max)
-            omega = state.observer.omega_e / real(gains.pole_pairs)
-            error = reference - omega
-            error = error if way > 0 else -error
-            seen = state.observer.omega_e if way > 0 else -state.observer.omega_e
-            scale = seen / real(gains.omega_low)
-            scale = scale if scale > real(1.0) else real(1.0)
-            scale = scale if scale < real(gains.speed_scale) else real(gains.speed_scale)
-            asked = (scale * real(gains.speed_kp)) * error + state.speed_integral
-            if (asked < most or error < zero) and (asked > zero or error > zero):
-                gain = (scale * scale) * real(gains.speed_ki_ts)
-                state.speed_integral = state.speed_integral + gain * error
-            asked = most if asked > most else asked
-            asked = zero if not asked > zero else asked
-            state.asked = asked if way > 0 else -asked
-    state.tick = state.tick + 1 if state.tick + 1 < gains.ratio else 0
-    return state.asked
+    way = o.let("way", o.choose(reference >= 0.0, 1, -1))
+    size = o.let("size", o.choose(way > 0, reference, -reference))
+    wanted = o.let("wanted", size >= gains.omega_least)
+    zero = o.full(0.0, reference)
+
+    def stops() -> None:
+        omega = drive.observer.omega_e
+        slow = o.let("slow", o.choose(omega >= 0.0, omega, -omega))
+        ended = o.negated(o.equal(drive.observer.lost, 0)) | (slow < gains.omega_caught)
+        _where(o, drive, ended, lambda: o.call(six_step_begin, drive, _stage(o, STOPPED)))
+        drive.asked, drive.speed_integral = zero, zero
+
+    def controls() -> None:
+        drive.asked = _regulated(o, gains, drive, reference, way)
+
+    def between() -> None:
+        o.remark("between two samples of the speed")
+
+    def stopped() -> None:
+        _where(o, drive, wanted, lambda: o.call(six_step_begin_start, drive, way))
+
+    def running() -> None:
+        other = o.negated(wanted) | o.negated(o.equal(way, drive.direction))
+        o.cases(
+            "",
+            (other, stops),
+            (o.equal(drive.tick, 0), controls),
+            otherwise=between,
+            changing=(drive,),
+        )
+
+    o.switch(
+        "",
+        drive.stage,
+        {_stage(o, STOPPED): stopped, _stage(o, RUNNING): running},
+        lambda: o.remark("it starts, or waits for the end of a fault"),
+        changing=(drive,),
+    )
+    later = o.let("later", drive.tick + 1)
+    drive.tick = o.choose(later < gains.ratio, later, 0)
+    return drive.asked
 
 
-def torque_control(state: SixStepState, reference: Real, real: type) -> Real:
-    """Torque in N m that is asked for; a stopped drive starts in its direction.
+def _regulated(
+    o: Arithmetic, gains: SixStepGains, drive: SixStep, reference: Reals, way: Any
+) -> Reals:
+    """Torque in N m of the speed controller."""
+    zero = o.full(0.0, reference)
+    most = o.let("most", gains.torque * gains.i_max)
+    omega = drive.observer.omega_e
+    gap = o.let("gap", reference - omega / gains.pole_pairs)
+    error = o.let("error", o.choose(way > 0, gap, -gap))
+    seen = o.choose(way > 0, omega, -omega)
+    ratio = o.let("ratio", seen / gains.omega_low, "the faster it turns, the sooner it is known")
+    above = o.let("above", o.choose(ratio > 1.0, ratio, o.full(1.0, ratio)))
+    scale = o.let("scale", o.choose(above < gains.speed_scale, above, gains.speed_scale))
+    asked = o.let("asked", (scale * gains.speed_kp) * error + drive.speed_integral)
 
-    Args:
-        state: Before and after.
-        reference: In N m; against the rotation it counts as none.
-        real: Floating type.
+    def integrated() -> None:
+        gain = (scale * scale) * gains.speed_ki_ts
+        drive.speed_integral = drive.speed_integral + gain * error
+
+    free = ((asked < most) | (error < 0.0)) & ((asked > 0.0) | (error > 0.0))
+    _where(o, drive, free, integrated)
+    below = o.let("below", o.choose(asked > most, most, asked))
+    given = o.let("given", o.choose(below > 0.0, below, zero))
+    return o.choose(way > 0, given, -given)
+
+
+def six_step_torque_control(o: Arithmetic, drive: SixStep, reference: Reals) -> Reals:
+    """The same for a torque reference in N m: a stopped drive starts in its direction; against the
+    rotation it counts as none.
     """
-    zero = real(0.0)
-    if state.stage == STOPPED and (reference > zero or reference < zero):
-        _begin_start(state, 1 if reference > zero else -1, real)
-    state.asked = zero if np.isnan(reference) else reference
-    return state.asked
+    stopped = o.equal(drive.stage, _stage(o, STOPPED))
+    way = o.let("way", o.choose(reference > 0.0, 1, -1))
+    starts = stopped & ((reference > 0.0) | (reference < 0.0))
+    _where(o, drive, starts, lambda: o.call(six_step_begin_start, drive, way))
+    given = o.choose(o.is_number(reference), reference, o.full(0.0, reference))
+    drive.asked = asked = o.let("asked", given)
+    return asked
 
 
-def step(
-    gains: SixStepGains,
-    state: SixStepState,
-    v: Sequence[Real],
-    i: Sequence[Real],
-    v_dc: Real,
-    real: type,
-) -> Legs:
-    """One period, in place: what the legs do in the next one.
-
-    Args:
-        gains: Of the control.
-        state: Before and after.
-        v: Voltages of the terminals in V, sampled in the middle of the period.
-        i: Currents into the phases in A, sampled there.
-        v_dc: Voltage of the link in V.
-        real: Floating type.
+def six_step_step(
+    o: Arithmetic, gains: SixStepGains, drive: SixStep, v: Abc, i: Abc, v_dc: Reals
+) -> SixStepLegs:
+    """One period: voltages of the terminals and currents into the phases, both sampled in its
+    middle, and the link's voltage in V; what the legs do in the next one.
     """
-    before = state.sector
-    if state.stage == CATCHING:
-        _catch(gains, state, v, real)
-    elif state.stage == RUNNING:
-        estimate(gains.observer, state.observer, v, real)
-        state.sector = state.observer.sector
-        if state.observer.lost != 0:
-            state.fault = LOST
-            _begin(state, FAULT, real)
-    elif state.stage in (ALIGNING, RAMP):
-        _force(gains, state, real)
-    if state.stage in (STOPPED, CATCHING, FAULT):
-        return Legs(-1, -1, -1, real(0.0))
-    state.current = _wanted_current(gains, state, real)
-    duty = _voltage(gains, state, _measured(state, i, before), v_dc, real)
-    high, low = FED[state.sector], RETURN[state.sector]
-    falls = rising(state.sector, state.direction) < 0
-    upside = state.stage == RUNNING and gains.observer.by_integral != 0 and falls
-    return Legs(high, low, low if upside else high, duty)
+    before = o.let("before", drive.sector)
+    aligning, ramp, running = (_stage(o, stage) for stage in (ALIGNING, RAMP, RUNNING))
+
+    def lost() -> None:
+        drive.fault = _fault(o, LOST)
+        o.call(six_step_begin, drive, _stage(o, FAULT))
+
+    def estimated() -> None:
+        o.call(block_step, gains.observer, drive.observer, v)
+        drive.sector = drive.observer.sector
+        _where(o, drive, o.negated(o.equal(drive.observer.lost, 0)), lost)
+
+    def forced() -> None:
+        o.call(six_step_force, gains, drive)
+
+    o.switch(
+        "",
+        drive.stage,
+        {
+            _stage(o, CATCHING): lambda: o.call(six_step_catch, gains, drive, v),
+            running: estimated,
+            (aligning, ramp): forced,
+        },
+        lambda: o.remark("at rest"),
+        changing=(drive,),
+    )
+
+    def fed() -> SixStepLegs:
+        # the phase that both blocks share is fed, or returns the current
+        first = o.constant("SIX_STEP_FED", FED)
+        second = o.constant("SIX_STEP_RETURN", RETURN)
+        goes = o.call(six_step_phase, i, o.at(first, before))
+        returns = o.call(six_step_phase, i, o.at(second, before))
+        shared = o.let("shared", o.choose(rises(before, drive.direction), goes, -returns))
+        drive.current = o.let("current", o.call(six_step_wanted, gains, drive))
+        duty = o.let("duty", o.call(six_step_voltage, gains, drive, shared, v_dc))
+        high = o.let("high", o.at(first, drive.sector))
+        low = o.let("low", o.at(second, drive.sector))
+        by_integral = o.negated(o.equal(gains.observer.by_integral, 0))
+        falls = o.negated(rises(drive.sector, drive.direction))
+        flat = o.let(
+            "falls",
+            o.equal(drive.stage, running) & by_integral & falls,
+            "the diodes of the third leg stay free of current while it is integrated",
+        )
+        return SixStepLegs(high, low, o.choose(flat, low, high), duty)
+
+    def rests() -> SixStepLegs:
+        return SixStepLegs(-1, -1, -1, o.full(0.0, v_dc))
+
+    acts = o.equal(drive.stage, aligning) | o.equal(drive.stage, ramp)
+    acts = acts | o.equal(drive.stage, running)
+    return o.cases("legs", (acts, fed), otherwise=rests, changing=(drive,))

@@ -21,9 +21,9 @@ from dqforge.optimizer.loops.loop_gains import LoopGains, tune_current_loop
 from dqforge.optimizer.loops.pi_methods import speed_pi
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT
 from dqforge.optimizer.six_step.control import SixStepGains
+from dqforge.optimizer.six_step.sector_step import BlockGains
 from dqforge.optimizer.six_step.sectors import (
     SECTOR,
-    BlockGains,
     BlockShape,
     block_shape,
     dq_inductances,

@@ -7,8 +7,9 @@ from it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
+from enum import IntEnum
 from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
@@ -65,12 +66,15 @@ class Member:
         meaning, unit: As said.
         suffix: The unit as it stands behind the name where names tell units, else nothing.
         whole: Whether it is a whole number from 0 on.
+        kind: Its type in C where that is neither ``float`` nor, of whole ones, ``uint32_t``; an
+            enumeration, whose type has the prefix of all names.
     """
 
     meaning: str
     unit: str = ""
     suffix: str = ""
     whole: bool = False
+    kind: str | type[IntEnum] = ""
 
     @property
     def text(self) -> str:
@@ -80,6 +84,7 @@ class Member:
 
 _Gains = TypeVar("_Gains")
 _T = TypeVar("_T")
+_N = TypeVar("_N")
 _V = TypeVar("_V", bound=tuple[Any, ...])
 _P = ParamSpec("_P")
 
@@ -93,7 +98,7 @@ class Arithmetic(Floats):
     """
 
     wrap: Callable[[Reals], Reals]
-    rotation: Callable[[Reals], Pair]
+    rotation: Callable[[Reals], Rotation]
 
     def let(self, name: str, value: _T, meaning: str = "") -> _T:  # noqa: ARG002
         """Give a value its name in the firmware.
@@ -204,6 +209,60 @@ class Arithmetic(Floats):
         """
         return np.minimum(np.asarray(a).astype(np.intp), most)
 
+    def with_item(self, array: tuple[_N, ...], place: Any, value: Any) -> tuple[_N, ...]:
+        """An array of the state with another number at a place, which is given back to its member
+        at once.
+        """
+        if np.ndim(place) == 0:
+            at = int(place)
+            return (*array[:at], value, *array[at + 1 :])
+        numbers: Any = array
+        chosen: Any = [self.choose(place == n, value, item) for n, item in enumerate(numbers)]
+        return tuple(chosen)
+
+    def table(self, name: str, values: Sequence[float]) -> Sequence[Any]:  # noqa: ARG002
+        """Constant numbers, for `at`."""
+        return np.asarray(values, dtype=self.number)  # type: ignore[return-value]
+
+    def place(self, a: Reals) -> Any:
+        """Numbers from 0 on without what is behind the point, as places of arrays."""
+        return np.asarray(a).astype(np.int32)
+
+    def constant(self, name: str, value: _T) -> _T:  # noqa: ARG002
+        """A whole number that has a name of its own in the firmware: that of a macro or of an
+        enumeration, in capitals and without the prefix.
+        """
+        return value
+
+    def equal(self, a: Any, b: Any) -> Any:
+        """Whether two whole numbers are the same."""
+        return a == b
+
+    def negated(self, condition: Any) -> Any:
+        """That a condition does not hold."""
+        return np.logical_not(condition)
+
+    def switch(
+        self,
+        name: str | tuple[str, ...],
+        value: Any,
+        branches: Mapping[Any, Callable[[], _T]],
+        otherwise: Callable[[], _T],
+        changing: Sequence[Any] = (),
+    ) -> _T:
+        """As `cases`, by what a whole number is.
+
+        Args:
+            name, otherwise, changing: As of `cases`.
+            value: The number.
+            branches: What is computed, by the number; a tuple of keys has one branch.
+        """
+        found: list[tuple[Any, Callable[[], _T]]] = []
+        for key, branch in branches.items():
+            keys = key if isinstance(key, tuple) else (key,)
+            found += [(value == one, branch) for one in keys]
+        return self.cases(name, *found, otherwise=otherwise, changing=changing)
+
     def reached(self, name: str, conditions: Sequence[Any]) -> Any:  # noqa: ARG002
         """How many conditions hold, of which each one implies those before it: a place."""
         return sum(np.asarray(condition).astype(np.intp) for condition in conditions)
@@ -284,8 +343,8 @@ def _wrap(theta: Reals) -> Reals:
     return np.asarray((theta + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def _rotation(theta: Reals) -> Pair:
-    return np.cos(theta), np.sin(theta)
+def _rotation(theta: Reals) -> Rotation:
+    return Rotation(np.cos(theta), np.sin(theta))
 
 
 EXACT = Arithmetic(np.float64, _wrap, _rotation)  # Double precision.

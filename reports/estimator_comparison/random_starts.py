@@ -31,7 +31,7 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.methods.flux import design as flux_gains
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import LARGEST_TURN, ObserverTuning
-from dqforge.optimizer.saliency.injection import TRACKER, WaveGains
+from dqforge.optimizer.saliency.injection import TRACKER, InjectionGains
 from dqforge.optimizer.solution import solve
 from dqforge.optimizer.start_up.plan import LEAST_SALIENCY, StartUpPlan, start_up_plan
 from dqforge.optimizer.start_up.solve import StartRate, StartRecord, judge_start
@@ -318,7 +318,7 @@ _SQUARE_WAVE = (
 )
 
 
-def square_wave_bytes(gains: WaveGains) -> bytes:
+def square_wave_bytes(gains: InjectionGains) -> bytes:
     """Bytes of ``<prefix>_injection_gains_t`` of a square wave on this machine.
 
     Args:

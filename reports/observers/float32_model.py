@@ -286,7 +286,7 @@ def tracker_outputs(found: EmittedTracker, inputs: SingleArray) -> SingleArray:
     """
     tracker, own = found.tracker, cast(found.gains, SINGLE)
     rows = inputs.reshape(-1, _LENGTH, inputs.shape[1])
-    state = tracker.start(own, wrap(rows[:, 0, 1].copy()), rows[:, 0, 2].copy())
+    state: Any = tracker.start(own, wrap(rows[:, 0, 1].copy()), rows[:, 0, 2].copy())
     answers = np.empty((*rows.shape[:2], 6 if tracker.injects else 2), dtype=np.float32)
     with np.errstate(all="ignore"):  # rough sequences may leave the range of single precision
         for k in range(_LENGTH):
@@ -298,8 +298,6 @@ def tracker_outputs(found: EmittedTracker, inputs: SingleArray) -> SingleArray:
             )
             answers[:, k, 0], answers[:, k, 1] = state.theta_e, state.omega_e
             if tracker.injects:
-                assert state.added is not None
-                assert state.seen is not None
-                for n, value in enumerate((*state.added, *state.seen)):
+                for n, value in enumerate((*state.added, *state.current)):
                     answers[:, k, 2 + n] = value
     return answers.reshape(-1, answers.shape[2])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from textwrap import wrap as folded
 from typing import TYPE_CHECKING, Any
 
@@ -123,10 +122,8 @@ def tracker_files(design: Design, found: TunedTracker, file: str = "observer") -
         "file": file,
         "kind": "position",
         "code": tracker.code,
-        "gains": asdict(found.gains),
+        "body": tracker_text(tracker, found.gains, prefix, prefix.upper()),
     }
-    if tracker.members is not None:
-        context["body"] = tracker_text(tracker, found.gains, prefix, prefix.upper())
     return {f"{prefix}_{file}.h": render("observers/observer.h.j2", context).encode("ascii")}
 
 

@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dqforge.optimizer.six_step.control import (
+    SixStep,
     SixStepGains,
-    SixStepState,
-    reset,
-    speed_control,
-    step,
-    torque_control,
+    blank,
+    six_step_reset,
+    six_step_speed_control,
+    six_step_step,
+    six_step_torque_control,
 )
+from dqforge.optimizer.steps.step_arithmetic import Abc, cast
+from dqforge.reports.c_code.harness import SINGLE
 
 if TYPE_CHECKING:
     from dqforge.optimizer.curves.single_precision import SingleArray
@@ -79,19 +82,18 @@ def six_step_inputs(gains: SixStepGains, count: int, seed: int) -> SingleArray:
     return np.ascontiguousarray(np.concatenate(parts).astype(np.float32))
 
 
-def _row(state: SixStepState, gains: SixStepGains, given: SingleArray) -> list[float]:
-    real = np.float32
+def _row(drive: SixStep, gains: SixStepGains, given: SingleArray) -> list[float]:
     if given[1] > 0.0:
-        asked = torque_control(state, given[9], real)
+        asked = six_step_torque_control(SINGLE, drive, given[9])
     else:
-        asked = speed_control(gains, state, given[9], real)
-    v, i = (given[2], given[3], given[4]), (given[5], given[6], given[7])
-    legs = step(gains, state, v, i, given[8], real)
-    seen = state.observer
-    return [
-        state.stage,
-        state.fault,
-        state.sector,
+        asked = six_step_speed_control(SINGLE, gains, drive, given[9])
+    v, i = Abc(*given[2:5]), Abc(*given[5:8])
+    legs = six_step_step(SINGLE, gains, drive, v, i, given[8])
+    seen = drive.observer
+    found = (
+        drive.stage,
+        drive.fault,
+        drive.sector,
         legs.high,
         legs.low,
         legs.duty,
@@ -99,7 +101,8 @@ def _row(state: SixStepState, gains: SixStepGains, given: SingleArray) -> list[f
         seen.omega_e,
         asked,
         legs.chopped,
-    ]
+    )
+    return [float(number) for number in found]
 
 
 def six_step_outputs(gains: SixStepGains, inputs: SingleArray) -> SingleArray:
@@ -109,11 +112,12 @@ def six_step_outputs(gains: SixStepGains, inputs: SingleArray) -> SingleArray:
         gains: Of the control, float32 values.
         inputs: Of `six_step_inputs`.
     """
-    found = np.empty((len(inputs), RESULTS), dtype=np.float32)
-    state = reset(gains, np.float32)
+    found, own = np.empty((len(inputs), RESULTS), dtype=np.float32), cast(gains, SINGLE)
+    drive = blank()
+    six_step_reset(SINGLE, own, drive)
     with np.errstate(all="ignore"):
         for place, given in enumerate(inputs):
             if given[0] > 0.0:
-                state = reset(gains, np.float32)
-            found[place] = _row(state, gains, given)
+                six_step_reset(SINGLE, own, drive)
+            found[place] = _row(drive, own, given)
     return found

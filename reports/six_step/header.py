@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import fields
 from functools import partial
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
@@ -15,8 +15,8 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.names import SIX_STEP_METHODS
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.six_step.control import FAULTS, STAGES, SixStepGains
-from dqforge.optimizer.six_step.sectors import BlockGains
+from dqforge.optimizer.six_step.control import SixStepGains
+from dqforge.optimizer.six_step.sector_step import BlockGains
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,
@@ -30,6 +30,7 @@ from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
 from dqforge.reports.pages.templating import Chapter, render
 from dqforge.reports.plain_data import PlainData, shortest
+from dqforge.reports.six_step.control_text import control_text
 from dqforge.reports.six_step.float32_model import six_step_inputs, six_step_outputs
 
 if TYPE_CHECKING:
@@ -177,12 +178,7 @@ def six_step_files(design: Design, found: SixStepDesign) -> dict[str, bytes]:
     context: PlainData = {
         **title(design),
         "preamble": _preamble(design, found),
-        "code": code_of(found.method),
-        "gains": asdict(found.gains),
-        "names": [field.name for field in fields(SixStepGains) if field.name != "observer"],
-        "whole": _WHOLE,
-        "stages": STAGES,
-        "faults": FAULTS,
+        "body": control_text(code_of(found.method), found.gains, prefix, prefix.upper()),
     }
     text = render("six_step/six_step.h.j2", context)
     return {f"{prefix}_six_step.h": text.encode("ascii")}

@@ -399,8 +399,7 @@ class Phases:
         """Axis and polarity by saliency."""
         drive, s, low = self.drive, self.s, self.drive.low
         assert low is not None
-        assert low.seen is not None
-        seen = (scalar(low.seen[0]), scalar(low.seen[1]))
+        seen = (scalar(low.current[0]), scalar(low.current[1]))
         theta, reference = scalar(low.theta_e), _ZERO
         if drive.state == State.POLARITY:
             place = 0 if drive.time < s.polarity_samples else 1
@@ -436,7 +435,6 @@ class Phases:
         """Both estimators mixed; the currents for the controllers."""
         drive, s, low = self.drive, self.s, self.drive.low
         assert low is not None
-        assert low.seen is not None
         theta, omega = scalar(low.theta_e), scalar(low.omega_e)
         speed = abs(drive.omega_e)
         gap = wrapped(scalar(drive.observer.theta_e) - theta)
@@ -451,7 +449,7 @@ class Phases:
         drive.hold(towards(held[0], s.held_A, s.ramp_A_step), held[1])
         if speed < s.stall_below:
             drive.observer = observer_start(self.model, theta, omega)
-        return currents_of((scalar(low.seen[0]), scalar(low.seen[1])))
+        return currents_of((scalar(low.current[0]), scalar(low.current[1])))
 
 
 # What the start-up of a machine of any back-EMF does besides: how its tracker follows the ramp,

@@ -6,9 +6,10 @@ from functools import cache
 
 from dqforge.optimizer.steps import angle_functions as angles
 from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Arithmetic, Dq, Rotation
-from dqforge.reports.steps.kept_members import vector
+from dqforge.reports.steps.blocks import Block
 from dqforge.reports.steps.record_text import SHARED, vector_struct
-from dqforge.reports.steps.step_reader import Block, Functions, StepReader
+from dqforge.reports.steps.state_text import vector
+from dqforge.reports.steps.step_reader import Functions, StepReader
 from dqforge.reports.steps.symbols import Expression
 
 

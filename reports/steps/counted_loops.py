@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
+from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.steps.symbols import Condition, Expression, expression, folded, joined
 
 
@@ -40,10 +41,11 @@ def place(text: str, **more: Any) -> Index:
 
 def item(table: Sequence[Any], place: Any, column: int | None = None) -> Any:
     """The number of an array at a place, of an array of rows in a column."""
-    if not isinstance(place, Index):
+    if not isinstance(place, Expression):
         return table[place]
     parts, behind = (expression(table[0]), place), "" if column is None else f"[{column}]"
-    return joined(f"{parts[0].whole}[{place.bare()}]{behind}", *parts, atom=True, kind="float")
+    text = f"{parts[0].whole}[{place.bare()}]{behind}"
+    return joined(text, *parts, atom=True, kind=parts[0].kind)
 
 
 def placed(reader: Writer, name: str, value: Expression, most: int) -> Index:
@@ -56,6 +58,16 @@ def placed(reader: Writer, name: str, value: Expression, most: int) -> Index:
     begin = folded(f"{name} = (unsigned int)", value.operand(), ";", block.indent)
     block.work([*begin, f"{block.indent}if ({name} > {most}U) {{", end, f"{block.indent}}}"])
     return place(name)
+
+
+def constants(reader: Writer, name: str, values: Sequence[float]) -> tuple[Expression, ...]:
+    """Constant numbers of an array."""
+    block = reader.block
+    block.take(name)
+    texts = ", ".join(map(float_literal, values))
+    begin = f"static const float {name}[{len(values)}] = {{ "
+    block.constants(folded(begin, texts, " };", block.indent))
+    return tuple(Expression(f"{name}[{n}]", whole=name) for n in range(len(values)))
 
 
 def filled(

@@ -26,10 +26,10 @@ from dqforge.optimizer.fixed_observers.kit import (
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.reports.c_code.numbers import comment_text
 from dqforge.reports.steps import integers
+from dqforge.reports.steps.blocks import Block
 from dqforge.reports.steps.integers import CODES, INT32, INT64, UINT32, WORD, Number, holds, made
 from dqforge.reports.steps.observer_text import gap
 from dqforge.reports.steps.record_text import c_name, comment, said, sentence, struct
-from dqforge.reports.steps.step_reader import Block
 from dqforge.reports.steps.symbols import WIDTH as LINE_WIDTH
 from dqforge.reports.steps.symbols import folded
 

@@ -23,6 +23,7 @@ from dqforge.optimizer.fixed_observers.kit import (
 )
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.reports.c_code.numbers import int32_literal, int64_literal
+from dqforge.reports.steps.blocks import Block
 from dqforge.reports.steps.integer_reader import (
     VECTORS,
     Functions,
@@ -33,10 +34,9 @@ from dqforge.reports.steps.integer_reader import (
     whole_of,
 )
 from dqforge.reports.steps.integers import CODES, INT32, INT64, UINT32, WORD, Number
-from dqforge.reports.steps.kept_members import Assignment
 from dqforge.reports.steps.observer_text import Path, gap, in_order, merged, statements
 from dqforge.reports.steps.record_text import comment, said, sentence, struct
-from dqforge.reports.steps.step_reader import Block
+from dqforge.reports.steps.state_text import Assignment
 from dqforge.reports.steps.symbols import folded
 
 

@@ -11,7 +11,7 @@ from typing import Any, get_type_hints
 
 from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Dq, Member, Rotation
 from dqforge.reports.c_code.numbers import comment_text, float_literal
-from dqforge.reports.steps.symbols import Expression, Origin, folded
+from dqforge.reports.steps.symbols import Expression, Origin, expression, folded
 
 # Vectors that `dqforge.reports.steps.control_types` declares.
 SHARED: dict[type[Any], str] = {
@@ -72,10 +72,12 @@ def member_name(kind: type[Any], name: str) -> str:
     return name if member is None or not member.suffix else f"{name}_{member.suffix}"
 
 
-def kind_of(kind: type[Any], name: str) -> str:
-    """Type in C of a member of a record that is a number."""
+def kind_of(kind: type[Any], name: str, prefix: str = "") -> str:
+    """Type in C of a member of a record that is a number; ``prefix`` is that of enumerations."""
     member = _member(kind, name)
-    return "uint32_t" if member is not None and member.whole else "float"
+    if member is None or not member.kind:
+        return "uint32_t" if member is not None and member.whole else "float"
+    return member.kind if isinstance(member.kind, str) else f"{prefix}_{c_name(member.kind)}_t"
 
 
 def sentence(item: Any) -> str:
@@ -98,7 +100,7 @@ def struct(name: str, members: Sequence[tuple[str, str]]) -> list[str]:
 
 def vector_struct(kind: type[Any], prefix: str) -> list[str]:
     """The type of a vector that no header declares."""
-    members = [(f"float {n}", said(kind, n)) for n in kind._fields]
+    members = [(f"{kind_of(kind, n, prefix)} {n}", said(kind, n)) for n in kind._fields]
     return [*comment(sentence(kind)), *struct(f"{prefix}_{c_name(kind)}_t", members)]
 
 
@@ -115,28 +117,34 @@ def record_structs(
         if is_dataclass(value):
             yield from record_structs(value, prefix, members, known)
             lines.append((f"{prefix}_{c_name(type(value))}_t {own}", text))
-        elif hasattr(value, "_fields"):
-            lines.append((f"{prefix}_{c_name(type(value))}_t {own}", text))
         else:
-            size = f"[{len(value)}]" if isinstance(value, tuple) else ""
-            lines.append((f"{kind_of(kind, name)} {own}{size}", text))
+            size = ""
+            if isinstance(value, tuple) and not hasattr(value, "_fields"):
+                value, size = value[0], f"[{len(value)}]"  # noqa: PLW2901
+            if hasattr(value, "_fields"):
+                lines.append((f"{prefix}_{c_name(type(value))}_t {own}{size}", text))
+            else:
+                lines.append((f"{kind_of(kind, name, prefix)} {own}{size}", text))
     if c_name(kind) not in known:
         known.add(c_name(kind))
         yield [*comment(sentence(kind)), *struct(f"{prefix}_{c_name(kind)}_t", lines)]
 
 
-def record_values(like: Any, members: set[Origin]) -> list[str]:
-    """Lines of an initialiser, without the outermost braces."""
+def record_values(like: Any, members: set[Origin] | None) -> list[str]:
+    """Lines of an initialiser, without the outermost braces; ``members`` as of `record_structs`."""
     found, indent = list[str](), "    "
-    for _, value in _needed(like, members):
+    for name, value in _needed(like, members):
+        kind = kind_of(type(like), name)
         if is_dataclass(value):
             inner = [line.strip() for line in record_values(value, members)]
             found.append("\n".join(folded("{ ", " ".join(inner), " }", indent)))
         elif isinstance(value, tuple):
             numbers = ", ".join(map(float_literal, value))
             found.append("\n".join(folded("{ ", numbers, " }", indent)))
-        else:
+        elif kind == "float":
             found.append(indent + float_literal(value))
+        else:
+            found.append(indent + expression(value, kind).text)
     return ",\n".join(found).split("\n")
 
 

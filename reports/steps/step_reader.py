@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from enum import IntEnum
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numpy as np
@@ -25,8 +26,10 @@ from dqforge.optimizer.steps.step_arithmetic import (
     Rotation,
 )
 from dqforge.reports.c_code.numbers import comment_text
+from dqforge.reports.steps.blocks import Arm, Block
 from dqforge.reports.steps.counted_loops import (
     Index,
+    constants,
     filled,
     item,
     place,
@@ -34,17 +37,7 @@ from dqforge.reports.steps.counted_loops import (
     reached,
     summed,
 )
-from dqforge.reports.steps.kept_members import (
-    Assignment,
-    Kept,
-    assignments,
-    handed_on,
-    members_at,
-    vector,
-    whole_of,
-)
 from dqforge.reports.steps.record_text import (
-    LINE,
     SHARED,
     c_name,
     comment,
@@ -53,14 +46,29 @@ from dqforge.reports.steps.record_text import (
     member_name,
     sentence,
 )
+from dqforge.reports.steps.state_text import (
+    Assignment,
+    Kept,
+    assignments,
+    handed_on,
+    members_at,
+    numbers_of,
+    ordered,
+    state_vector,
+    vector,
+    whole_of,
+)
 from dqforge.reports.steps.symbols import (
     WIDTH,
     Condition,
     Expression,
     Origin,
+    equal,
     expression,
     folded,
     joined,
+    name_of,
+    whole_kind,
 )
 
 _T = TypeVar("_T")
@@ -69,73 +77,12 @@ _P = ParamSpec("_P")
 
 
 @dataclass(slots=True)
-class Block:
-    """Statements of a function in the order of their text; ``names`` are taken in it, ``inside``
-    in the blocks of its loops, and ``declared`` lines stand before the first statement that is no
-    declaration, None without one.
-    """
-
-    indent: str
-    names: set[str]
-    lines: list[str] = field(default_factory=list)
-    declared: int | None = None
-    inside: set[str] = field(default_factory=set)
-
-    def inner(self) -> Block:
-        """A block in it."""
-        return Block(self.indent + "    ", set(self.names))
-
-    def take(self, name: str) -> None:
-        """Take a name.
-
-        Raises:
-            ValueError: It is taken.
-        """
-        if name in self.names | self.inside:
-            raise ValueError(f"there is a {name} already")
-        self.names.add(name)
-
-    def add(self, begin: str, text: str, meaning: str = "") -> None:
-        """A statement, with a comment behind or above it."""
-        found = folded(begin, text, ";", self.indent)
-        if meaning:
-            said = f"/* {comment_text(meaning)} */"
-            if len(found) == 1 and len(found[0]) + len(said) < LINE:
-                found[0] += f" {said}"
-            else:
-                found.insert(0, f"{self.indent}{said}")
-        self.lines += found
-
-    def variable(self, kind: str, name: str) -> None:
-        """Declare what statements will give its value, before all of them."""
-        if self.declared is None:
-            self.lines.append(f"{self.indent}{kind} {name};")
-        else:
-            self.lines.insert(self.declared, f"{self.indent}{kind} {name};")
-            self.declared += 1
-
-    def first(self, lines: Sequence[str]) -> None:
-        """Statements before all others."""
-        if lines:
-            self.work([])
-            place = (self.declared or 0) + bool(self.lines)
-            self.lines[place:place] = lines
-
-    def work(self, lines: Sequence[str]) -> None:
-        """Statements that are no declarations."""
-        if self.declared is None:
-            self.declared = len(self.lines)
-            remarked = self.lines and self.lines[-1].lstrip().startswith("/*")
-            self.lines += [""] if self.lines and not remarked else []
-        self.lines += lines
-
-
-@dataclass(slots=True)
 class Functions:
     """What steps have needed so far: ``texts`` and ``results`` of functions, by name, and which
     members of their arguments they change, ``members`` of records, and ``vectors`` that are
     declared nowhere else. A function with a result and no text stands elsewhere; those of
-    ``filled`` put the numbers of such a vector through pointers.
+    ``filled`` put the numbers of such a vector through pointers. ``kinds`` are
+    the types of results that are no ``float``, ``names`` those in C of functions that have others.
     """
 
     texts: dict[str, str] = field(default_factory=dict)
@@ -144,6 +91,8 @@ class Functions:
     members: set[Origin] = field(default_factory=set)
     vectors: dict[str, type[Any]] = field(default_factory=dict)
     filled: dict[str, type[Any]] = field(default_factory=dict)
+    kinds: dict[str, str] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)
 
 
 class StepReader(Arithmetic):
@@ -187,11 +136,11 @@ class StepReader(Arithmetic):
 
     def member_kind(self, kind: type[Any], name: str) -> str:
         """Type in C of a member of a record that is a number."""
-        return kind_of(kind, name)
+        return kind_of(kind, name, self.prefix)
 
     def number_of(self, name: str, kind: str, **more: Any) -> Expression:
-        """A number by its name and type in C."""
-        return Expression(name, kind=kind, **more)
+        """A number by its name and type in C; a condition where that is ``bool``."""
+        return Expression(name, kind=kind, **more) if more else name_of(name, kind)
 
     def result_kind(self, value: Expression) -> str:
         """Type in C of a number that the function returns."""
@@ -199,12 +148,12 @@ class StepReader(Arithmetic):
 
     def axis_kinds(self, kind: type[Any]) -> Sequence[str]:
         """Types in C of the parts of a vector."""
-        return ["float"] * len(cast("Any", kind)._fields)
+        return [kind_of(kind, axis) for axis in cast("Any", kind)._fields]
 
     def _axes(self, value: Any) -> tuple[Expression, ...]:
         """Parts of a vector as they are written into one."""
         kinds = self.axis_kinds(type(value))
-        return tuple(expression(part).to(own) for part, own in zip(value, kinds, strict=True))
+        return tuple(expression(part, own).to(own) for part, own in zip(value, kinds, strict=True))
 
     def _wrapped(self, theta: Any) -> Any:
         return self._called("wrap", (theta,), None)
@@ -333,15 +282,54 @@ class StepReader(Arithmetic):
 
     def choose(self, condition: Any, a: Any, b: Any) -> Any:
         """A conditional expression."""
-        kind = next((part.kind for part in (a, b) if isinstance(part, Expression)), "float")
+        kind = next((part.kind for part in (a, b) if isinstance(part, Expression)), "")
+        kind = kind or whole_kind(a)
         parts = expression(a, kind), expression(b, kind)
         text = " : ".join(part.operand(signed=True) for part in parts)
-        found = joined(f"({condition.text()}) ? {text}", *condition.terms, *parts, kind=kind)
+        head = condition.operand() if condition.is_name else f"({condition.text()})"
+        found = joined(f"{head} ? {text}", *condition.terms, *parts, kind=kind)
         return place(found.text, atom=False) if isinstance(parts[0], Index) else found
 
     def at(self, table: Sequence[Any], place: Any, column: int | None = None) -> Any:
         """A number of an array."""
         return item(table, place, column)
+
+    def with_item(self, array: tuple[Any, ...], place: Any, value: Any) -> Any:
+        """A statement that sets a number of an array of the state."""
+        self.write_state()
+        (kept,) = (kept for kept in self._kept if kept.value is array)
+        parts = expression(place, "int"), expression(value)
+        self.take(parts)
+        text = f"{kept.place}[{parts[0].bare()}] = "
+        self.block.work(folded(text, parts[1].bare(), ";", self.block.indent))
+        self._renew(kept)
+        return kept.value
+
+    def table(self, name: str, values: Sequence[float]) -> Any:
+        """A constant array."""
+        return constants(self, name, values)
+
+    def place(self, a: Any) -> Any:
+        """A number as a place."""
+        return place(f"(unsigned int){a.operand()}", reads=a.reads, members=a.members, atom=False)
+
+    def constant(self, name: str, value: Any) -> Any:
+        """A name in capitals."""
+        kind, text = "int32_t", f"{self.prefix.upper()}_{name}"
+        if isinstance(value, tuple):
+            each = (f"{text}[{n}]" for n in range(len(value)))
+            return tuple(Expression(one, whole=text, kind=kind) for one in each)
+        if isinstance(value, IntEnum):
+            kind = f"{self.prefix}_{c_name(type(value))}_t"
+        return Expression(text, kind=kind)
+
+    def equal(self, a: Any, b: Any) -> Any:
+        """A comparison of whole numbers."""
+        return equal(a, b)
+
+    def negated(self, condition: Any) -> Any:
+        """What holds where a condition does not."""
+        return condition.negated()
 
     def each(self, name: str, count: int, of: Callable[[Any], Any]) -> tuple[Any, ...]:
         """An array that a counted loop fills."""
@@ -403,7 +391,7 @@ class StepReader(Arithmetic):
 
     def remark(self, text: str) -> None:
         """A comment on a line of its own."""
-        self.block.lines.append(f"{self.block.indent}/* {comment_text(text)} */")
+        self.block.remarks.append(f"{self.block.indent}/* {comment_text(text)} */")
 
     def let(self, name: str, value: _T, meaning: str = "") -> _T:
         """A constant of the block, or as many as an array has numbers to be computed."""
@@ -420,7 +408,7 @@ class StepReader(Arithmetic):
                 found[at] = named.get(id(item), item)
             return found
         if isinstance(value, tuple):
-            parts = tuple(map(expression, value))
+            parts = numbers_of(value)
             if not hasattr(value, "_fields"):
                 if text := whole_of(value):
                     self._declare("float *const", name, text, meaning, parts)
@@ -435,7 +423,7 @@ class StepReader(Arithmetic):
             return self.vector(type(value), name)
         number = expression(value)
         self._declare(number.kind, name, number.bare(), meaning, (number,))
-        return type(number)(name, kind=number.kind)
+        return name_of(name, number.kind) if type(number) is Expression else place(name)
 
     def cases(
         self,
@@ -448,30 +436,59 @@ class StepReader(Arithmetic):
         they change.
         """
         self.write_state()
+        heads, begin = list[Arm[_T]](), "if ("
+        for condition, branch in branches:
+            self.take(condition.terms)
+            lines = folded(begin, condition.text(), ") {", self.block.indent)
+            heads.append(Arm(lines, branch))
+            begin = "} else if ("
+        otherwise_ = Arm([f"{self.block.indent}}} else {{"], otherwise, dropped=True)
+        return self._chosen(name, [*heads, otherwise_], changing)
+
+    def switch(
+        self,
+        name: str | tuple[str, ...],
+        value: Any,
+        branches: Mapping[Any, Callable[[], _T]],
+        otherwise: Callable[[], _T],
+        changing: Sequence[Any] = (),
+    ) -> _T:
+        """A switch, whose branches end with a break."""
+        self.write_state()
+        number, indent = expression(value), self.block.indent
+        self.take((number,))
+        opened = [f"{indent}switch ({number.bare()}) {{"]
+        arms = list[Arm[_T]]()
+        for key, branch in branches.items():
+            keys = key if isinstance(key, tuple) else (key,)
+            labels = [f"{indent}case {expression(one, number.kind).text}:" for one in keys]
+            arms.append(Arm([*opened, *labels], branch, breaks=True))
+            opened = []
+        arms.append(Arm([*opened, f"{indent}default:"], otherwise, breaks=True))
+        return self._chosen(name, arms, changing)
+
+    def _chosen(
+        self, name: str | tuple[str, ...], arms: Sequence[Arm[_T]], changing: Sequence[Any]
+    ) -> _T:
         names = name if isinstance(name, tuple) else (name,) if name else ()
-        outer, lines, begin = self.block, list[str](), "if ("
+        outer, lines = self.block, list[str]()
         dead, before = set(self._dead), [kept.value for kept in self._kept]
         versions, changed = [kept.version for kept in self._kept], set[int]()
         given: Any = ()
-        for condition, branch in (*branches, (None, otherwise)):
-            if condition is not None:
-                self.take(condition.terms)
-                lines += folded(begin, condition.text(), ") {", outer.indent)
+        for arm in arms:
             self.block = Block(outer.indent + "    ", outer.names | set(names))
-            value: Any = branch()
+            value: Any = arm.branch()
             given = value if isinstance(name, tuple) else (value,)
             for own, part in zip(names, given, strict=False):
                 self._assign(own, part)
             self.write_state()
-            if condition is None and self.block.lines:
-                lines.append(f"{outer.indent}}} else {{")
-            lines += self.block.lines
+            lines += arm.text(self.block)
             for n, kept in enumerate(self._kept):
                 if kept.version != versions[n]:
                     changed.add(n)
                 kept.value, kept.version = before[n], versions[n]
-                setattr(kept.record, kept.member, kept.value)
-            self._dead, begin = set(dead), "} else if ("
+                kept.put()
+            self._dead = set(dead)
         self.block = outer
         for own, part in zip(names, given, strict=False):
             self.block.take(own)
@@ -535,17 +552,21 @@ class StepReader(Arithmetic):
         if meaning:
             self.block.lines[-1] += f" /* {comment_text(meaning)} */"
         for part, end in zip(parts, ends, strict=True):
-            self.block.lines += folded("", part.bare(), end, self.block.indent + "    ")
+            found = folded("", part.bare(), end, self.block.indent + "    ")
+            self.block.lines += [line for line in found if line.strip()]
         self.block.lines.append(f"{self.block.indent}}};")
 
     def _kind(self, value: Any) -> str:
         if isinstance(value, tuple):
             return self.type_name(c_name(type(value)))
-        return expression(value).kind
+        if isinstance(value, Condition):
+            return "bool"
+        return expression(value, whole_kind(value)).kind
 
     def _assign(self, name: str, value: Any) -> None:
         """Give a variable its value at the end of a block."""
-        parts = tuple(map(expression, value if isinstance(value, tuple) else (value,)))
+        single = () if isinstance(value, tuple) else (expression(value, whole_kind(value)),)
+        parts = single or numbers_of(value)
         self.take(parts)
         self.block.work([])
         if not isinstance(value, tuple):
@@ -583,6 +604,7 @@ class StepReader(Arithmetic):
         """A call; the first one writes the function."""
         assert not kwargs, "arguments of a function of the firmware have their places"
         name = function.__name__.lstrip("_")
+        name = self.functions.names.get(name, name)
         if name not in self.functions.results:
             self.write(name, function, args)
         changes = self.functions.changes.get(name, [])
@@ -601,9 +623,9 @@ class StepReader(Arithmetic):
         for kept in self._kept:
             if kept.place in places:
                 self._renew(kept)
-        self._open = result[0] if isinstance(result, tuple) else result
+        self._open = result[0] if isinstance(result, tuple) else expression(result)
         if self.functions.results[name] is type(None):
-            self.block.work([f"{self.block.indent}{self._open.bare()};"])
+            self.block.work(folded("", self._open.bare(), ";", self.block.indent))
             return cast("_T", None)
         return cast("_T", result)
 
@@ -633,20 +655,22 @@ class StepReader(Arithmetic):
                 texts.append(handed_on(argument))
                 parts += [expression(part) for part in argument]
             else:
-                parts.append(expression(argument))
+                parts.append(expression(argument, whole_kind(argument)))
                 texts.append(parts[-1].bare())
         return self._called_as(name, f"{self.function_name(name)}({', '.join(texts)})", parts, kind)
 
     def _called_as(
         self,
-        name: str,  # noqa: ARG002
+        name: str,
         text: str,
         parts: Sequence[Expression],
         kind: type[Any] | None,
     ) -> Any:
         """What a call returns."""
         if kind is None or kind is type(None):
-            return joined(text, *parts, atom=True, kind="float")
+            own = self.functions.kinds.get(name, "float")
+            result = joined(text, *parts, atom=True, kind=own)
+            return Condition((result,)) if own == "bool" else result
         names: tuple[str, ...] = cast("Any", kind)._fields
         found = [joined(f"{text}.{n}", *parts, atom=True, whole=text) for n in names]
         for part in found:
@@ -717,6 +741,8 @@ class StepReader(Arithmetic):
         self.functions.changes[name] = changes
         if into:
             self.functions.filled[name] = type(result)
+        if kind not in ("void", "float"):
+            self.functions.kinds[name] = kind
 
     def returned(self, result: Any, into: Sequence[str] = ()) -> tuple[str, list[str]]:
         """Type of what a function returns, and the statements that return it, or put it through
@@ -725,7 +751,7 @@ class StepReader(Arithmetic):
         end = Block(self.block.indent, set())
         if result is None:
             return "void", []
-        parts = tuple(map(expression, result if isinstance(result, tuple) else (result,)))
+        parts = numbers_of(result) if isinstance(result, tuple) else (expression(result),)
         self.take(parts)
         if into:
             for pointer, part in zip(into, parts, strict=True):
@@ -761,7 +787,8 @@ class StepReader(Arithmetic):
         if isinstance(like, Index):
             return f"{like.kind} {name}", Index(name, kind=like.kind)
         if not isinstance(like, tuple):
-            return f"float {name}", Expression(name)
+            kind = expression(like, whole_kind(like)).kind
+            return f"{kind} {name}", name_of(name, kind)
         if hasattr(like, "_fields"):
             kind = self.type_name(c_name(type(like)))
             return f"{kind} {name}", self.vector(type(like), name)
@@ -770,6 +797,7 @@ class StepReader(Arithmetic):
 
     def _record(self, like: Any, address: str, place: str, outer: frozenset[Origin]) -> Any:
         values, kept = dict[str, Any](), list[tuple[str, str, str]]()
+        frozen = like.__dataclass_params__.frozen
         for member in fields(like):
             value = getattr(like, member.name)
             name = f"{place}{member_name(type(like), member.name)}"
@@ -779,10 +807,16 @@ class StepReader(Arithmetic):
                 values[member.name] = self._record(value, f"&{name}", f"{name}.", own)
             elif hasattr(value, "_fields"):
                 values[member.name] = self.vector(type(value), name, state=True)
-            elif isinstance(value, tuple):
+            elif isinstance(value, tuple) and hasattr(next(iter(value), 0.0), "_fields"):
+                values[member.name] = tuple(
+                    state_vector(item, f"{name}[{n}]") for n, item in enumerate(value)
+                )
+            elif isinstance(value, tuple) and frozen:
                 values[member.name] = tuple(
                     Expression(f"{name}[{n}]", members=own, whole=name) for n in range(len(value))
                 )
+            elif isinstance(value, tuple):
+                values[member.name] = state_vector(value, name)
             elif value is not None:
                 reads = frozenset({name})
                 values[member.name] = self.number_of(name, kind, members=own, reads=reads)
@@ -790,10 +824,15 @@ class StepReader(Arithmetic):
                 kept.append((member.name, name, kind))
         found = replace(like, **values)
         self._records.append((found, address, outer))
-        if not like.__dataclass_params__.frozen:
-            self._kept += [
-                Kept(found, member, name, values[member], kind) for member, name, kind in kept
-            ]
+        for member_, place_, kind in () if frozen else kept:
+            value = values[member_]
+            if isinstance(value, tuple) and isinstance(next(iter(value), None), tuple):
+                self._kept += [
+                    Kept(found, member_, f"{place_}[{n}]", part, at=n)
+                    for n, part in enumerate(value)
+                ]
+            else:
+                self._kept.append(Kept(found, member_, place_, value, kind))
         return found
 
     def either(self, condition: Any, then: Callable[[], _T], otherwise: Callable[[], _T]) -> _T:
@@ -805,17 +844,3 @@ class StepReader(Arithmetic):
             found.append((self.block, branch()))
         self.block, self.branches = outer, (text, found)
         return found[0][1]
-
-
-def ordered(open_: list[Assignment], block: Block) -> None:
-    """Write assignments to what changes, none before another one that reads the old value."""
-    while open_:
-        free = [
-            item
-            for item in open_
-            if not any(item.targets & other.reads for other in open_ if other is not item)
-        ]
-        if not free:
-            raise ValueError(f"{open_[0].place} is needed after it changed: name it by `let`")
-        block.add(f"{free[0].place} = ", free[0].text)
-        open_.remove(free[0])

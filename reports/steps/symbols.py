@@ -124,6 +124,14 @@ class Expression:
         """The quotient."""
         return self._with("/", other, swapped=True)
 
+    def __floordiv__(self, other: Any) -> Expression:
+        """The quotient of whole numbers from 0 on."""
+        return self._with("/", other)
+
+    def __mod__(self, other: Any) -> Expression:
+        """The rest of a division of whole numbers from 0 on."""
+        return self._with("%", other)
+
     def __neg__(self) -> Expression:
         """The negative."""
         return joined(f"-{self.operand()}", self)
@@ -162,13 +170,24 @@ class Expression:
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """Comparisons all of which must hold."""
+    """Comparisons all of which must hold; ``against`` is the text of what holds where they do not,
+    empty where it is written with ``!``; ``ored`` is one that holds where one of others does.
+    """
 
     terms: tuple[Expression, ...]
+    against: str = ""
+    ored: bool = False
 
     def __and__(self, other: Condition) -> Condition:
         """Both conditions."""
         return Condition(self.terms + other.terms)
+
+    def __or__(self, other: Condition) -> Condition:
+        """One of both conditions, or both."""
+        terms = self.terms + other.terms
+        left = self.text() if self.ored else self.operand()
+        text = f"{left} || {other.operand()}"
+        return Condition((joined(text, *terms, atom=False, kind="bool"),), ored=True)
 
     def __bool__(self) -> bool:
         """Nothing decides it here.
@@ -178,21 +197,41 @@ class Condition:
         """
         raise TypeError("a step cannot branch on a number: use `choose` or `either`")
 
+    def negated(self) -> Condition:
+        """That it does not hold."""
+        text = self.against or f"!{self.operand()}"
+        atom = not self.against and text[1] != "("
+        return Condition((joined(text, *self.terms, atom=atom, kind="bool"),))
+
+    @property
+    def is_name(self) -> bool:
+        """Whether it is a name."""
+        return len(self.terms) == 1 and self.terms[0].is_name
+
+    def operand(self) -> str:
+        """Text within another condition."""
+        return self.terms[0].operand() if len(self.terms) == 1 else f"({self.text()})"
+
     def text(self) -> str:
         """What stands between the parentheses of ``if``."""
         if len(self.terms) == 1:
             return self.terms[0].bare()
-        return " && ".join(f"({term.bare()})" for term in self.terms)
+        return " && ".join(term.operand() for term in self.terms)
 
 
 # What stands behind the digits of an integer.
-_SUFFIXES = {"long": "L", "uint32_t": "U"}
+_SUFFIXES = {"long": "L", "uint32_t": "U", "unsigned int": "U", "int": "", "int32_t": ""}
 
 
 def expression(value: Any, kind: str = "float") -> Expression:
     """A number as an expression; constants become literals of a type."""
     if isinstance(value, Expression):
         return value
+    if isinstance(value, Condition):
+        single = len(value.terms) == 1 and value.terms[0].atom
+        return joined(value.text(), *value.terms, atom=single, kind="bool")
+    if isinstance(value, bool):
+        return Expression(str(value).lower(), kind="bool")
     if kind in _SUFFIXES:
         return Expression(f"{int(value)}{_SUFFIXES[kind]}", kind=kind)
     return Expression(float_literal(float(value)))
@@ -210,6 +249,26 @@ def joined(
         whole=whole,
         kind=kind or (parts[-1].kind if parts else "float"),
     )
+
+
+def equal(a: Any, b: Any) -> Condition:
+    """Whether two whole numbers are the same."""
+    own = a if isinstance(a, Expression) else b
+    parts = expression(a, own.kind), expression(b, own.kind)
+    texts = [part.operand() for part in parts]
+    return Condition((joined(" == ".join(texts), *parts, kind="bool"),), " != ".join(texts))
+
+
+def whole_kind(value: Any) -> str:
+    """Type in C of a Python number."""
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    return "int32_t" if whole else "float"
+
+
+def name_of(name: str, kind: str) -> Any:
+    """What a name stands for: a condition where it is one of ``bool``, else a number."""
+    found = Expression(name, kind=kind)
+    return Condition((found,)) if kind == "bool" else found
 
 
 WIDTH = 110  # Of lines.
@@ -244,7 +303,7 @@ def _break(text: str, most: int) -> int:
     for at, sign in enumerate(text[: most + 1]):
         depth += (sign in "({[") - (sign in ")}]")
         behind = text[at - 1] == ","
-        before = text[at + 1 : at + 3] in ("+ ", "- ", "* ", "/ ", "&&", "? ", ": ")
+        before = text[at + 1 : at + 3] in ("+ ", "- ", "* ", "/ ", "&&", "||", "? ", ": ")
         if at >= most // 4 and sign == " " and (before or behind):
             found[depth, not behind] = at
     return found[min(found)] if found else 0

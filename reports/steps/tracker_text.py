@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from dqforge.optimizer.observers.parts import FirmwareStep
+from dqforge.optimizer.steps.step_arithmetic import AlphaBeta
+from dqforge.reports.steps.blocks import Block
 from dqforge.reports.steps.observer_text import step_text
-from dqforge.reports.steps.record_text import sentence
+from dqforge.reports.steps.record_text import c_name, record_structs, record_values, sentence
+from dqforge.reports.steps.state_text import vector
+from dqforge.reports.steps.step_reader import Functions, StepReader
+from dqforge.reports.steps.symbols import Expression
 
 if TYPE_CHECKING:
     from dqforge.machines.transforms import Reals
-    from dqforge.optimizer.estimators import Signal, Tracker
+    from dqforge.optimizer.estimators import Signal, Tracker, TrackerSteps
     from dqforge.optimizer.observers.parts import ObserverState
     from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair
 
@@ -30,15 +35,17 @@ def tracker_text(tracker: Tracker, gains: Any, prefix: str, macro: str) -> str:
         gains: Its gains.
         prefix, macro: Before the names of functions and types, and before that of the gains.
     """
+    if tracker.steps is not None:
+        return _steps_text(tracker.code, tracker.steps(gains), gains, prefix, macro)
     assert tracker.members is not None
 
     def start(theta_e: Reals, omega_e: Reals) -> ObserverState:
-        return tracker.start(gains, theta_e, omega_e)
+        return cast("ObserverState", tracker.start(gains, theta_e, omega_e))
 
     def step(
         own: Any, state: ObserverState, v: Pair, i: Pair, o: Arithmetic, *heard: Reals
     ) -> ObserverState:
-        return tracker.step(own, state, v, i, heard, o)
+        return cast("ObserverState", tracker.step(own, state, v, i, heard, o))
 
     emitted = FirmwareStep(
         tracker.code,
@@ -51,3 +58,28 @@ def tracker_text(tracker: Tracker, gains: Any, prefix: str, macro: str) -> str:
         tuple(_NAMES[signal] for signal in tracker.hears),
     )
     return step_text(emitted, gains, prefix, macro)
+
+
+def _steps_text(code: str, steps: TrackerSteps, gains: Any, prefix: str, macro: str) -> str:
+    """Macros, types, functions and gains of a tracker with a state of its own."""
+    for kind, name in ((type(gains), f"{code}_gains"), (type(steps.state), code)):
+        if c_name(kind) != name:
+            raise ValueError(f"{kind.__name__} is not named like {code}")
+    functions = Functions(names=steps.names)
+    reader = StepReader(prefix, functions, Block("", set()))
+    number = Expression("number")
+    reader.write(f"{code}_start", steps.start, [steps.state, number, number])
+    seen = [vector(AlphaBeta, name) for name in ("v", "i")]
+    reader.write(f"{code}_step", steps.step, [gains, steps.state, *seen])
+    parts = [
+        [f"#define {macro}_{name} {value} /* {says} */" for name, value, says in steps.counts],
+        *record_structs(gains, prefix, functions.members),
+        *record_structs(steps.state, prefix),
+        *([text] for text in functions.texts.values()),
+        [
+            f"static const {prefix}_{code}_gains_t {macro}_{code.upper()}_GAINS = {{",
+            *record_values(gains, functions.members),
+            "};",
+        ],
+    ]
+    return "\n\n".join("\n".join(lines) for lines in parts)

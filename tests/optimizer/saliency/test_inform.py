@@ -25,7 +25,8 @@ from dqforge.optimizer.saliency.inform import (
     tracked_noise,
     usual_pulse,
 )
-from dqforge.optimizer.saliency.injection import POINTS, along_locus, current_noise
+from dqforge.optimizer.saliency.injection import along_locus, current_noise
+from dqforge.optimizer.saliency.load_tables import POINTS
 from dqforge.optimizer.steps.step_arithmetic import EXACT
 
 BALDOR = "baldor-pmsyrm-5k6"
@@ -61,9 +62,8 @@ def _one_sequence(step: float, y_sum: float, sigma: float, trials: int, seed: in
             gains, state, (i.real, i.imag), (i.real + noise[0], i.imag + noise[1]), (), EXACT
         )
         i = i + acting * y_sum + step * np.conj(acting) * np.exp(2j * theta)
-        assert state.added is not None
         acting = state.added[0] + 1j * state.added[1]
-    z = state.vectors[1][0] + 1j * state.vectors[1][1]
+    z = state.z.alpha + 1j * state.z.beta
     assert np.mean(np.abs(z)) == pytest.approx(1.5 * step, rel=0.2)
     return np.asarray(np.angle(z * np.exp(-2j * theta)) / 2.0)
 
@@ -143,8 +143,6 @@ def test_one_bad_sample_costs_one_sequence() -> None:
     for k in range(60):
         bad = np.array([np.nan, np.inf, 0.1]) if k == 20 else np.full(3, 0.1)
         state = inform_step(gains, state, (bad, bad), (bad, bad), (), EXACT)
-        assert state.added is not None
-        assert state.seen is not None
-        for part in (state.theta_e, state.omega_e, *state.added, *state.seen):
+        for part in (state.theta_e, state.omega_e, *state.added, *state.current):
             assert np.all(np.isfinite(part))
     np.testing.assert_allclose(state.theta_e, state.theta_e[2], atol=1e-3)

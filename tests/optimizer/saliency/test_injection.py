@@ -18,10 +18,9 @@ from dqforge.machines.names import InjectionWave
 from dqforge.optimizer.estimators import TrackerEstimator, tune_tracker
 from dqforge.optimizer.saliency.injection import (
     NOISE_ANGLE,
-    POINTS,
     TRACKER,
+    InjectionGains,
     LoadedSaliency,
-    WaveGains,
     along_locus,
     angle_noise,
     current_noise,
@@ -33,6 +32,7 @@ from dqforge.optimizer.saliency.injection import (
     wave_step,
     wave_tracking,
 )
+from dqforge.optimizer.saliency.load_tables import POINTS
 from dqforge.optimizer.saliency.sampled_injection import cross_saturation_error
 from dqforge.optimizer.steps.step_arithmetic import EXACT
 
@@ -46,10 +46,10 @@ def drive(name: str) -> Design:
     return replace(design, export=replace(design.export, control=("float32",)))
 
 
-def gains_of(design: Design, wave: InjectionWave = "square", **settings: float) -> WaveGains:
+def gains_of(design: Design, wave: InjectionWave = "square", **settings: float) -> InjectionGains:
     wanted = ObserverSettings(method="injection", wave=wave, **settings)  # type: ignore[arg-type]
     found = tune_tracker(design, wanted).gains
-    assert isinstance(found, WaveGains)
+    assert isinstance(found, InjectionGains)
     return found
 
 
@@ -175,9 +175,7 @@ def test_one_bad_sample_poisons_nothing(wave: InjectionWave) -> None:
         i = bad if k == 15 else np.array([0.1, 0.1, 0.1])
         v = bad if k == 25 else np.zeros(3)
         state = wave_step(gains, state, (v, v), (i, i), (), EXACT)
-        assert state.added is not None
-        assert state.seen is not None
-        for part in (state.theta_e, state.omega_e, *state.added, *state.seen):
+        for part in (state.theta_e, state.omega_e, *state.added, *state.current):
             assert np.all(np.isfinite(part))
     # what is a number in its place goes on as if nothing had been
     assert abs(state.theta_e[0] - state.theta_e[2]) < 0.05

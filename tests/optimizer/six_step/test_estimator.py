@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.six_step.sectors import BlockGains, middle, seen_angle, start, step
+from dqforge.optimizer.six_step.sector_step import (
+    BlockGains,
+    BlockState,
+    at_rest,
+    block_start,
+    block_step,
+    six_step_seen,
+)
+from dqforge.optimizer.six_step.sectors import middle
+from dqforge.optimizer.steps.step_arithmetic import EXACT, Abc, Arithmetic, cast
+from dqforge.reports.c_code.harness import SINGLE
 
 PSI, T_S = 0.1, 2e-5
 GAINS = BlockGains(
@@ -26,6 +36,14 @@ GAINS = BlockGains(
 )
 
 
+def started(
+    o: Arithmetic, gains: BlockGains, direction: int, omega: float, beyond: float
+) -> BlockState:
+    state, speed, angle = at_rest(), o.number(omega), o.number(beyond)
+    block_start(o, gains, state, 0, direction, speed, angle)  # type: ignore[arg-type]
+    return state
+
+
 def late(
     gains: BlockGains,
     omega: float,
@@ -37,14 +55,14 @@ def late(
     """By how much each commutation is late, in rad; the first two turns do not count."""
     generator = np.random.default_rng(5)
     theta, found = middle(0, direction) - direction * 0.3, []
-    state = start(gains, 0, direction, np.float64(omega), np.float64(-0.3), np.float64)
+    state = started(EXACT, gains, direction, omega, -0.3)
     for k in range(round(turns * 2.0 * math.pi / (omega * T_S))):
         seen = theta + direction * 0.5 * omega * T_S  # sampled in the middle of the period
         sector = state.sector
         e = [-PSI * direction * omega * math.sin(seen - 2.0 * math.pi / 3.0 * n) for n in range(3)]
         u = np.array(e) + noise * generator.standard_normal(3) * math.sqrt(1.5)
         u += np.array([offset, -0.5 * offset, -0.5 * offset])
-        step(gains, state, list(u), np.float64)
+        block_step(EXACT, gains, state, Abc(*u))
         theta += direction * omega * T_S
         if state.sector != sector and k > 4.0 * math.pi / (omega * T_S):
             ideal = middle(state.sector, direction) - direction * math.pi / 6.0
@@ -85,14 +103,14 @@ def test_noise_moves_commutations_as_the_formula_says() -> None:
 
 
 def test_what_is_no_number_changes_nothing_but_the_time() -> None:
-    omega = np.float32(200.0)
-    state = start(GAINS, 0, 1, omega, np.float32(-0.5), np.float32)
+    gains, none = cast(GAINS, SINGLE), Abc(*np.full(3, np.nan, dtype=np.float32))
+    state = started(SINGLE, gains, 1, 200.0, -0.5)
     for _ in range(300):
-        step(GAINS, state, [np.float32(np.nan)] * 3, np.float32)
+        block_step(SINGLE, gains, state, none)
     assert state.sector == 0
     assert np.isfinite([state.theta_e, state.omega_e, state.last, state.area, state.mean]).all()
     for _ in range(700):
-        step(GAINS, state, [np.float32(np.nan)] * 3, np.float32)
+        block_step(SINGLE, gains, state, none)
     assert state.lost == 1
 
 
@@ -109,7 +127,7 @@ def test_a_filter_is_late_by_what_is_taken_off() -> None:
 def test_a_rotor_that_turns_is_seen_at_rest(direction: int) -> None:
     for theta in np.linspace(0.0, 2.0 * np.pi, 50):
         v = [-direction * math.sin(theta - 2.0 * math.pi / 3.0 * n) for n in range(3)]
-        sector, beyond, largest = seen_angle(v, direction, np.float64)
+        sector, beyond, largest = six_step_seen(EXACT, Abc(*np.array(v)), direction)
         true = direction * math.remainder(theta - middle(sector, direction), 2.0 * math.pi)
         assert abs(true) <= math.pi / 6.0 + 1e-9
         assert beyond == pytest.approx(true, abs=0.055)
