@@ -5,7 +5,6 @@ the dead time, a slow current controller, an estimator that injects.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-
 from typing import Any
 
 import numpy as np
