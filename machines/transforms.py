@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,7 +176,8 @@ class Floats:
         """Numbers a where the condition holds, else b; Python floats get the type of numbers."""
         if isinstance(condition, _TRUTHS):
             one: Any = a if condition else b
-            return self.number(one) if type(one) is float else one
+            one = self.number(one) if type(one) is float else one
+            return cast("Reals", one)
         a, b = (self.number(x) if isinstance(x, float) else x for x in (a, b))
         return np.where(condition, a, b)
 
@@ -272,7 +273,9 @@ class Floats:
 
     def full(self, value: Any, like: Reals) -> Reals:
         """A constant for every drive of ``like``."""
-        return self.number(value) if isinstance(like, np.generic) else np.full_like(like, value)
+        if isinstance(like, np.generic):
+            return cast("Reals", self.number(value))
+        return np.asarray(np.full_like(like, value))
 
 
 def leaves(record: Any) -> Iterator[tuple[Any, str]]:

@@ -5,6 +5,7 @@ the dead time, a slow current controller, an estimator that injects.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -89,7 +90,7 @@ def track_at_rest(
     turn = np.exp(1j * theta)
     wanted = machine.i_max * (0.1 if rest.load == 0.0 else 1j * rest.load)
     i = np.full(shape[1], wanted, dtype=np.complex128)
-    state = tracker.start(
+    state: Any = tracker.start(
         gains,
         EXACT.wrap(theta + generator.uniform(-rest.away, rest.away, shape[1])),
         np.zeros(shape[1]),

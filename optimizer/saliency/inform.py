@@ -161,11 +161,14 @@ class PulseSteps:
         known = o.let("known", is_known(o, i))
         last, n = observer.sample, observer.n
         sample = o.cases("sample", (known, lambda: i), otherwise=lambda: last)
-        moved = o.let("moved", AlphaBeta(sample.alpha - last.alpha, sample.beta - last.beta))
+
+        def moved() -> AlphaBeta:
+            return o.let("moved", AlphaBeta(sample.alpha - last.alpha, sample.beta - last.beta))
 
         def along() -> Reals:
             k = o.let("k", (n - 2) // 2)
-            found: Reals = o.at(cosines, k) * moved.alpha + o.at(sines, k) * moved.beta
+            d = moved()
+            found: Reals = o.at(cosines, k) * d.alpha + o.at(sines, k) * d.beta
             return found
 
         def ahead() -> None:
@@ -183,7 +186,8 @@ class PulseSteps:
         def second() -> AlphaBeta:
             k = o.let("k", (n - 2) // 2)
             cosine, sine = o.let("cosine", o.at(cosines, k)), o.let("sine", o.at(sines, k))
-            pair = 0.5 * (observer.half - (cosine * moved.alpha + sine * moved.beta))
+            d = moved()
+            pair = 0.5 * (observer.half - (cosine * d.alpha + sine * d.beta))
             pair = o.let("pair", pair, "without back-EMF and resistance, A")
             z = observer.z
             observer.z = AlphaBeta(z.alpha + cosine * pair, z.beta - sine * pair)

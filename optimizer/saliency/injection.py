@@ -208,9 +208,7 @@ class InjectionSteps:
         """The voltage that is to be added from the next sampling instant on."""
         n = observer.n
         if self.rotating:
-            zero = o.full(0.0, direction.cosine)
-            made = (zero + o.at(table, n) for table in (gains.carrier, gains.carrier_beta))
-            return AlphaBeta(*made)
+            return AlphaBeta(o.at(gains.carrier, n), o.at(gains.carrier_beta, n))
         carrier = o.let("carrier", o.at(gains.carrier, n), "V")
         return AlphaBeta(direction.cosine * carrier, direction.sine * carrier)
 

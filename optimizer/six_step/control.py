@@ -46,6 +46,7 @@ STAGES = ("stopped", "catching", "aligning", "ramp", "running", "fault")
 NO_FAULT, NO_START, LOST = range(3)
 FAULTS = ("none", "no start", "lost")  # Names of the faults, by their numbers.
 _WHOLE = "int32_t"
+Number = Any  # Of a design a float or an integer, of a step a number of its arithmetic.
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,43 +54,43 @@ class SixStepGains:
     """Numbers of the control."""
 
     observer: BlockGains
-    kp: Annotated[float, Member("of the current of two phases in series", "V/A")]
-    ki_ts: Annotated[float, Member("its integral per period", "V/A")]
+    kp: Annotated[Number, Member("of the current of two phases in series", "V/A")]
+    ki_ts: Annotated[Number, Member("its integral per period", "V/A")]
     emf: Annotated[
-        float,
+        Number,
         Member("mean back-EMF of two phases in series over the electrical speed", "V s/rad"),
     ]
-    torque: Annotated[float, Member("over the current", "N m/A")]
-    i_max: Annotated[float, Member("A")]
+    torque: Annotated[Number, Member("over the current", "N m/A")]
+    i_max: Annotated[Number, Member("A")]
     duty_least: Annotated[
-        float, Member("while the position is estimated: the on-time can be sampled")
+        Number, Member("while the position is estimated: the on-time can be sampled")
     ]
-    speed_kp: Annotated[float, Member("at the least speed", "N m s/rad")]
+    speed_kp: Annotated[Number, Member("at the least speed", "N m s/rad")]
     speed_ki_ts: Annotated[
-        float, Member("its integral per period of the speed controller", "N m s/rad")
+        Number, Member("its integral per period of the speed controller", "N m s/rad")
     ]
-    omega_low: Annotated[float, Member("least speed, rad/s (electrical)")]
-    speed_scale: Annotated[float, Member("how far the gains rise with the speed")]
-    pole_pairs: float
-    ratio: Annotated[int, Member("periods per period of the speed controller", kind=_WHOLE)]
+    omega_low: Annotated[Number, Member("least speed, rad/s (electrical)")]
+    speed_scale: Annotated[Number, Member("how far the gains rise with the speed")]
+    pole_pairs: Number
+    ratio: Annotated[Number, Member("periods per period of the speed controller", kind=_WHOLE)]
     omega_least: Annotated[
-        float, Member("speed reference below which the drive stops, rad/s (mechanical)")
+        Number, Member("speed reference below which the drive stops, rad/s (mechanical)")
     ]
     omega_caught: Annotated[
-        float, Member("least speed from which it runs on its estimator, rad/s (electrical)")
+        Number, Member("least speed from which it runs on its estimator, rad/s (electrical)")
     ]
-    i_start: Annotated[float, Member("of alignment and ramp", "A")]
+    i_start: Annotated[Number, Member("of alignment and ramp", "A")]
     v_start: Annotated[
-        float, Member("that two phases in series take for it at rest, dead time included", "V")
+        Number, Member("that two phases in series take for it at rest, dead time included", "V")
     ]
-    align: Annotated[int, Member("periods of each of its two blocks", kind=_WHOLE)]
-    rise: Annotated[float, Member("of the ramp: blocks per period and period")]
-    rate: Annotated[float, Member("its end, blocks per period")]
+    align: Annotated[Number, Member("periods of each of its two blocks", kind=_WHOLE)]
+    rise: Annotated[Number, Member("of the ramp: blocks per period and period")]
+    rate: Annotated[Number, Member("its end, blocks per period")]
     settle: Annotated[
-        int,
+        Number,
         Member("periods with all legs at rest before the back-EMF is looked at", kind=_WHOLE),
     ]
-    gap: Annotated[int, Member("and between both looks", kind=_WHOLE)]
+    gap: Annotated[Number, Member("and between both looks", kind=_WHOLE)]
 
 
 @dataclass(slots=True)

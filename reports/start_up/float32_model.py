@@ -152,7 +152,7 @@ class Drive:
 
     control: Any
     observer: ObserverState
-    low: ObserverState | None = None
+    low: Any = None
     state: State = State.IDLE
     fault: Fault = Fault.NO_FAULT
     tries: int = 0
@@ -222,7 +222,7 @@ def control_at_rest(model: StartUpModel) -> Control | PhaseControlState:
     return model.control.at_rest(1)
 
 
-def observer_start(model: StartUpModel, theta: Any, omega: Any) -> ObserverState:
+def observer_start(model: StartUpModel, theta: Any, omega: Any) -> Any:
     """As the start of the observer at speed."""
     if isinstance(model.method, Tracker):
         return model.method.start(model.gains, wrap(array(theta)), array(omega))
@@ -231,7 +231,7 @@ def observer_start(model: StartUpModel, theta: Any, omega: Any) -> ObserverState
 
 def observer_step(
     model: StartUpModel, state: ObserverState, acted: Vector, current: Vector, u: Any
-) -> ObserverState:
+) -> Any:
     """As the step of the observer at speed."""
     v, i = pair(*acted), pair(*current)
     if isinstance(model.method, Tracker):
@@ -239,7 +239,7 @@ def observer_step(
     return model.method.step(model.gains, state, v, i, SINGLE)
 
 
-def low_start(model: StartUpModel, theta: Any, omega: Any) -> ObserverState | None:
+def low_start(model: StartUpModel, theta: Any, omega: Any) -> Any:
     """As the start of the estimator from standstill on."""
     if model.low is None:
         return None

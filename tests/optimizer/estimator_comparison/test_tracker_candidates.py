@@ -26,8 +26,8 @@ from dqforge.optimizer.estimator_comparison.solve import ask, compare_estimators
 from dqforge.optimizer.estimators import tune_tracker
 from dqforge.optimizer.harmonic_trackers import ThirdHarmonic
 from dqforge.optimizer.harmonic_trackers import angle_noise as harmonic_noise
-from dqforge.optimizer.observers.parts import ObserverState
-from dqforge.optimizer.saliency.injection import POINTS, along_locus, angle_noise
+from dqforge.optimizer.saliency.injection import along_locus, angle_noise
+from dqforge.optimizer.saliency.load_tables import POINTS
 from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair
 
 ABB, SATURATED, ROUND = "abb-ipmsm-2k2", "baldor-pmsyrm-5k6", "paper001-pmsm-bench"
@@ -133,12 +133,12 @@ def test_what_is_added_moves_the_current_by_the_admittance() -> None:
 
     def watched(
         gains: Any,
-        state: ObserverState,
+        state: Any,
         v: Pair,
         i: Pair,
         heard: tuple[Any, ...],
         maths: Arithmetic,
-    ) -> ObserverState:
+    ) -> Any:
         seen.append(complex(i[0][0], i[1][0]))
         return tuned.tracker.step(gains, state, v, i, heard, maths)
 
