@@ -301,9 +301,10 @@ def _met(
     for condition, branch in branches:
         if not isinstance(condition, bool | np.bool_ | np.ndarray):
             return [*branches, (branches[0][0], otherwise)]
-        if np.any(left & condition):
+        taken = np.any(left & condition)
+        left = left & np.logical_not(condition)  # of the shape of all drives, taken or not
+        if taken:
             found.append((condition, branch))
-            left = left & np.logical_not(condition)
             if not np.any(left):
                 return found
     return [*found, (left, otherwise)]

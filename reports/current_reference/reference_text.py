@@ -9,7 +9,8 @@ from dqforge.machines.transforms import Reals
 from dqforge.optimizer.current_reference.forms import CurrentReference, SignedReference
 from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Dq
 from dqforge.reports.current_reference.plain import from_plain
-from dqforge.reports.steps.step_reader import Block, Functions, StepReader
+from dqforge.reports.steps.blocks import Block
+from dqforge.reports.steps.step_reader import Functions, StepReader
 from dqforge.reports.steps.symbols import Expression
 
 # Names of the ends of the domain, by sign of the torque.

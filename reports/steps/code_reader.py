@@ -24,8 +24,9 @@ from dqforge.optimizer.fixed_control.vectors import (
 )
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.reports.c_code.numbers import int32_literal, int64_literal
+from dqforge.reports.steps.blocks import Block
 from dqforge.reports.steps.integers import CODES
-from dqforge.reports.steps.step_reader import Block, Functions, StepReader
+from dqforge.reports.steps.step_reader import Functions, StepReader
 from dqforge.reports.steps.symbols import Condition, Expression, Origin
 
 _T = TypeVar("_T")
@@ -74,7 +75,7 @@ class Words:
 class CodeFunctions(Functions):
     """Functions and their types: ``kinds`` of arguments, and ``returned``."""
 
-    kinds: dict[str, list[str]] = field(default_factory=dict)
+    argument_kinds: dict[str, list[str]] = field(default_factory=dict)
     returned: dict[str, str] = field(default_factory=dict)
 
 
@@ -275,18 +276,24 @@ class CodeReader(StepReader):
         return cast("_T", super().call(own, *left))
 
     def write(
-        self, name: str, function: Callable[..., Any], arguments: Sequence[Any], text: str = ""
+        self,
+        name: str,
+        function: Callable[..., Any],
+        arguments: Sequence[Any],
+        text: str = "",
+        into: Sequence[str] = (),
+        names: Sequence[str] = (),
     ) -> None:
         """Write a function, with what its annotations say of types."""
         hints = get_type_hints(getattr(function, "text", function), include_extras=True)
-        names = list(inspect.signature(function).parameters)[1:]
+        own = list(inspect.signature(function).parameters)[1:]
         functions = self.known_functions
-        functions.kinds[name] = [self.words.of(word_of(hints.get(n))) for n in names]
+        functions.argument_kinds[name] = [self.words.of(word_of(hints.get(n))) for n in own]
         functions.returned[name] = self.words.of(word_of(hints.get("return")))
-        super().write(name, function, arguments, text)
+        super().write(name, function, arguments, text, into, names)
 
     def _called(self, name: str, arguments: Sequence[Any], kind: type[Any] | None) -> Any:
-        kinds = self.known_functions.kinds.get(name, [self.words.wide] * len(arguments))
+        kinds = self.known_functions.argument_kinds.get(name, [self.words.wide] * len(arguments))
         given = [
             (constant(item, own) if isinstance(item, int) else item).to(own)
             if isinstance(item, int | Code)

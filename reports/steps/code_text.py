@@ -21,6 +21,7 @@ from dqforge.optimizer.fixed_control.vectors import (
 )
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.reports.c_code.numbers import int32_literal, int64_literal
+from dqforge.reports.steps.blocks import Block
 from dqforge.reports.steps.code_reader import (
     Code,
     CodeFunctions,
@@ -30,7 +31,6 @@ from dqforge.reports.steps.code_reader import (
     word_of,
 )
 from dqforge.reports.steps.record_text import c_name, comment, said, sentence, struct
-from dqforge.reports.steps.step_reader import Block
 from dqforge.reports.steps.symbols import folded
 
 _ANY: Any = Code("number", kind="wide")  # Stands for any number, where its type is asked for.

@@ -45,6 +45,7 @@ from dqforge.reports.steps.record_text import (
     kind_of,
     member_name,
     sentence,
+    whole_of,
 )
 from dqforge.reports.steps.state_text import (
     Assignment,
@@ -56,7 +57,6 @@ from dqforge.reports.steps.state_text import (
     ordered,
     state_vector,
     vector,
-    whole_of,
 )
 from dqforge.reports.steps.symbols import (
     WIDTH,
@@ -423,7 +423,9 @@ class StepReader(Arithmetic):
             return self.vector(type(value), name)
         number = expression(value)
         self._declare(number.kind, name, number.bare(), meaning, (number,))
-        return name_of(name, number.kind) if type(number) is Expression else place(name)
+        if type(number) is Expression:
+            return name_of(name, number.kind)
+        return type(number)(name, kind=number.kind)
 
     def cases(
         self,
