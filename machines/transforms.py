@@ -179,7 +179,8 @@ class Floats:
             one = self.number(one) if type(one) is float else one
             return cast("Reals", one)
         a, b = (self.number(x) if isinstance(x, float) else x for x in (a, b))
-        return np.where(condition, a, b)
+        found: Reals = np.where(condition, a, b)
+        return found
 
     def where_above(
         self,

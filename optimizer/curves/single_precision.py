@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Rotation
 
 _T = TypeVar("_T")
 SingleArray = NDArray[np.float32]
@@ -66,7 +66,7 @@ def _wrapped(theta: Reals) -> Reals:
     return angle_functions.wrap(SINGLE, theta)
 
 
-def _rotated(theta: Reals) -> Pair:
+def _rotated(theta: Reals) -> Rotation:
     from dqforge.optimizer.steps import angle_functions
 
     return angle_functions.rotation(SINGLE, theta)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.errors import DqforgeError, InputError
+from dqforge.machines.errors import DqforgeError
 from dqforge.reports import answers
 
 if TYPE_CHECKING:
@@ -100,15 +100,12 @@ def files_of(path: str, firmware: str) -> dict[str, Any]:
 
 def report_of(path: str) -> dict[str, Any]:
     """The report of a whole run; or ``error``."""
-    from dqforge.reports.run import run_design
-
     try:
-        output = run_design(catalogue.load_design(path), verify=True)
-        return {"content": output.files["report.html"]}
-    except KeyError:
-        raise InputError("the run made no report") from None
+        answer = answers.run.answer_run(catalogue.load_design(path), verify=True)
     except DqforgeError as error:
         return {"error": str(error)}
+    assert answer.files is not None
+    return {"content": answer.files.contents["report.html"]}
 
 
 def warm() -> None:

@@ -172,7 +172,7 @@ def control_text(control: FixedControl, prefix: str, macro: str) -> str:
     width, steps, rule = control.width, control.steps, control.modulator
     known = _pi_reader(prefix, width).functions
     reader = code_reader(prefix, width, known=shortening_reader(prefix, width).functions)
-    for part in ("results", "changes", "kinds", "returned"):
+    for part in ("results", "changes", "kinds", "argument_kinds", "returned"):
         getattr(reader.functions, part).update(getattr(known, part))
     parts = [
         record_type(reader, _DECOUPLING),
@@ -202,7 +202,7 @@ def control_text(control: FixedControl, prefix: str, macro: str) -> str:
     write(reader, steps.current_control, gains, _state(), _MEASURED, _DQ)
     write(reader, speed_loop, width, gains, _state(), _ANY, _ANY)
     if control.reference is not None:
-        reader.known_functions.kinds["reference"] = [reader.words.of("code")] * 3
+        reader.known_functions.argument_kinds["reference"] = [reader.words.of("code")] * 3
         write(reader, steps.torque_control, gains, _state(), _MEASURED, _ANY)
         write(reader, steps.speed_control, gains, _state(), _MEASURED, _ANY)
     return "\n\n".join([*parts, texts(reader)])

@@ -30,8 +30,8 @@ from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
 from dqforge.reports.pages.templating import Chapter, render
 from dqforge.reports.plain_data import PlainData, shortest
-from dqforge.reports.six_step.control_text import control_text
 from dqforge.reports.six_step.float32_model import six_step_inputs, six_step_outputs
+from dqforge.reports.six_step.six_step_text import control_text
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design

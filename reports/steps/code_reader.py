@@ -73,7 +73,7 @@ class Words:
 
 @dataclass(slots=True)
 class CodeFunctions(Functions):
-    """Functions and their types: ``kinds`` of arguments, and ``returned``."""
+    """Functions and their types: ``argument_kinds``, and ``returned``."""
 
     argument_kinds: dict[str, list[str]] = field(default_factory=dict)
     returned: dict[str, str] = field(default_factory=dict)

@@ -48,7 +48,7 @@ def code_reader(prefix: str, width: int, form: str = "", known: Any = None) -> C
     """
     functions = CodeFunctions()
     if known is not None:
-        for part in ("results", "changes", "kinds", "returned"):
+        for part in ("results", "changes", "kinds", "argument_kinds", "returned"):
             getattr(functions, part).update(getattr(known, part))
     return CodeReader(prefix, form or f"q{width - 1}", Words(width), functions, Block("", set()))
 

@@ -41,7 +41,7 @@ class Page:
         self.headers = {"Cookie": f"dqforge={self.token}", "Origin": f"http://{self.place}"}
 
     def ask(
-        self, method: str, path: str, body: bytes | None = None, **headers: str | None
+        self, method: str, path: str, body: bytes | None = None, /, **headers: str | None
     ) -> tuple[int, http.client.HTTPMessage, bytes]:
         """Status, headers and content; a header that is None is left out."""
         connection = http.client.HTTPConnection(self.place, timeout=120)
@@ -99,7 +99,7 @@ EVERY = ("/", "/page.js", "/page.css", "/api/state", "/report", "/files.zip")
     ids=["no token", "another token", "a name that leads here", "without the port"],
 )
 def test_nobody_else_is_let_in(page: Page, path: str, headers: dict[str, str | None]) -> None:
-    assert page.ask("GET", path, **headers)[0] == 403
+    assert page.ask("GET", path, None, **headers)[0] == 403
 
 
 @pytest.mark.parametrize("origin", [None, "http://evil.example", "null"])

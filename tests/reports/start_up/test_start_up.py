@@ -71,7 +71,8 @@ def folder_with(path: Path, main: str) -> Path:
 
 
 def harness() -> str:
-    return answered().harness.source("drive")
+    text: str = answered().harness.source("drive")
+    return text
 
 
 def test_every_state_and_every_fault_is_met() -> None:
