@@ -2,25 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.current_reference.forms import Emitted, FixedReference, SignedReference
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.current_reference.forms import (
+    CurrentReference,
+    Emitted,
+    FixedReference,
+    SignedReference,
+)
 from dqforge.optimizer.solution import Solution
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Dq
 from dqforge.reports.c_code.harness import Constant, ConstantGroup, title
 from dqforge.reports.current_reference.plain import (
+    from_plain,
     reference_context,
     reference_harness,
     to_plain,
     vectors_of,
 )
-from dqforge.reports.current_reference.reference_text import reference_functions
 from dqforge.reports.loops.figures import loop_constants
 from dqforge.reports.observers.tracker_header import observer_constants
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
+from dqforge.reports.steps.blocks import Block, Functions
+from dqforge.reports.steps.step_reader import StepReader
+from dqforge.reports.steps.symbols import Expression
+
+# The evaluator of a current reference in C, written from its step.
+
+# Names of the ends of the domain, by sign of the torque.
+_ENDS = "limit.torque", "limit.torque_negative"
+_INTO = "i_d_A", "i_q_A"
+
+
+def reference_functions(plain: Mapping[str, Any], names: Mapping[str, str], prefix: str) -> str:
+    """The evaluator in float32, and one for each sign of the torque where these differ.
+
+    Args:
+        plain: What `dqforge.reports.current_reference.plain.to_plain` says of the reference.
+        names: Of the ends of its domain, by quantity, without prefix.
+        prefix: Before the names of functions, in capitals before those of ends.
+    """
+    reference, functions = from_plain(plain), Functions()
+    reader = StepReader(prefix, functions, Block("", set()))
+
+    def write(name: str, step: Callable[..., Dq]) -> None:
+        reader.write(name, step, [Expression("torque")], into=_INTO, names=["torque_Nm"])
+
+    ends = [Expression(f"{prefix.upper()}_{names[end]}") for end in _ENDS if end in names]
+    if isinstance(reference, SignedReference):
+        signs = reference.steps(*ends)
+        for step in signs:
+            write(step.__name__, step)
+
+        def current_reference(o: Arithmetic, torque: Reals) -> Dq:
+            return reference.by_sign(o, torque, *signs)
+
+    else:
+        assert isinstance(reference, CurrentReference)
+
+        def current_reference(o: Arithmetic, torque: Reals) -> Dq:
+            return reference.step(o, torque, ends[0])
+
+    write("current_reference", current_reference)
+    return "\n\n".join(functions.texts.values())
+
+
+# The main header of a design: its names, its dialects, its text.
 
 
 def _loop(name: str, kp: str, ki: str) -> dict[str, str]:

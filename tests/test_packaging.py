@@ -130,8 +130,8 @@ def test_neither_help_nor_check_loads_what_they_do_not_need() -> None:
     [
         (18, "--help"),
         (88, "check paper000-ipmsm-100kw"),
-        (112, "mtpa paper000-ipmsm-100kw"),
-        (146, "tune vdyno-trampa-6340"),
+        (115, "mtpa paper000-ipmsm-100kw"),
+        (147, "tune vdyno-trampa-6340"),
     ],
 )
 def test_commands_load_modules_that_they_use(most: int, command: str) -> None:

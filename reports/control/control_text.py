@@ -24,10 +24,10 @@ from dqforge.optimizer.float_control.records import (
 )
 from dqforge.optimizer.float_control.speed_loop import speed_loop
 from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Dq, Rotation
-from dqforge.reports.steps.blocks import Block
+from dqforge.reports.steps.blocks import Block, Functions
 from dqforge.reports.steps.record_text import member_name, record_structs
 from dqforge.reports.steps.state_text import vector
-from dqforge.reports.steps.step_reader import Functions, StepReader
+from dqforge.reports.steps.step_reader import StepReader
 from dqforge.reports.steps.symbols import Expression
 
 # Functions that steps call by their names: of `dqforge.reports.steps.control_types`, and those of

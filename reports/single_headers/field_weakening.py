@@ -38,9 +38,9 @@ from dqforge.reports.pages.scaled import DrawnGrid, draw_filled
 from dqforge.reports.pages.templating import AGAINST, plain_certificate, render
 from dqforge.reports.pages.templating import WEAKENING as CHAPTER
 from dqforge.reports.plain_data import PlainData, shortest
-from dqforge.reports.steps.blocks import Block
+from dqforge.reports.steps.blocks import Block, Functions
 from dqforge.reports.steps.counted_loops import place
-from dqforge.reports.steps.step_reader import Functions, StepReader
+from dqforge.reports.steps.step_reader import StepReader
 from dqforge.reports.steps.symbols import Expression
 
 if TYPE_CHECKING:

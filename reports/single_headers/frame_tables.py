@@ -40,9 +40,9 @@ from dqforge.reports.pages.html_text import HtmlTable, Row, ceiling, share
 from dqforge.reports.pages.templating import WAVEFORMS as CHAPTER
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
-from dqforge.reports.steps.blocks import Block
+from dqforge.reports.steps.blocks import Block, Functions
 from dqforge.reports.steps.record_text import vector_struct
-from dqforge.reports.steps.step_reader import Functions, StepReader
+from dqforge.reports.steps.step_reader import StepReader
 from dqforge.reports.steps.symbols import Expression
 
 _MOST_ROWS = 1 << 17

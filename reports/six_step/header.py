@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, replace
 from functools import partial
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
@@ -15,9 +15,23 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.names import SIX_STEP_METHODS
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.six_step.control import SixStepGains
-from dqforge.optimizer.six_step.sector_step import BlockGains
+from dqforge.optimizer.six_step import control, sector_step
+from dqforge.optimizer.six_step.control import (
+    FAULTS,
+    STAGES,
+    SixStep,
+    SixStepGains,
+    SixStepLegs,
+    blank,
+    six_step_reset,
+    six_step_speed_control,
+    six_step_step,
+    six_step_torque_control,
+)
+from dqforge.optimizer.six_step.sector_step import BlockGains, BlockState, SixStepSeen
+from dqforge.optimizer.steps.step_arithmetic import Abc, cast
 from dqforge.reports.c_code.harness import (
+    SINGLE,
     SWEEP_POINTS,
     SWEEP_SEED,
     Harness,
@@ -30,14 +44,228 @@ from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
 from dqforge.reports.pages.templating import Chapter, render
 from dqforge.reports.plain_data import PlainData, shortest
-from dqforge.reports.six_step.float32_model import six_step_inputs, six_step_outputs
-from dqforge.reports.six_step.six_step_text import control_text
+from dqforge.reports.steps.blocks import Block, Functions
+from dqforge.reports.steps.record_text import record_structs, record_values, vector_struct
+from dqforge.reports.steps.state_text import vector
+from dqforge.reports.steps.step_reader import StepReader
+from dqforge.reports.steps.symbols import Expression
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
+    from dqforge.optimizer.curves.single_precision import SingleArray
     from dqforge.optimizer.six_step.design import SixStepDesign
     from dqforge.optimizer.solution import Solution
 
+
+# Float32 model of the emitted six-step control: the steps of `dqforge.optimizer.six_step.control`
+# on numpy's single precision, and sequences that lead through all its stages.
+
+_LENGTH = 250  # rows of a short sequence
+_LONGEST = 12_000  # rows of the sequence that goes through alignment and ramp
+_FACTOR = 1.6539866862653762  # of a sine: emf over the amplitude of the flux
+
+# Columns of the inputs: reset, torque mode, v_a, v_b, v_c, i_a, i_b, i_c, v_dc, reference.
+COLUMNS = 10
+
+# Columns of the results: stage, fault, sector, high, low, duty, angle, speed, torque, chopped leg.
+RESULTS = 10
+
+
+def _sequence(
+    gains: SixStepGains, generator: np.random.Generator, rows: int, omega: float, torque: bool
+) -> np.ndarray:
+    """A rotor that turns at a speed in rad/s (electrical), slowly faster, with noise."""
+    t_s, flux = gains.observer.t_s, gains.emf / _FACTOR
+    speeds = omega * (1.0 + 0.3 * np.linspace(0.0, 1.0, rows))
+    theta = generator.uniform(-np.pi, np.pi) + np.cumsum(speeds) * t_s
+    size = np.abs(speeds) * flux
+    link = 20.0 * gains.emf * gains.omega_caught
+    found = np.zeros((rows, COLUMNS))
+    found[0, 0] = 1.0
+    found[:, 1] = float(torque)
+    for phase in range(3):
+        lag = theta - 2.0 * np.pi / 3.0 * phase
+        noise = 0.01 * (size + 0.1) * generator.standard_normal(rows)
+        found[:, 2 + phase] = 0.5 * link - np.sign(omega) * size * np.sin(lag) + noise
+        found[:, 5 + phase] = gains.i_max * generator.normal(0.0, 0.5, rows)
+    found[:, 8] = link
+    way = 1.0 if omega >= 0.0 else -1.0
+    asked = gains.torque * gains.i_max if torque else 1.3 * abs(omega) / gains.pole_pairs
+    found[:, 9] = way * max(asked, 1.5 * gains.omega_least if not torque else asked)
+    if rows > 200 and generator.random() < 0.3:
+        found[rows // 2 :, 9] *= generator.choice([0.0, -1.0])
+    unknown = generator.random((rows, 6)) < 0.002
+    found[:, 2:8][unknown] = np.nan
+    return found
+
+
+def six_step_inputs(gains: SixStepGains, count: int, seed: int) -> SingleArray:
+    """Rows for the harness, shape (rows, `COLUMNS`): many short sequences at all speeds of both
+    directions, and one through alignment and ramp.
+
+    Args:
+        gains: Of the control.
+        count: Rows of the short sequences, about.
+        seed: Of the draws.
+    """
+    generator = np.random.default_rng(seed)
+    whole = 2 * gains.align + round(gains.rate / gains.rise) + 6 * (gains.settle + gains.gap)
+    parts = [_sequence(gains, generator, min(whole, _LONGEST), 0.0, torque=False)]
+    for place in range(max(1, count // _LENGTH)):
+        speed = gains.omega_caught * 10.0 ** generator.uniform(-0.5, 1.0)
+        rows = max(_LENGTH, 3 * (gains.settle + gains.gap))
+        way = 1.0 if place % 2 == 0 else -1.0
+        parts.append(_sequence(gains, generator, rows, way * speed, torque=place % 3 == 0))
+    return np.ascontiguousarray(np.concatenate(parts).astype(np.float32))
+
+
+def _row(drive: SixStep, gains: SixStepGains, given: SingleArray) -> list[float]:
+    if given[1] > 0.0:
+        asked = six_step_torque_control(SINGLE, drive, given[9])
+    else:
+        asked = six_step_speed_control(SINGLE, gains, drive, given[9])
+    v, i = Abc(*given[2:5]), Abc(*given[5:8])
+    legs = six_step_step(SINGLE, gains, drive, v, i, given[8])
+    seen = drive.observer
+    found = (
+        drive.stage,
+        drive.fault,
+        drive.sector,
+        legs.high,
+        legs.low,
+        legs.duty,
+        seen.theta_e,
+        seen.omega_e,
+        asked,
+        legs.chopped,
+    )
+    return [float(number) for number in found]
+
+
+def six_step_outputs(gains: SixStepGains, inputs: SingleArray) -> SingleArray:
+    """What the compiled control must return for rows of inputs, shape (rows, `RESULTS`).
+
+    Args:
+        gains: Of the control, float32 values.
+        inputs: Of `six_step_inputs`.
+    """
+    found, own = np.empty((len(inputs), RESULTS), dtype=np.float32), cast(gains, SINGLE)
+    drive = blank()
+    six_step_reset(SINGLE, own, drive)
+    with np.errstate(all="ignore"):
+        for place, given in enumerate(inputs):
+            if given[0] > 0.0:
+                six_step_reset(SINGLE, own, drive)
+            found[place] = _row(drive, own, given)
+    return found
+
+
+# The six-step control in C, written from its steps.
+
+
+@dataclass(frozen=True, slots=True)
+class ZeroCrossingGains(BlockGains):
+    """Numbers of the estimator; those with two entries hold forwards and backwards."""
+
+
+@dataclass(slots=True)
+class ZeroCrossing(BlockState):
+    """What the estimator keeps from sample to sample."""
+
+
+@dataclass(frozen=True, slots=True)
+class EmfIntegrationGains(BlockGains):
+    """Numbers of the estimator; those with two entries hold forwards and backwards."""
+
+
+@dataclass(slots=True)
+class EmfIntegration(BlockState):
+    """What the estimator keeps from sample to sample."""
+
+
+# What the records of the estimator are called in C, by its name there.
+_KINDS: dict[str, tuple[type[BlockGains], type[BlockState]]] = {
+    "zero_crossing": (ZeroCrossingGains, ZeroCrossing),
+    "emf_integration": (EmfIntegrationGains, EmfIntegration),
+}
+
+
+def _named(kind: type[Any], record: Any) -> Any:
+    """A record as one of another name."""
+    return kind(*(getattr(record, field.name) for field in fields(record)))
+
+
+def control_text(code: str, gains: SixStepGains, prefix: str, macro: str) -> str:
+    """What stands in the header behind the types that all headers share.
+
+    Args:
+        code: Name of the estimator in C.
+        gains: Of the control.
+        prefix, macro: Before the names of functions and types, and before those of macros.
+    """
+    own, kept = _KINDS[code]
+    gains = replace(gains, observer=_named(own, gains.observer))
+    blank = control.blank()
+    state = replace(blank, observer=_named(kept, blank.observer))
+    functions = _functions(code, gains, state, prefix)
+    known = set[str]()
+    parts = [
+        *_enumerations(macro),
+        *_tables(macro),
+        *record_structs(gains, prefix, known=known),
+        *record_structs(state, prefix, known=known),
+        vector_struct(SixStepLegs, prefix),
+        vector_struct(SixStepSeen, prefix),
+        *([text] for text in functions.texts.values()),
+        [
+            f"static const {prefix}_six_step_gains_t {macro}_SIX_STEP_GAINS = {{",
+            *record_values(gains, None),
+            "};",
+        ],
+    ]
+    return "\n\n".join("\n".join(lines) for lines in parts)
+
+
+def _functions(code: str, gains: SixStepGains, state: SixStep, prefix: str) -> Functions:
+    names = {name: f"{code}_{name}" for name in ("crossing", "see", "due")}
+    names |= {f"block_{name}": f"{code}_{name}" for name in ("start", "step")}
+    functions = Functions(names=names)
+    reader = StepReader(prefix, functions, Block("", set()))
+    number, v, i = Expression("number"), vector(Abc, "v"), vector(Abc, "i")
+    start = [gains.observer, state.observer, 0, 1, number, number]
+    reader.write(f"{code}_start", sector_step.block_start, start)
+    reader.write(f"{code}_step", sector_step.block_step, [gains.observer, state.observer, v])
+    reader.write("six_step_reset", control.six_step_reset, [gains, state])
+    speed, torque = control.six_step_speed_control, control.six_step_torque_control
+    reader.write("six_step_speed_control", speed, [gains, state, number])
+    reader.write("six_step_torque_control", torque, [state, number])
+    reader.write("six_step_step", control.six_step_step, [gains, state, v, i, number])
+    return functions
+
+
+def _enumerations(macro: str) -> Iterator[list[str]]:
+    for begin, names in (("", STAGES), ("FAULT_", FAULTS)):
+        values = [
+            f"    {macro}_SIX_STEP_{begin}{name.upper().replace(' ', '_')} = {n}"
+            for n, name in enumerate(names)
+        ]
+        yield [
+            "/* Faults. */" if begin else "/* Stages. */",
+            "enum {",
+            *",\n".join(values).split("\n"),
+            "};",
+        ]
+
+
+def _tables(macro: str) -> Iterator[list[str]]:
+    """Phases by sector."""
+    yield ["/* Phases by sector: fed, returning, floating. */"] + [
+        f"static const int32_t {macro}_{name}[6] = {{ {', '.join(map(str, table))} }};"
+        for name, table in sector_step.TABLES.items()
+    ]
+
+
+# The C header of a six-step drive, as plain data and as text.
 
 _WHOLE = ("by_integral", "ratio", "align", "settle", "gap")
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from dqforge.reports.c_code.numbers import comment_text
 from dqforge.reports.steps.record_text import LINE
-from dqforge.reports.steps.symbols import folded
+from dqforge.reports.steps.symbols import Origin, folded
 
 _T = TypeVar("_T")
 
@@ -93,6 +93,25 @@ class Block:
             self.lines += [""] if self.lines else []
         if lines:
             self.lines += [*self._remarked(), *lines]
+
+
+@dataclass(slots=True)
+class Functions:
+    """What steps have needed so far: ``texts`` and ``results`` of functions, by name, and which
+    members of their arguments they change, ``members`` of records, and ``vectors`` that are
+    declared nowhere else. A function with a result and no text stands elsewhere; those of
+    ``filled`` put the numbers of such a vector through pointers. ``kinds`` are
+    the types of results that are no ``float``, ``names`` those in C of functions that have others.
+    """
+
+    texts: dict[str, str] = field(default_factory=dict)
+    results: dict[str, type[Any] | None] = field(default_factory=dict)
+    changes: dict[str, list[frozenset[str]]] = field(default_factory=dict)
+    members: set[Origin] = field(default_factory=set)
+    vectors: dict[str, type[Any]] = field(default_factory=dict)
+    filled: dict[str, type[Any]] = field(default_factory=dict)
+    kinds: dict[str, str] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,9 +24,9 @@ from dqforge.optimizer.fixed_control.vectors import (
 )
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.reports.c_code.numbers import int32_literal, int64_literal
-from dqforge.reports.steps.blocks import Block
+from dqforge.reports.steps.blocks import Block, Functions
 from dqforge.reports.steps.integers import CODES
-from dqforge.reports.steps.step_reader import Functions, StepReader
+from dqforge.reports.steps.step_reader import StepReader
 from dqforge.reports.steps.symbols import Condition, Expression, Origin
 
 _T = TypeVar("_T")

@@ -6,10 +6,10 @@ from functools import cache
 
 from dqforge.optimizer.steps import angle_functions as angles
 from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Arithmetic, Dq, Rotation
-from dqforge.reports.steps.blocks import Block
+from dqforge.reports.steps.blocks import Block, Functions
 from dqforge.reports.steps.record_text import SHARED, vector_struct
 from dqforge.reports.steps.state_text import vector
-from dqforge.reports.steps.step_reader import Functions, StepReader
+from dqforge.reports.steps.step_reader import StepReader
 from dqforge.reports.steps.symbols import Expression
 
 

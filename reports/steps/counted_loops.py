@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from typing import Any, Protocol
 
 from dqforge.reports.c_code.numbers import float_literal
+from dqforge.reports.steps.state_text import Kept
 from dqforge.reports.steps.symbols import Condition, Expression, expression, folded, joined
 
 
@@ -17,6 +19,9 @@ class Writer(Protocol):
 
     def take(self, parts: Sequence[Expression]) -> None:
         """Count the members of records in expressions as needed."""
+
+    def write_state(self) -> None:
+        """Write what the step has changed of a state."""
 
 
 class Index(Expression):
@@ -124,3 +129,49 @@ def reached(reader: Writer, name: str, conditions: Sequence[Condition]) -> Index
         head = folded("if (", condition.text(), ") {", block.indent)
         block.work([*head, f"{block.indent}    {name} = {number}U;", f"{block.indent}}}"])
     return place(name)
+
+
+def repeated(
+    reader: Writer,
+    known: list[Kept],
+    state: Any,
+    count: Any,
+    of: Callable[[Any], None],
+    until: Callable[[], Any] | None,
+) -> None:
+    """A counted loop over variables that it changes, with a break where it ends before; ``known``
+    are the members of states that the reader follows.
+    """
+    outer, (name,) = reader.block, inspect.signature(of).parameters
+    own = [
+        Kept(state, member.name, member.name, expression(getattr(state, member.name)))
+        for member in fields(state)
+    ]
+    for kept in own:
+        reader.take([kept.value])
+        outer.take(kept.place)
+        outer.variable("float", kept.place)
+    for kept in own:
+        outer.work(folded(f"{kept.place} = ", kept.value.bare(), ";", outer.indent))
+        kept.value = Expression(kept.place)
+        kept.renewed()
+    known += own
+    if f"{outer.indent}unsigned int {name};" not in outer.lines:
+        outer.take(name)
+        outer.variable("unsigned int", name)
+    reader.block = inner = outer.inner()
+    of(place(name))
+    reader.write_state()
+    if until is not None:
+        ends = until()
+        reader.take(ends.terms)
+        head = folded("if (", ends.text(), ") {", inner.indent)
+        inner.work([*head, f"{inner.indent}    break;", f"{inner.indent}}}"])
+    reader.block = outer
+    outer.inside |= inner.names - outer.names
+    end = count.operand() if isinstance(count, Index) else f"{count}U"
+    head = [f"{outer.indent}for ({name} = 0U; {name} < {end}; {name}++) {{"]
+    outer.work([*head, *inner.lines, f"{outer.indent}}}"])
+    del known[-len(own) :]
+    for kept in own:
+        setattr(state, kept.member, Expression(kept.place))

@@ -13,7 +13,7 @@ import numpy as np
 from dqforge.optimizer.observers.parts import FirmwareStep, ObserverState
 from dqforge.optimizer.steps.step_arithmetic import AlphaBeta
 from dqforge.reports.c_code.numbers import float_literal
-from dqforge.reports.steps.blocks import Block
+from dqforge.reports.steps.blocks import Block, Functions
 from dqforge.reports.steps.record_text import (
     c_name,
     comment,
@@ -24,7 +24,7 @@ from dqforge.reports.steps.record_text import (
     vector_struct,
 )
 from dqforge.reports.steps.state_text import Assignment, assignments, ordered, vector
-from dqforge.reports.steps.step_reader import Functions, StepReader
+from dqforge.reports.steps.step_reader import StepReader
 from dqforge.reports.steps.symbols import Expression, expression, folded
 
 if TYPE_CHECKING:

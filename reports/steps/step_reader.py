@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
 from enum import IntEnum
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
@@ -26,7 +26,7 @@ from dqforge.optimizer.steps.step_arithmetic import (
     Rotation,
 )
 from dqforge.reports.c_code.numbers import comment_text
-from dqforge.reports.steps.blocks import Arm, Block
+from dqforge.reports.steps.blocks import Arm, Block, Functions
 from dqforge.reports.steps.counted_loops import (
     Index,
     constants,
@@ -35,6 +35,7 @@ from dqforge.reports.steps.counted_loops import (
     place,
     placed,
     reached,
+    repeated,
     summed,
 )
 from dqforge.reports.steps.record_text import (
@@ -74,25 +75,6 @@ from dqforge.reports.steps.symbols import (
 _T = TypeVar("_T")
 _V = TypeVar("_V", bound=tuple[Any, ...])
 _P = ParamSpec("_P")
-
-
-@dataclass(slots=True)
-class Functions:
-    """What steps have needed so far: ``texts`` and ``results`` of functions, by name, and which
-    members of their arguments they change, ``members`` of records, and ``vectors`` that are
-    declared nowhere else. A function with a result and no text stands elsewhere; those of
-    ``filled`` put the numbers of such a vector through pointers. ``kinds`` are
-    the types of results that are no ``float``, ``names`` those in C of functions that have others.
-    """
-
-    texts: dict[str, str] = field(default_factory=dict)
-    results: dict[str, type[Any] | None] = field(default_factory=dict)
-    changes: dict[str, list[frozenset[str]]] = field(default_factory=dict)
-    members: set[Origin] = field(default_factory=set)
-    vectors: dict[str, type[Any]] = field(default_factory=dict)
-    filled: dict[str, type[Any]] = field(default_factory=dict)
-    kinds: dict[str, str] = field(default_factory=dict)
-    names: dict[str, str] = field(default_factory=dict)
 
 
 class StepReader(Arithmetic):
@@ -343,39 +325,7 @@ class StepReader(Arithmetic):
         until: Callable[[], Any] | None = None,
     ) -> None:
         """A counted loop over variables that it changes, with a break where it ends before."""
-        outer, (name,) = self.block, inspect.signature(of).parameters
-        own = [
-            Kept(state, member.name, member.name, expression(getattr(state, member.name)))
-            for member in fields(state)
-        ]
-        for kept in own:
-            self.take([kept.value])
-            outer.take(kept.place)
-            outer.variable("float", kept.place)
-        for kept in own:
-            outer.work(folded(f"{kept.place} = ", kept.value.bare(), ";", outer.indent))
-            kept.value = Expression(kept.place)
-            kept.renewed()
-        self._kept += own
-        if f"{outer.indent}unsigned int {name};" not in outer.lines:
-            outer.take(name)
-            outer.variable("unsigned int", name)
-        self.block = inner = outer.inner()
-        of(place(name))
-        self.write_state()
-        if until is not None:
-            ends = until()
-            self.take(ends.terms)
-            head = folded("if (", ends.text(), ") {", inner.indent)
-            inner.work([*head, f"{inner.indent}    break;", f"{inner.indent}}}"])
-        self.block = outer
-        outer.inside |= inner.names - outer.names
-        end = count.operand() if isinstance(count, Index) else f"{count}U"
-        head = [f"{outer.indent}for ({name} = 0U; {name} < {end}; {name}++) {{"]
-        outer.work([*head, *inner.lines, f"{outer.indent}}}"])
-        del self._kept[-len(own) :]
-        for kept in own:
-            setattr(state, kept.member, Expression(kept.place))
+        repeated(self, self._kept, state, count, of, until)
 
     def summed(self, name: str, first: Any, count: int, of: Callable[[Any], Any]) -> Any:
         """A variable to which a counted loop adds."""

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any, cast
 
 from dqforge.optimizer.observers.parts import FirmwareStep
 from dqforge.optimizer.steps.step_arithmetic import AlphaBeta
-from dqforge.reports.steps.blocks import Block
+from dqforge.reports.steps.blocks import Block, Functions
 from dqforge.reports.steps.observer_text import step_text
 from dqforge.reports.steps.record_text import c_name, record_structs, record_values, sentence
 from dqforge.reports.steps.state_text import vector
-from dqforge.reports.steps.step_reader import Functions, StepReader
+from dqforge.reports.steps.step_reader import StepReader
 from dqforge.reports.steps.symbols import Expression
 
 if TYPE_CHECKING:

@@ -39,8 +39,8 @@ from dqforge.reports.pages.html_text import HtmlTable, Row, ceiling, quantity, s
 from dqforge.reports.pages.templating import WAVEFORMS as CHAPTER
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData
-from dqforge.reports.steps.blocks import Block
-from dqforge.reports.steps.step_reader import Functions, StepReader
+from dqforge.reports.steps.blocks import Block, Functions
+from dqforge.reports.steps.step_reader import StepReader
 from dqforge.reports.steps.symbols import Expression
 from dqforge.reports.waveforms.float32_model import (
     model_currents,

@@ -56,7 +56,7 @@ MODELS = {
     "phase_control.float32_model": "the control of phases in single precision",
     "phase_control.fixed_phase_model": "the control of phases in integers, step by step",
     "output.recomputation": "computes and proves again what is read back",
-    "six_step.float32_model": "control of a six-step drive in single precision",
+    "six_step.header": "control of a six-step drive in single precision",
     "observers.float32_model": "observers of position and speed, and trackers, in single precision",
     "steps.integer_reader": "steps in integers on numbers that know their text and range",
     "steps.integer_text": "the observers in integers on numbers that know their text and range",

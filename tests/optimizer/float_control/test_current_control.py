@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dqforge.optimizer.float_control.current_control import ControlSteps
+from dqforge.optimizer.float_control.current_control import (
+    ControlSteps,
+    current_ramp,
+    torque_ramp,
+    weakened,
+)
 from dqforge.optimizer.float_control.records import (
     NUMBERS,
     Control,
@@ -20,7 +25,6 @@ from dqforge.optimizer.float_control.records import (
     ReferenceGains,
     at_rest,
 )
-from dqforge.optimizer.float_control.references import current_ramp, torque_ramp, weakened
 from dqforge.optimizer.float_control.speed_loop import speed_loop
 from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Dq
 from dqforge.reports.c_code.harness import SINGLE

@@ -19,8 +19,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.positioned_yaml import parse_yaml
 from dqforge.reports.answers.tune import answer_tune
-from dqforge.reports.browser.design_folder import DesignFolder, fields_of, known_keys
-from dqforge.reports.browser.server import Server
+from dqforge.reports.browser.server import DesignFolder, Server, fields_of, known_keys
 
 HUB = {
     "machine.kv": "60 rpm/V",

@@ -13,8 +13,12 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.six_step.control import CATCHING, RUNNING, STAGES
 from dqforge.optimizer.six_step.design import solve_six_step
 from dqforge.reports.run import export_design
-from dqforge.reports.six_step.float32_model import six_step_inputs, six_step_outputs
-from dqforge.reports.six_step.header import plain_six_step, six_step_from
+from dqforge.reports.six_step.header import (
+    plain_six_step,
+    six_step_from,
+    six_step_inputs,
+    six_step_outputs,
+)
 
 
 @pytest.mark.thinned
