@@ -69,6 +69,7 @@ class Harness:
         return _joined(
             _comment(told),
             "#include <stdio.h>",
+            "#include <string.h>",
             "",
             f'#include "{stem}{"_vectors" if self.vectors else ""}.h"',
             "",
