@@ -1,13 +1,11 @@
-"""Command line of dqforge: options in, one answer per command, tables, JSON or a figure out.
-
-Everything heavy is imported inside the command that needs it: ``dqforge --help`` answers at once.
-"""
+"""Command line of dqforge: options in, an answer out. What is heavy is loaded by its command."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
 from functools import cache, partial
+from importlib import import_module
 from typing import Any
 
 try:
@@ -329,16 +327,9 @@ def explore(  # noqa: PLR0913, PLR0917 - every option of the command is a parame
 
 
 @app.command()
-def serve(
-    folder: given.Served = given.DESIGN_FOLDER, port: given.Port = 0, quiet: given.Unopened = False
-) -> None:
-    """Edit a design in the browser, with live figures.
-
-    On this machine alone, behind a token. The design file is the only state.
-    """
-    from dqforge.reports.browser.server import serve as served
-
-    served(folder, port, opening=not quiet)
+def serve(place: given.Served = given.HERE, port: given.Port = 0, json: given.Json = False) -> None:
+    """Edit a design in the browser, with live figures."""
+    import_module("dqforge.reports.browser.server").serve(place, port, as_json=json)
 
 
 @app.command()

@@ -256,13 +256,13 @@ _REPORT_ALONE = (
 )
 
 
-def serve(folder: Path, port: int, *, opening: bool) -> None:
+def serve(folder: Path, port: int, *, as_json: bool) -> None:
     """Serve a design folder to a browser on this machine.
 
     Args:
         folder: Holds the design file, or will.
         port: Of the loopback address; 0: a free one.
-        opening: Whether the page is opened in the browser.
+        as_json: Whether address and design are printed as JSON, and the page is not opened.
 
     Raises:
         InputError: The folder is a file, or the port is taken.
@@ -276,9 +276,13 @@ def serve(folder: Path, port: int, *, opening: bool) -> None:
     except OSError as error:
         reason = error.strerror or "it cannot be had"
         raise InputError(f"--port: {port}: {reason}; leave it out for a free one") from None
-    sys.stdout.write(f"{folder / 'design.yaml'} in the browser: {server.address}\nCtrl-C ends it\n")
+    path = str(folder / NEW_DESIGN)
+    said = f"{path} in the browser: {server.address}\nCtrl-C ends it"
+    if as_json:
+        said = json.dumps({"address": server.address, "design": path})
+    sys.stdout.write(f"{said}\n")
     sys.stdout.flush()
-    if opening:
+    if not as_json:
         webbrowser.open(server.address)
     asyncio.run(_until_ended(server))
 

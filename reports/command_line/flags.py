@@ -417,12 +417,15 @@ Design = Annotated[str, _argument("DESIGN", _DRIVE, designs)]
 
 
 Folder = Annotated[Path, _argument("DIR", "Folder to make; it gets a file design.yaml.")]
-DESIGN_FOLDER = Path("design")  # The folder of a design that is served, where none is named.
+
+
 Served = Annotated[Path, _argument("DIR", "Folder of the design file, made if missing.")]
+HERE = Path("design")  # Where none is named.
+
+
 Port = Annotated[
     int, Option("--port", help="Of 127.0.0.1; a free one by default.", min=0, max=65535)
 ]
-Unopened = Annotated[bool, Option("--no-open", help="Only print the address.")]
 
 
 Written = Annotated[Path, _argument("OUT", "Folder that 'dqforge run' or 'export' wrote.")]
