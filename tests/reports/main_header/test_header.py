@@ -188,7 +188,7 @@ def test_verification_sees_a_change_of_one_unit_in_the_last_place(found: Solutio
     files = header_files(found)
     reference = in_floats(found.fit)
     for pattern, replacement in (
-        (rb"i_q = torque / \(-0\.001452F", b"i_q = torque / (-0.0014520001F"),
+        (rb"torque / \(\(-0\.001452F", b"torque / ((-0.0014520001F"),
         (rb"-DRIVE_TORQUE_MAX_NM :", b"DRIVE_TORQUE_MAX_NM :"),
         (rb"t < [0-9.]+F", b"t < 70.0F"),
     ):
