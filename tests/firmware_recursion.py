@@ -8,9 +8,9 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.transforms import Triple, clarke, park, park_inverse
-from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.optimizer.curves.single_precision import SINGLE, SingleArray
 from dqforge.optimizer.firmware.configuration import DriveValues, LoopProfile, PiController
-from dqforge.reports.c_code.harness import SINGLE, rotation, small_rotation, turned, wrap
+from dqforge.reports.c_code.harness import rotation, small_rotation, turned, wrap
 from dqforge.reports.control.header import three_leg_duties
 
 F = np.float32

@@ -19,6 +19,7 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import C, N, Pair
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, Range, rounded
 from dqforge.optimizer.fixed_control.codes import rotation
+from dqforge.optimizer.fixed_control.vectors import Dq
 from dqforge.optimizer.fixed_observers.fixed_sampled_machine import (
     FixedSampled,
     combined_currents,
@@ -31,7 +32,6 @@ from dqforge.optimizer.fixed_observers.fixed_sampled_machine import (
 from dqforge.optimizer.fixed_observers.kit import (
     ONE,
     WIDTH,
-    Dq,
     FixedMethod,
     FixedPolynomials,
     Scales,

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, Range, rounded, scaled
+from dqforge.optimizer.fixed_control.vectors import Dq
 from dqforge.optimizer.fixed_observers.fixed_sampled_machine import (
     ANGLE_ROOM,
     SPEED_ROOM,
@@ -21,7 +22,6 @@ from dqforge.optimizer.fixed_observers.fixed_sampled_machine import (
 )
 from dqforge.optimizer.fixed_observers.kit import (
     ONE,
-    Dq,
     FixedMethod,
     Scales,
     TrackedState,

@@ -11,10 +11,10 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded, scaled
 from dqforge.optimizer.fixed_control.codes import rotation
+from dqforge.optimizer.fixed_control.vectors import Dq
 from dqforge.optimizer.fixed_observers.kit import (
     ONE,
     WIDTH,
-    Dq,
     FixedMethod,
     FixedPolynomials,
     Scales,

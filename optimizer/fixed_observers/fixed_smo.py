@@ -12,11 +12,11 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, scaled
 from dqforge.optimizer.fixed_control.codes import rotation
+from dqforge.optimizer.fixed_control.vectors import Dq
 from dqforge.optimizer.fixed_observers.fixed_extended_emf import by_factor
 from dqforge.optimizer.fixed_observers.kit import (
     ONE,
     WIDTH,
-    Dq,
     FixedMethod,
     FixedPll,
     FixedPolynomials,

@@ -34,6 +34,7 @@ from dqforge.optimizer.fixed_control.arithmetic import (
     scaled,
 )
 from dqforge.optimizer.fixed_control.codes import Codes, full_scale, rotation
+from dqforge.optimizer.fixed_control.vectors import Dq
 from dqforge.optimizer.loops.integer_gains import FixedGain, quantise
 from dqforge.optimizer.observers.methods.flux_gains import FluxPath
 from dqforge.optimizer.observers.methods.open_loop_flux import OpenLoopFluxGains
@@ -49,10 +50,6 @@ NARROW = "int32: "
 _HALF_WORD = 16
 _MOST_DIVISOR = 2**62
 _SIZE_BITS = 15
-
-
-class Dq(Pair[N]):
-    """A vector in rotor coordinates, d and q."""
 
 
 def clipped(o: Arithmetic[N, Any], a: N) -> N:

@@ -29,7 +29,6 @@ from dqforge.optimizer.estimators import (
     Tracker,
     TrackerLoop,
     TrackerSteps,
-    TunedTracker,
 )
 from dqforge.optimizer.observers.models.matsui_model import ObserverRun
 from dqforge.optimizer.observers.sampled_machine import (
@@ -548,19 +547,3 @@ def track(
         now = plant.current(psi, theta[k + 1]) * np.exp(-1j * theta[k + 1])
         i_dq[k + 1, :, 0], i_dq[k + 1, :, 1] = now.real, now.imag
     return ObserverRun(estimate, speed), Trial(t_s, v, i, theta, omega, i_dq)
-
-
-# How long a tracker takes from an unknown angle at rest to one known but for half a turn.
-
-# Time constants of the loop: from beside the unstable rest at 90 degrees to within noise.
-_SETTLED = 12.0
-
-
-def settling_samples(tuned: TunedTracker) -> int:
-    """Samples of ``t_s`` from the start at the angle 0, at rest and without current reference,
-    after which the angle is that of the d axis or half a turn off.
-    """
-    gains = tuned.gains
-    steps = float(getattr(gains, "period", 1.0))
-    bandwidth = math.sqrt(float(gains.k_i) / (steps * tuned.t_s))
-    return math.ceil(_SETTLED / (bandwidth * tuned.t_s))

@@ -18,15 +18,18 @@ if TYPE_CHECKING:
 Options = Mapping[str, str]
 
 
+def _point(options: Options) -> tuple[str | None, str | None]:
+    """Speed and torque, None where they are not given."""
+    return options.get("speed") or None, options.get("torque") or None
+
+
 def _check(design: Design, _: Options) -> Answer:
     return answers.check.answer_check(design)
 
 
 def _mtpa(design: Design, options: Options) -> Answer:
-    speed, torque = options.get("speed") or None, options.get("torque") or None
-    return answers.mtpa.answer_mtpa(
-        design, answers.mtpa.Request(speed, torque, None, "svpwm", "0 %")
-    )
+    request = answers.mtpa.Request(*_point(options), None, "svpwm", "0 %")
+    return answers.mtpa.answer_mtpa(design, request)
 
 
 def _tune(design: Design, _: Options) -> Answer:
@@ -39,7 +42,7 @@ def _losses(design: Design, _: Options) -> Answer:
 
 
 def _dqy(design: Design, options: Options) -> Answer:
-    speed, torque = options.get("speed") or None, options.get("torque") or None
+    speed, torque = _point(options)
     return answers.dqy.answer_dqy(design, answers.dqy.WaveformRequest(torque, speed, None, None))
 
 

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
+from functools import cache
 from hmac import compare_digest
 from multiprocessing import get_context
 from pathlib import Path
@@ -32,14 +33,14 @@ from dqforge.machines.errors import DqforgeError, InputError
 from dqforge.machines.files.library_files import DESIGN_SCHEMA, schema_bytes
 from dqforge.machines.files.positioned_yaml import YamlValue, edited, parse_yaml, written
 from dqforge.machines.records import dataclass
+from dqforge.reports import answers
 from dqforge.reports.browser import computed
+from dqforge.reports.command_line.designs import NEW_DESIGN
 from dqforge.reports.firmware.target import TARGETS
-from dqforge.reports.pages.answer import write_atomically
+from dqforge.reports.pages.answer import write_all
 from dqforge.reports.pages.templating import render
 
 # The one state of `dqforge serve`: a design file in a folder, with what was uploaded beside it.
-
-NEW_DESIGN = "design.yaml"
 
 # Bytes of the largest file that is taken: maps and captures.
 LARGEST_UPLOAD = 64_000_000
@@ -78,8 +79,9 @@ class DesignFolder:
             InputError: The text is no design; says where and why.
         """
         self._require(revision)
-        catalogue.load_text(text.encode("utf-8"), str(self.path), self.folder)
-        self._write(text)
+        content = text.encode("utf-8")
+        catalogue.load_text(content, str(self.path), self.folder)
+        write_all(self.folder, {NEW_DESIGN: content})
 
     def change(self, settings: Sequence[str], revision: str) -> None:
         """Set keys of the design, as ``--set`` does; comments stay. Raises as `save`."""
@@ -100,12 +102,12 @@ class DesignFolder:
         if unknown:
             raise InputError(f"a data sheet has no {unknown[0]}")
         self._require(revision)
-        self._write(checked_text(given, self.folder, {}))
+        self._begin(checked_text(given, self.folder, {}).encode("utf-8"))
 
     def template(self, machine: str, revision: str) -> None:
         """Begin with a drive or motor of the library. Raises as `save`."""
         self._require(revision)
-        self._write(catalogue.template(machine).decode("utf-8"))
+        self._begin(catalogue.template(machine))
 
     def upload(self, name: str, content: bytes) -> str:
         """Keep a file beside the design, such as a flux map; its name.
@@ -120,17 +122,16 @@ class DesignFolder:
         path = self.folder / name
         if path.exists() and path.read_bytes() != content:
             raise InputError(f"{name} is there with another content; rename one of the two")
-        write_atomically(path, content)
+        write_all(self.folder, {name: content})
         return name
 
     def _require(self, revision: str) -> None:
         if revision != self.revision():
             raise ChangedElsewhereError
 
-    def _write(self, text: str) -> None:
-        self.folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(self.folder / DESIGN_SCHEMA, schema_bytes(DESIGN_SCHEMA))
-        write_atomically(self.path, text.encode("utf-8"))
+    def _begin(self, text: bytes) -> None:
+        """Write what `dqforge new` writes."""
+        write_all(self.folder, answers.library.design_files(text).contents)
 
 
 # The form: each key of the design with what the schema says of it.
@@ -167,6 +168,7 @@ def known_keys() -> list[dict[str, str]]:
     ]
 
 
+@cache
 def _schema() -> dict[str, Any]:
     found: dict[str, Any] = json.loads(schema_bytes(DESIGN_SCHEMA))
     return found
@@ -321,14 +323,15 @@ class Work:
         self._pool.shutdown(wait=False, cancel_futures=True)
 
 
-class _Guarded(RequestHandler):
-    """A request from the page that this server gave out, and from nobody else."""
+class _Plain(RequestHandler):
+    """A request with the token, and for no other host than this; errors are a line of text."""
 
-    folder: DesignFolder
-    work: Work
-
-    def initialize(self, folder: DesignFolder, work: Work) -> None:
-        self.folder, self.work = folder, work
+    def require(self, token: str) -> None:
+        """Refuse another host and another token."""
+        settings = self.application.settings
+        known = compare_digest(token.encode("utf-8"), settings["token"].encode("utf-8"))
+        if self.request.host != settings["place"] or not known:
+            raise HTTPError(403)
 
     def set_default_headers(self) -> None:
         self.set_header("Content-Security-Policy", _OWN_ALONE)
@@ -337,22 +340,27 @@ class _Guarded(RequestHandler):
         self.set_header("Cache-Control", "no-store")
         self.clear_header("Server")
 
-    def prepare(self) -> None:
-        """Refuse other hosts, requests without the token, and changes from other pages."""
-        place: str = self.application.settings["place"]
-        if self.request.host != place:
-            raise HTTPError(403)
-        if not compare_digest(self.get_cookie(_COOKIE, ""), self.application.settings["token"]):
-            raise HTTPError(403)
-        if self.request.method not in {"GET", "HEAD"}:
-            origin = self.request.headers.get("Origin", "")
-            if origin != f"http://{place}":
-                raise HTTPError(403)
-
     def write_error(self, status_code: int, **_: Any) -> None:
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         said = {403: "open the address that 'dqforge serve' has printed", 404: "not here"}
         self.finish(said.get(status_code, "this went wrong; what was saved is kept") + "\n")
+
+
+class _Guarded(_Plain):
+    """A request from the page that this server gave out, and from nobody else."""
+
+    folder: DesignFolder
+    work: Work
+
+    def initialize(self, folder: DesignFolder, work: Work) -> None:
+        self.folder, self.work = folder, work
+
+    def prepare(self) -> None:
+        """Refuse whom `require` refuses, and changes from other pages."""
+        self.require(self.get_cookie(_COOKIE, ""))
+        own = f"http://{self.application.settings['place']}"
+        if self.request.method not in {"GET", "HEAD"} and self.request.headers.get("Origin") != own:
+            raise HTTPError(403)
 
     def answer(self, found: dict[str, Any]) -> None:
         """Write data as JSON."""
@@ -370,15 +378,13 @@ class _Guarded(RequestHandler):
         return found
 
 
-class _Enter(RequestHandler):
+class _Enter(_Plain):
     """The address that is printed: its token becomes a cookie of this page alone."""
 
     def get(self) -> None:
         """Let in who has the token."""
-        settings = self.application.settings
         given = self.get_query_argument("token", "")
-        if self.request.host != settings["place"] or not compare_digest(given, settings["token"]):
-            raise HTTPError(403)
+        self.require(given)
         self.set_cookie(_COOKIE, given, httponly=True, samesite="Strict", path="/")
         self.redirect("/")
 

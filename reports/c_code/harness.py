@@ -15,9 +15,9 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
-from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.optimizer.curves.single_precision import SINGLE, SingleArray
 from dqforge.optimizer.steps import angle_functions
-from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Pair, Rotation
+from dqforge.optimizer.steps.step_arithmetic import Pair, Rotation
 from dqforge.reports.c_code.numbers import (
     comment_text,
     hexadecimal_word,
@@ -353,9 +353,6 @@ def small_rotation(theta: SingleArray) -> Rotation:
     `rotation`.
     """
     return angle_functions.small_rotation(SINGLE, theta)
-
-
-SINGLE = Arithmetic(np.float32, wrap, rotation)
 
 
 def turned(x: Pair, y: Pair) -> Rotation:

@@ -25,7 +25,7 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import fundamental_share
 from dqforge.machines.transforms import Pair
 from dqforge.optimizer.current_reference.forms import FixedReference, FloatReference
-from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.optimizer.curves.single_precision import SINGLE, SingleArray
 from dqforge.optimizer.dynamic_references import DynamicReferences
 from dqforge.optimizer.field_weakening.voltage_region import DropReference
 from dqforge.optimizer.float_control.current_control import ControlSteps, Numbers
@@ -44,14 +44,7 @@ from dqforge.optimizer.float_control.speed_loop import speed_loop
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Dq
-from dqforge.reports.c_code.harness import (
-    SINGLE,
-    Harness,
-    Programme,
-    control_harness,
-    single_from,
-    title,
-)
+from dqforge.reports.c_code.harness import Harness, Programme, control_harness, single_from, title
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.control.control_text import (
     control_functions,

@@ -12,7 +12,7 @@ import numpy as np
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.optimizer.curves.single_precision import SINGLE, SingleArray
 from dqforge.optimizer.observers.parts import ObserverMethod
 from dqforge.optimizer.observers.reduced_order_step import (
     ReducedOrderGains,
@@ -20,7 +20,7 @@ from dqforge.optimizer.observers.reduced_order_step import (
     step,
 )
 from dqforge.optimizer.steps.step_arithmetic import cast
-from dqforge.reports.c_code.harness import SINGLE, wrap
+from dqforge.reports.c_code.harness import wrap
 from dqforge.reports.plain_data import shortest
 
 if TYPE_CHECKING:

@@ -16,18 +16,11 @@ from numpy.typing import NDArray
 
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Pair, Triple, clarke, park, park_inverse
-from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.optimizer.curves.single_precision import SINGLE, SingleArray
 from dqforge.optimizer.float_control.records import Control, Pi
 from dqforge.optimizer.float_control.speed_loop import speed_loop
 from dqforge.optimizer.steps.step_arithmetic import AlphaBeta, Dq
-from dqforge.reports.c_code.harness import (
-    SINGLE,
-    rotation,
-    single_from,
-    small_rotation,
-    turned,
-    wrap,
-)
+from dqforge.reports.c_code.harness import rotation, single_from, small_rotation, turned, wrap
 from dqforge.reports.control.header import gains_of, three_leg_duties
 from dqforge.reports.phase_control.float32_parts import (
     Stationary,

@@ -14,8 +14,7 @@ from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse
-from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.reports.c_code.harness import SINGLE
+from dqforge.optimizer.curves.single_precision import SINGLE, SingleArray
 
 if TYPE_CHECKING:
     from dqforge.machines.names import CurrentFrame, Feedforward, ModulationName, Topology

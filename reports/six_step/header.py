@@ -15,6 +15,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.names import SIX_STEP_METHODS
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
+from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.six_step import control, sector_step
 from dqforge.optimizer.six_step.control import (
     FAULTS,
@@ -31,7 +32,6 @@ from dqforge.optimizer.six_step.control import (
 from dqforge.optimizer.six_step.sector_step import BlockGains, BlockState, SixStepSeen
 from dqforge.optimizer.steps.step_arithmetic import Abc, cast
 from dqforge.reports.c_code.harness import (
-    SINGLE,
     SWEEP_POINTS,
     SWEEP_SEED,
     Harness,

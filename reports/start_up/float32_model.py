@@ -15,10 +15,11 @@ import numpy as np
 
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
+from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.estimators import Tracker
 from dqforge.optimizer.float_control.records import Control
 from dqforge.optimizer.steps.step_arithmetic import Dq
-from dqforge.reports.c_code.harness import SINGLE, rotation, wrap
+from dqforge.reports.c_code.harness import rotation, wrap
 from dqforge.reports.control.header import ControlModel
 from dqforge.reports.phase_control.float32_model import PhaseControlModel, PhaseControlState
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dqforge.machines.records import dataclass
-from dqforge.reports.c_code.harness import SINGLE, title
+from dqforge.optimizer.curves.single_precision import SINGLE
+from dqforge.reports.c_code.harness import title
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.observers.float32_model import EmittedTracker
 from dqforge.reports.observers.tracker_header import plain_tracker_gains, tracker_files

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
+from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.estimators import TRACKERS
 from dqforge.optimizer.steps.step_arithmetic import cast
-from dqforge.reports.c_code.harness import SINGLE, Harness, Programme, single_from
+from dqforge.reports.c_code.harness import Harness, Programme, single_from
 from dqforge.reports.observers.position_header import observer_from
 from dqforge.reports.observers.tracker_header import (
     tracker_from,

@@ -161,11 +161,6 @@ def constant(value: int, kind: str) -> Code:
     return Code(text, value=int(value), kind=kind)
 
 
-def _signed(text: str) -> str:
-    """A text as an operand: what begins with a minus has parentheses."""
-    return f"({text})" if text[0] == "-" else text
-
-
 class CodeReader(StepReader):
     """Writes what a step in codes computes into ``block``.
 

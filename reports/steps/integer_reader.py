@@ -16,13 +16,8 @@ from typing import Any, Concatenate, ParamSpec, TypeVar, get_type_hints
 from dqforge.machines.transforms import Pair
 from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, rounded, scaled
 from dqforge.optimizer.fixed_control.codes import rotation
-from dqforge.optimizer.fixed_observers.kit import (
-    WIDTH,
-    Dq,
-    FixedMethod,
-    to_rotor,
-    to_stator,
-)
+from dqforge.optimizer.fixed_control.vectors import Dq
+from dqforge.optimizer.fixed_observers.kit import WIDTH, FixedMethod, to_rotor, to_stator
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.reports.c_code.numbers import comment_text
 from dqforge.reports.steps import integers

@@ -14,13 +14,8 @@ from typing import Any
 
 from dqforge.machines.transforms import Pair
 from dqforge.optimizer.fixed_control.arithmetic import Range
-from dqforge.optimizer.fixed_observers.kit import (
-    WIDTH,
-    Dq,
-    FixedMethod,
-    TrackedState,
-    shown,
-)
+from dqforge.optimizer.fixed_control.vectors import Dq
+from dqforge.optimizer.fixed_observers.kit import WIDTH, FixedMethod, TrackedState, shown
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.reports.c_code.numbers import int32_literal, int64_literal
 from dqforge.reports.steps.blocks import Block

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.float_control.current_control import (
     ControlSteps,
     current_ramp,
@@ -27,7 +28,6 @@ from dqforge.optimizer.float_control.records import (
 )
 from dqforge.optimizer.float_control.speed_loop import speed_loop
 from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Dq
-from dqforge.reports.c_code.harness import SINGLE
 
 COUNT = 4000
 # Roundings of single precision that a voltage or current of some hundred units gathers.

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
+from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.float_control.duties import Duties, centred_duties
 from dqforge.optimizer.steps.step_arithmetic import AlphaBeta
-from dqforge.reports.c_code.harness import SINGLE
 
 COUNT = 20_000
 NAMES = get_args(ModulationName)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from learned_drives import learned_observer
 
+from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.learned_correction.correction_frame import (
     CURRENT_KNOTS,
     KNOTS,
@@ -19,7 +20,6 @@ from dqforge.optimizer.learned_correction.correction_frame import (
     trained_rules,
 )
 from dqforge.optimizer.steps.step_arithmetic import EXACT, cast
-from dqforge.reports.c_code.harness import SINGLE
 
 
 def test_least_squares_are_those_of_numpy() -> None:

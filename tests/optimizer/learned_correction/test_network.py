@@ -10,6 +10,7 @@ import pytest
 from learned_drives import learned_observer
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.learned_correction.corrected_flux import (
     TANH_ERROR,
     Network,
@@ -20,7 +21,6 @@ from dqforge.optimizer.learned_correction.corrected_flux import (
 )
 from dqforge.optimizer.learned_correction.correction_frame import TOLD
 from dqforge.optimizer.steps.step_arithmetic import EXACT, cast
-from dqforge.reports.c_code.harness import SINGLE
 
 
 def test_the_tangent_is_bounded_and_as_near_as_stated() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.six_step.sector_step import (
     BlockGains,
     BlockState,
@@ -19,7 +20,6 @@ from dqforge.optimizer.six_step.sector_step import (
 )
 from dqforge.optimizer.six_step.sectors import middle
 from dqforge.optimizer.steps.step_arithmetic import EXACT, Abc, Arithmetic, cast
-from dqforge.reports.c_code.harness import SINGLE
 
 PSI, T_S = 0.1, 2e-5
 GAINS = BlockGains(

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.reports.c_code.harness import PI, SINGLE, rotation, small_rotation, turned, wrap
+from dqforge.optimizer.curves.single_precision import SINGLE, SingleArray
+from dqforge.reports.c_code.harness import PI, rotation, small_rotation, turned, wrap
 
 ROUNDING = 2.0**-24  # Half a unit in the last place of numbers about one.
 

@@ -16,8 +16,10 @@ from urllib.parse import urlsplit
 import pytest
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.sheet_judged import checked_text
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.positioned_yaml import parse_yaml
+from dqforge.reports import answers
 from dqforge.reports.answers.tune import answer_tune
 from dqforge.reports.browser.server import DesignFolder, Server, fields_of, known_keys
 
@@ -92,10 +94,11 @@ EVERY = ("/", "/page.js", "/page.css", "/api/state", "/report", "/files.zip")
     [
         {"Cookie": None},
         {"Cookie": "dqforge=guessed"},
+        {"Cookie": "dqforge=\u00e9"},
         {"Host": "evil.example"},
         {"Host": "localhost"},
     ],
-    ids=["no token", "another token", "a name that leads here", "without the port"],
+    ids=["no token", "another token", "no letters", "a name that leads here", "without the port"],
 )
 def test_nobody_else_is_let_in(page: Page, path: str, headers: dict[str, str | None]) -> None:
     assert page.ask("GET", path, None, **headers)[0] == 403
@@ -114,7 +117,9 @@ def test_the_printed_address_lets_in_and_the_token_is_gone_from_it(page: Page) -
     assert status == 302
     assert headers["Location"] == "/"
     assert {"HttpOnly", "SameSite=Strict"} <= {p.strip() for p in headers["Set-Cookie"].split(";")}
-    assert page.ask("GET", "/enter?token=guessed", Cookie=None)[0] == 403
+    for wrong in ("guessed", "%C3%A9", ""):
+        assert page.ask("GET", f"/enter?token={wrong}", Cookie=None)[0] == 403
+    assert page.ask("GET", f"/enter?token={page.token}", Host="evil.example")[0] == 403
 
 
 def test_a_page_asks_its_own_server_alone(page: Page) -> None:
@@ -185,6 +190,20 @@ def test_a_file_stays_in_the_folder(page: Page, name: str) -> None:
     before = sorted(page.folder.parent.rglob("*"))
     page.ask("POST", f"/api/upload/{name}", b"1")
     assert sorted(page.folder.parent.rglob("*")) == before
+
+
+def test_a_file_comes_before_the_design(page: Page) -> None:
+    """The form hands over the flux map first: there is no folder yet."""
+    assert json.loads(page.ask("POST", "/api/upload/map.csv", b"1")[2]) == {"name": "map.csv"}
+    assert (page.folder / "map.csv").read_bytes() == b"1"
+
+
+def test_a_design_begins_as_that_of_new(page: Page) -> None:
+    begun(page)
+    files = answers.library.design_files(
+        checked_text(HUB, page.folder, {}).encode("utf-8")
+    ).contents
+    assert {path.name: path.read_bytes() for path in page.folder.iterdir()} == files
 
 
 def test_a_file_is_kept_once_and_never_replaced(page: Page) -> None:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from dqforge.machines.transforms import Triple, clarke, clarke_inverse, park, park_inverse
-from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.reports.c_code.harness import SINGLE, rotation, small_rotation, turned, wrap
+from dqforge.optimizer.curves.single_precision import SINGLE, SingleArray
+from dqforge.reports.c_code.harness import rotation, small_rotation, turned, wrap
 from dqforge.reports.operating_system.host_compiler import find_compiler
 from dqforge.reports.steps.control_types import control_types
 from dqforge.reports.verification.host import COMPILERS, WARNINGS, Compiler

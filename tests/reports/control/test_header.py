@@ -21,11 +21,11 @@ from dqforge.machines.modulation.modulators import MODULATORS, modulate
 from dqforge.machines.modulation.registry import DISCONTINUOUS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import Pair
+from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.float_control.duties import centred_duties
 from dqforge.optimizer.loops.plants import current_loop, current_step
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.optimizer.steps.step_arithmetic import AlphaBeta
-from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.control.header import (
     ControlModel,
     control_files,

@@ -20,9 +20,9 @@ from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import LEARNED_OBSERVERS, ObserverMethodName
 from dqforge.machines.plants.scenario import PlantErrors, Scenario, constant
+from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.solution import solve
 from dqforge.optimizer.steps.step_arithmetic import cast
-from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.observers.float32_model import observer_inputs
 from dqforge.reports.observers.position_header import observer_files, plain_position, position_parts
 from dqforge.reports.pages.templating import to_text

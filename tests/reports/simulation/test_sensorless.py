@@ -35,12 +35,13 @@ from dqforge.machines.plants.scenario import (
     plants,
 )
 from dqforge.machines.transforms import Triple, clarke
+from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import steady_observer
 from dqforge.optimizer.observers.reduced_order_step import ReducedOrderGains
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.optimizer.steps.step_arithmetic import cast
-from dqforge.reports.c_code.harness import SINGLE, wrap
+from dqforge.reports.c_code.harness import wrap
 from dqforge.reports.observers.float32_model import observed_speeds
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.simulation.design_run import controller_files, drive_of, evaluate, observers_of

@@ -12,9 +12,10 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.transforms import Triple, clarke
 from dqforge.optimizer.control_design.gain_set import solve_gains
+from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.solution import solve
 from dqforge.optimizer.steps.step_arithmetic import cast
-from dqforge.reports.c_code.harness import SINGLE, wrap
+from dqforge.reports.c_code.harness import wrap
 from dqforge.reports.simulation.design_run import DriveSimulation, simulate_design
 
 ABB, BALDOR = "abb-ipmsm-2k2", "baldor-pmsyrm-5k6"

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from static_checks import program
 
+from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import ObserverState, StateMembers
 from dqforge.optimizer.steps.step_arithmetic import AlphaBeta, Arithmetic, Member, cast, limited
-from dqforge.reports.c_code.harness import SINGLE
 from dqforge.reports.steps.control_types import control_types
 from dqforge.reports.steps.observer_text import observer_text
 

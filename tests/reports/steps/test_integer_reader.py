@@ -19,6 +19,7 @@ from static_checks import program
 from dqforge.machines.transforms import N, Pair
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, Range, rounded, scaled
 from dqforge.optimizer.fixed_control.codes import rotation
+from dqforge.optimizer.fixed_control.vectors import Dq
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
     FixedObserverFit,
     FixedPositionObserver,
@@ -27,7 +28,6 @@ from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
 from dqforge.optimizer.fixed_observers.kit import (
     TOP,
     WIDTH,
-    Dq,
     FixedMethod,
     FixedPolynomials,
     TrackedState,
