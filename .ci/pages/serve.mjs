@@ -59,6 +59,8 @@ await reach("tune");
 await page.keyboard.press("Enter");
 await page.waitForSelector("#answer figure img");
 await idle();
+const numbers = await page.evaluate(() => [...document.querySelectorAll("#answer td")].filter((cell) => /^[-+]?\d.{0,40}$/.test(cell.textContent)).map((cell) => getComputedStyle(cell).whiteSpace));
+if (!numbers.length || numbers.some((space) => space !== "nowrap")) findings.push("a cell with a number can be broken");
 await look("tune");
 
 // A bad value in each field: refused in words, and the file stays.
