@@ -12,7 +12,8 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.reports.phase_control.float32_model import PhaseControlModel, PhaseControlState
+from dqforge.reports.phase_control.float32_model import PhaseControlModel
+from dqforge.reports.phase_control.float32_model import opened as open_phases
 
 _STEPS = 16
 
@@ -65,10 +66,10 @@ class AveragedDrive:
         omega = machine.pole_pairs * omega_m
         l_ab, l_0 = machine.l_s - machine.m_s, machine.l_s + 2.0 * machine.m_s
         inductances = self.inductance * np.array([[l_ab], [l_ab], [l_0]])
-        state = PhaseControlState.start(count, made)
+        state = made.at_rest(count)
         if opened:
             chosen = np.ones(count, dtype=np.bool_)
-            state.open_phase(np.full(count, opened, dtype=np.uint32), chosen)
+            open_phases(state, np.full(count, opened, dtype=np.uint32), chosen)
         i = np.zeros((3, count)) if initial is None else initial.copy()
         waiting, theta = np.zeros((3, count)), np.linspace(0.0, 1.0, count)
         h = t_s / _STEPS

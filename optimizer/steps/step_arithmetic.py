@@ -68,6 +68,7 @@ class Member:
         whole: Whether it is a whole number from 0 on.
         kind: Its type in C where that is neither ``float`` nor, of whole ones, ``uint32_t``; an
             enumeration, whose type has the prefix of all names.
+        pointed: Whether the firmware has the address of the record.
     """
 
     meaning: str
@@ -75,6 +76,7 @@ class Member:
     suffix: str = ""
     whole: bool = False
     kind: str | type[IntEnum] = ""
+    pointed: bool = False
 
     @property
     def text(self) -> str:
@@ -128,12 +130,12 @@ class Arithmetic(Floats):
         """
         return function(self, *args, **kwargs)
 
-    def at(self, table: Sequence[Any], place: Any, column: int | None = None) -> Reals:
-        """The number of an array at a place, which counts from 0, or is one place per drive; of an
-        array of rows the number in a column.
+    def at(self, table: Sequence[Any], place: Any, *inner: Any) -> Reals:
+        """The number (or vector) of an array at a place, which counts from 0, or is one place per
+        drive; ``inner`` are the places in arrays of arrays, as columns of rows.
         """
-        if column is not None:
-            return np.asarray(np.asarray(table)[place, column])
+        if inner:
+            return np.asarray(np.asarray(table)[(place, *inner)])
         if isinstance(place, int):
             found: Reals = table[place]
             return found
@@ -186,12 +188,14 @@ class Arithmetic(Floats):
 
         Args:
             state: A record of them, whose members can be set; in the firmware they are local
-                variables with the names of the members.
+                variables with the names of the members. None where the loop only changes arrays of
+                a state, by `with_item`.
             count: How often at most.
             of: Changes the state; its argument counts from 0 and has the name of what counts.
             until: Whether the loop ends, asked after each time; None where nothing ends it.
         """
-        places, going = list(leaves(state)), np.ones((), dtype=np.bool_)
+        places = [] if state is None else list(leaves(state))
+        going: Any = np.ones((), dtype=np.bool_)
         for number in range(count):
             before = [getattr(record, member) for record, member in places]
             of(number)
@@ -202,6 +206,16 @@ class Arithmetic(Floats):
                 going = going & ~until()
             if not np.any(going):
                 break
+
+    def interval(self, name: str, axis: Sequence[Any], value: Reals) -> Any:  # noqa: ARG002
+        """The place of the interval of an ascending axis in which a value lies, or of the one next
+        to it.
+        """
+        return sum((np.asarray(value > inner).astype(np.intp) for inner in axis[1:-1]), start=0)
+
+    def local(self, name: str, record: _T) -> _T:  # noqa: ARG002
+        """A record of the function, to which those that it calls give its numbers."""
+        return record
 
     def placed(self, name: str, a: Reals, most: int) -> Any:  # noqa: ARG002
         """Places of an array: what numbers from 0 on are without what is behind the point, at most

@@ -57,7 +57,7 @@ from dqforge.reports.phase_control.fixed_phase_model import (
     phase_results,
     phase_rows,
 )
-from dqforge.reports.phase_control.float32_model import PhaseControlModel, PhaseControlState
+from dqforge.reports.phase_control.float32_model import PhaseControlModel, opened
 from dqforge.reports.phase_control.header import (
     phase_control_files,
     phase_control_from,
@@ -375,14 +375,14 @@ def _results(model: PhaseControlModel, inputs: SingleArray) -> SingleArray:
     results = np.empty((rows.shape[0], _DRIVES, width), dtype=np.float32)
     # Three modes side by side: one step of the control for all drives.
     by_current, by_speed = np.arange(_DRIVES) % 3 == 0, slice(2, _DRIVES, 3)
-    state = PhaseControlState.start(_DRIVES, made)
-    loop = PhaseControlState.start(_DRIVES // 3, made)
+    state = made.at_rest(_DRIVES)
+    loop = made.at_rest(_DRIVES // 3)
     for step, row in enumerate(rows):
         first, second = (np.ascontiguousarray(row[:, column]) for column in (8, 9))
         measured = np.ascontiguousarray(row[:, 1:8] if made.midpoint else row[:, 1:7])
         if made.neutral:
             command = row[:, 10]
-            state.open_phase(np.maximum(command, 0.0).astype(np.uint32), command >= 0.0)
+            opened(state, np.maximum(command, 0.0).astype(np.uint32), command >= 0.0)
         torque = first.copy()
         torque[by_speed] = model.speed_loop(loop, measured[by_speed], first[by_speed])
         state.torque = np.where(by_current, np.float32(0.0), torque)

@@ -16,6 +16,21 @@ from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.current_reference.forms import FixedReference
+from dqforge.optimizer.phase_control.leg_duties import duties_of
+from dqforge.optimizer.phase_control.phase_records import (
+    Measured,
+    Shape,
+    Structure,
+    TorqueLimit,
+    blank_gains,
+)
+from dqforge.optimizer.phase_control.phase_steps import (
+    HarmonicSteps,
+    control_start,
+    open_phase,
+    phase_steps,
+)
+from dqforge.optimizer.steps.step_arithmetic import Abc, Dq, Rotation
 from dqforge.reports.c_code.harness import single_from, title
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.control.control_text import (
@@ -32,15 +47,20 @@ from dqforge.reports.phase_control.float32_model import (
     limited_from,
     plain_limited,
 )
-from dqforge.reports.phase_control.float32_parts import Structure, steps_per_rad, turns_per_rad
 from dqforge.reports.plain_data import PlainData, shortest
+from dqforge.reports.steps.blocks import Block, Functions
+from dqforge.reports.steps.record_text import record_structs, vector_struct
+from dqforge.reports.steps.state_text import vector
+from dqforge.reports.steps.step_reader import StepReader
+from dqforge.reports.steps.symbols import Expression, Origin
 from dqforge.reports.waveforms.float32_model import phase_reference_from
 
 if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray
     from dqforge.optimizer.curves.single_precision import SingleArray
     from dqforge.optimizer.loops.loop_gains import LoopGains
-    from dqforge.optimizer.phase_control.phase_controller import PhaseControl, TorqueLimit
+    from dqforge.optimizer.phase_control.phase_controller import PhaseControl
+    from dqforge.optimizer.phase_control.phase_controller import TorqueLimit as LimitTable
     from dqforge.optimizer.solution import Solution
 
 
@@ -134,49 +154,86 @@ def _emitted(plain: Mapping[str, Any], name: str) -> bool:
 def header_context(plain: Mapping[str, Any]) -> dict[str, Any]:
     """What the template needs beside the title, from data as `plain_phase_control` makes them."""
     made = structure_of(plain)
-    ascending = made.multiples
-    acts = made.feedforward != "none" or made.follows
     return {
-        "frame": made.frame,
-        "feedforward": made.feedforward,
-        "topology": made.topology,
-        "legs": made.legs,
-        "six": len(made.legs) == 6,
         "neutral": made.neutral,
         "midpoint": made.midpoint,
         "by_torque": made.by_torque,
-        "follows": made.follows,
-        "acts": acts,
-        "shaped": acts or made.by_torque or made.neutral,
-        "turning": not made.follows or bool(ascending) or made.feedforward == "references",
-        "salient": made.salient,
         "by_waveform": made.by_waveform,
         "start_up": made.start_up,
-        "proportional": made.proportional,
-        "modulator": MODULATORS[made.modulation],
         "turns": made.turns,
-        "per_rad": shortest(turns_per_rad(made.turns)),
-        "slopes": [False, True] if made.slopes else [False],
-        "per_step": shortest(steps_per_rad(len(plain["shape"][0]) - 1, made.turns)),
         "rows": len(plain["shape"]),
         "nodes": len(plain["shape"][0]) - 1,
         "shape": plain["shape"],
         "torque_limit": plain["torque_limit"],
         "limited": plain["limited"],
-        "orders": bool(ascending),
+        "orders": bool(made.multiples),
         "plane": list(made.plane),
         "zero_orders": list(made.zero),
-        "plane_places": [ascending.index(abs(order)) for order in made.plane],
-        "zero_places": [ascending.index(order) for order in made.zero],
-        "multiples": [
-            {"order": order, "gap": order - before}
-            for order, before in zip(ascending, (1, *ascending), strict=False)
-        ],
         "gains": _gain_lines(plain),
         "pi_structs": pi_structs,
-        "three_leg_duties": partial(duty_functions, made.modulation),
-        "speed_loop": speed_loop_functions,
+        "control_functions": partial(control_functions, plain),
     }
+
+
+# The functions, written from their steps.
+
+
+def leg_types(made: Structure, prefix: str) -> str:
+    """The type of the duty cycles; of three legs with the functions of their modulator."""
+    kind = duties_of(made.topology)
+    if kind is not Abc:
+        return "\n".join(vector_struct(kind, prefix))
+    said = "/* Duty cycles 0 to 1 of the upper switches. */"
+    types = [f"{said}\ntypedef {prefix}_abc_t {prefix}_duties_t;"]
+    if made.modulated:
+        types.append(duty_functions(made.modulation, prefix))
+    return "\n\n".join(types)
+
+
+def control_functions(plain: Mapping[str, Any], prefix: str, macro: str) -> str:
+    """Control of current and torque, what starts it, and speed control around it."""
+    made = structure_of(plain)
+    shape = _array(plain["shape"])
+    limit = plain["torque_limit"]
+    table = None if limit is None else TorqueLimit(*_limit_from(limit))
+    beyond = plain["limited"]
+    limited = None if beyond is None else limited_from(beyond, shape.shape, made.neutral)
+    nominal = None if limit is None else limit["v_nominal"]
+    steps = phase_steps(made, shape, nominal, limited, tuple, tuple if made.by_waveform else None)
+    results: dict[str, type[Any] | None] = {"small_rotation": Rotation, "turned": Rotation}
+    results["speed_loop"] = None
+    if made.modulated:
+        results["duties"] = Abc
+    constants = (
+        [] if limited is None else [(limited.table, f"&{macro}_LIMITED", frozenset[Origin]())]
+    )
+    functions = Functions(results=results, constants=constants)
+    reader = StepReader(prefix, functions, Block("", set()))
+    gains, state = blank_gains(Shape(tuple(shape)), table), made.at_rest(1)
+    number: Any = Expression("number")
+    reference = vector(Dq, "reference")
+    i = Abc(number, number, number)
+    measured = Measured(i, number, number, number, number if made.midpoint else None)
+    reader.write("control_start", control_start, [state])
+    if made.neutral:
+        reader.write("open_phase", open_phase, [state, Expression("phase", kind="uint32_t")])
+    reader.write("current_control", steps.current_control, [gains, state, measured, reference])
+    reader.write("torque_control", steps.torque_control, [gains, state, measured, number])
+    reader.write("speed_control", steps.speed_control, [gains, state, measured, number])
+    types = (
+        "\n".join(vector_struct(kind, prefix))
+        for name, kind in functions.vectors.items()
+        if name not in _DECLARED
+    )
+    turning = HarmonicSteps(made.plane, made.zero).blank(Rotation(number, number))
+    turns = record_structs(turning, prefix) if made.multiples else []
+    known = [leg_types(made, prefix), *types, *("\n".join(lines) for lines in turns)]
+    loop = speed_loop_functions(prefix)
+    return "\n\n".join([*known, loop, *functions.texts.values()])
+
+
+# Vectors whose types stand elsewhere in the header.
+_DECLARED = ("alphabetazero", "duties")
 
 
 _FRAMES = {
@@ -322,7 +379,7 @@ def _numbers(control: PhaseControl, around: Surroundings) -> dict[str, float]:
     return {name: _single(value) for name, value in found.items()}
 
 
-def _limit(limit: TorqueLimit | None) -> PlainData | None:
+def _limit(limit: LimitTable | None) -> PlainData | None:
     """The table with at least two nodes on each axis."""
     if limit is None:
         return None
@@ -482,7 +539,9 @@ def phase_control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -
         at = None if limit is None else limit["v_nominal"]
         nominal = None if at is None else single_from(at)
         beyond = described.get("limited")
-        limited = None if beyond is None else limited_from(beyond, shape.shape)
+        limited = None
+        if beyond is not None:
+            limited = limited_from(beyond, shape.shape, structure.neutral)
         reference = None if structure.by_torque else from_plain(whole["header"]["reference"])
         waveform = phase_reference_from(whole["waveform_header"]) if structure.by_waveform else None
     except (KeyError, TypeError, ValueError, OverflowError) as error:

@@ -21,10 +21,11 @@ from dqforge.optimizer.float_control.records import Control
 from dqforge.optimizer.steps.step_arithmetic import Dq
 from dqforge.reports.c_code.harness import rotation, wrap
 from dqforge.reports.control.header import ControlModel
-from dqforge.reports.phase_control.float32_model import PhaseControlModel, PhaseControlState
+from dqforge.reports.phase_control.float32_model import PhaseControlModel
 
 if TYPE_CHECKING:
     from dqforge.optimizer.observers.parts import ObserverMethod, ObserverState
+    from dqforge.optimizer.phase_control.phase_records import Control as PhaseState
 
 F = np.float32
 
@@ -214,11 +215,11 @@ class Settings:
         raise AttributeError(name)
 
 
-def control_at_rest(model: StartUpModel) -> Control | PhaseControlState:
+def control_at_rest(model: StartUpModel) -> Control | PhaseState:
     """As ``<prefix>_control_start``."""
     if isinstance(model.control, PhaseControlModel):
-        found = PhaseControlState.start(1, model.control.structure)
-        found.held = (array(0.0), array(0.0))
+        found = model.control.structure.at_rest(1)
+        found.held = Dq(array(0.0), array(0.0))
         return found
     return model.control.at_rest(1)
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dqforge.machines.transforms import Pair
-from dqforge.optimizer.float_control.records import Pi
 from dqforge.optimizer.steps.step_arithmetic import AlphaBeta, Dq
 from dqforge.reports.phase_control.float32_model import PhaseControlModel
 from dqforge.reports.start_up.float32_model import (
@@ -36,7 +35,7 @@ from dqforge.reports.start_up.float32_model import (
 )
 
 if TYPE_CHECKING:
-    from dqforge.reports.phase_control.float32_model import PhaseControlState
+    from dqforge.optimizer.phase_control.phase_records import Control as PhaseState
 
 
 _ZERO, _ONE, _HALF = F(0.0), F(1.0), F(0.5)
@@ -498,11 +497,7 @@ def put_integrals(state: Any, **values: Any) -> None:
         values: By the names of the controllers, in V or N m.
     """
     for name, value in values.items():
-        kept = getattr(state, name)
-        if isinstance(kept, Pi):
-            kept.integral = array(value)
-        else:
-            setattr(state, name, array(value))
+        getattr(state, name).integral = array(value)
 
 
 def usual_currents(control: PhaseControlModel, torque: Any) -> tuple[Any, Any]:
@@ -520,7 +515,7 @@ def usual_currents(control: PhaseControlModel, torque: Any) -> tuple[Any, Any]:
 
 
 def turned_integrals(
-    control: PhaseControlModel, state: PhaseControlState, omega: Any, i: Vector, v: Vector
+    control: PhaseControlModel, state: PhaseState, omega: Any, i: Vector, v: Vector
 ) -> None:
     """The integrals of the control over the angle in a new frame; those of the harmonics go.
 
@@ -530,8 +525,7 @@ def turned_integrals(
         i, v: Current in A and voltage in V in that frame.
     """
     gains, fed = control.gains, control.structure.feedforward
-    for order in state.harmonic:
-        state.harmonic[order] = (array(0.0), array(0.0))
+    state.harmonic = (AlphaBeta(array(0.0), array(0.0)),) * len(state.harmonic)
     d, q = v
     if fed == "emf":
         q = v[1] - (omega * gains["psi_pm"])
@@ -540,4 +534,4 @@ def turned_integrals(
         q = v[1] - (omega * ((gains["l_d"] * i[0]) + gains["psi_pm"]))
         if fed == "references":
             d, q = d - (gains["r_s"] * i[0]), q - (gains["r_s"] * i[1])
-    state.d, state.q = array(d), array(q)
+    put_integrals(state, d=d, q=q)

@@ -101,7 +101,8 @@ class Functions:
     members of their arguments they change, ``members`` of records, and ``vectors`` that are
     declared nowhere else. A function with a result and no text stands elsewhere; those of
     ``filled`` put the numbers of such a vector through pointers. ``kinds`` are
-    the types of results that are no ``float``, ``names`` those in C of functions that have others.
+    the types of results that are no ``float``, ``names`` those in C of functions that have others,
+    and ``constants`` records with their addresses, and the members through which they are reached.
     """
 
     texts: dict[str, str] = field(default_factory=dict)
@@ -112,6 +113,7 @@ class Functions:
     filled: dict[str, type[Any]] = field(default_factory=dict)
     kinds: dict[str, str] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
+    constants: list[tuple[Any, str, frozenset[Origin]]] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import Any, Protocol
 
-from dqforge.reports.c_code.numbers import float_literal
+import numpy as np
+
+from dqforge.reports.c_code.numbers import comment_text, float_literal
+from dqforge.reports.steps.record_text import kind_fields
 from dqforge.reports.steps.state_text import Kept
 from dqforge.reports.steps.symbols import Condition, Expression, expression, folded, joined
 
@@ -44,13 +47,114 @@ def place(text: str, **more: Any) -> Index:
     return Index(text, kind="unsigned int", **more)
 
 
-def item(table: Sequence[Any], place: Any, column: int | None = None) -> Any:
-    """The number of an array at a place, of an array of rows in a column."""
-    if not isinstance(place, Expression):
+class Table:
+    """A constant array of numbers, or one of arrays, by its name in C; ``shape`` is numpy's."""
+
+    def __init__(self, text: str, shape: tuple[int, ...]) -> None:
+        self.text, self.shape = text, shape
+
+    def __len__(self) -> int:
+        """Numbers, or arrays in it."""
+        return self.shape[0]
+
+
+def tables_of(value: Any, text: str) -> Any:
+    """The tables that a member of a constant record is, or those of a tuple; None of others."""
+    if isinstance(value, np.ndarray | Table):
+        return Table(text, value.shape)
+    if isinstance(value, tuple) and value and isinstance(value[0], np.ndarray | Table):
+        return tuple(Table(f"{text}[{n}]", part.shape) for n, part in enumerate(value))
+    return None
+
+
+def item(table: Any, place: Any, *inner: Any) -> Any:
+    """The number or vector of an array at a place, or at places in arrays of arrays."""
+    if not isinstance(table, Table) and not isinstance(place, Expression):
         return table[place]
-    parts, behind = (expression(table[0]), place), "" if column is None else f"[{column}]"
-    text = f"{parts[0].whole}[{place.bare()}]{behind}"
-    return joined(text, *parts, atom=True, kind=parts[0].kind)
+    places = [expression(at, "unsigned int") for at in (place, *inner)]
+    behind = "".join(f"[{at.bare()}]" for at in places)
+    if isinstance(table, Table):
+        return joined(table.text + behind, *places, atom=True, kind="float")
+    first = table[0]
+    if not isinstance(first, tuple):
+        own = expression(first)
+        return joined(own.whole + behind, own, *places, atom=True, kind=own.kind)
+    text = _array_of(table) + behind
+    axes = zip(kind_fields(first), zip(*table, strict=True), strict=True)
+    found = [joined(f"{text}.{axis}", *of, places[0], atom=True, whole=text) for axis, of in axes]
+    kind: Any = type(first)
+    return kind(*found)
+
+
+def _array_of(vectors: Sequence[Any]) -> str:
+    """The array whose parts vectors are."""
+    return str(vectors[0][0].whole).removesuffix("[0]")
+
+
+def put_item(
+    reader: Writer,
+    known: list[Kept],
+    renew: Callable[[Kept], None],
+    array: tuple[Any, ...],
+    place: Any,
+    value: Any,
+) -> tuple[Any, ...]:
+    """Statements that set a number or a vector of an array of the state; ``known`` as of
+    `repeated`, ``renew`` notes that a member has changed.
+
+    Raises:
+        ValueError: The second number of the vector is computed of the array, which the first one
+            has changed.
+    """
+    changed = [kept for kept in known if getattr(kept.record, kept.member) is array]
+    at, block = expression(place, "int"), reader.block
+    parts = tuple(map(expression, value)) if isinstance(value, tuple) else (expression(value),)
+    reader.take([at, *parts])
+    begin, ends = f"{changed[0].place}[{at.bare()}]", [""]
+    if isinstance(value, tuple):
+        begin = f"{_array_of(array)}[{at.bare()}]"
+        ends = [f".{axis}" for axis in kind_fields(value)]
+        old = frozenset[str]().union(*(kept.targets() for kept in changed))
+        if any(part.reads & old for part in parts[1:]):
+            raise ValueError(f"{begin} changes while it is read: name it by `let`")
+    for end, part in zip(ends, parts, strict=True):
+        block.work(folded(f"{begin}{end} = ", part.bare(), ";", block.indent))
+    for kept in changed:
+        renew(kept)
+    found: tuple[Any, ...] = getattr(changed[0].record, changed[0].member)
+    return found
+
+
+def listed(
+    reader: Writer, begin: str, name: str, parts: Sequence[Expression], meaning: str
+) -> None:
+    """A declaration with a line for each of its numbers."""
+    block = reader.block
+    block.take(name)
+    reader.take(parts)
+    ends = [","] * (len(parts) - 1) + [""]
+    block.lines.append(f"{block.indent}{begin}")
+    if meaning:
+        block.lines[-1] += f" /* {comment_text(meaning)} */"
+    for part, end in zip(parts, ends, strict=True):
+        found = folded("", part.bare(), end, block.indent + "    ")
+        block.lines += [line for line in found if line.strip()]
+    block.lines.append(f"{block.indent}}};")
+
+
+def interval(reader: Writer, name: str, axis: Any, value: Any) -> Any:
+    """A variable that counts up to the interval in which a value lies."""
+    if len(axis) == 2:
+        return 0
+    block, found = reader.block, place(name)
+    block.take(name)
+    block.variable("unsigned int", name)
+    above = value > item(axis, found + 1)
+    reader.take(above.terms)
+    head = f"while (({name} < {len(axis) - 2}U) && ({above.text()})) {{"
+    lines = [f"{name} = 0U;", head, f"    {name}++;", "}"]
+    block.work([block.indent + line for line in lines])
+    return found
 
 
 def placed(reader: Writer, name: str, value: Expression, most: int) -> Index:
@@ -139,13 +243,14 @@ def repeated(
     of: Callable[[Any], None],
     until: Callable[[], Any] | None,
 ) -> None:
-    """A counted loop over variables that it changes, with a break where it ends before; ``known``
-    are the members of states that the reader follows.
+    """A counted loop over variables that it changes, None without, with a break where it ends
+    before; ``known`` are the members of states that the reader follows.
     """
+    reader.write_state()
     outer, (name,) = reader.block, inspect.signature(of).parameters
     own = [
         Kept(state, member.name, member.name, expression(getattr(state, member.name)))
-        for member in fields(state)
+        for member in (() if state is None else fields(state))
     ]
     for kept in own:
         reader.take([kept.value])
@@ -172,6 +277,6 @@ def repeated(
     end = count.operand() if isinstance(count, Index) else f"{count}U"
     head = [f"{outer.indent}for ({name} = 0U; {name} < {end}; {name}++) {{"]
     outer.work([*head, *inner.lines, f"{outer.indent}}}"])
-    del known[-len(own) :]
+    del known[len(known) - len(own) :]
     for kept in own:
         setattr(state, kept.member, Expression(kept.place))

@@ -43,7 +43,7 @@ def kind_fields(value: Any) -> tuple[str, ...]:
 def whole_of(value: Any) -> str:
     """The vector or array whose parts these are, in their order; else nothing."""
     places = {part.whole for part in value if isinstance(part, Expression)}
-    if len(places) != 1:
+    if len(places) != 1 or getattr(value[0], "size", 0) not in (0, len(value)):
         return ""
     (place,) = places
     names = (
@@ -78,6 +78,12 @@ def kind_of(kind: type[Any], name: str, prefix: str = "") -> str:
     if member is None or not member.kind:
         return "uint32_t" if member is not None and member.whole else "float"
     return member.kind if isinstance(member.kind, str) else f"{prefix}_{c_name(member.kind)}_t"
+
+
+def is_pointed(kind: type[Any], name: str) -> bool:
+    """Whether a record has the address of another one."""
+    member = _member(kind, name)
+    return member is not None and member.pointed
 
 
 def sentence(item: Any) -> str:

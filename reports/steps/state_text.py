@@ -18,8 +18,10 @@ def vector(kind: type[Any], name: str, *, state: bool = False, mark: str = "") -
     texts = [f"{name}.{n}" for n in kind._fields]
     reads = [frozenset({text + mark} if state else ()) for text in texts]
     kinds = [kind_of(kind, n) for n in kind._fields]
-    parts = zip(texts, reads, kinds, strict=True)
-    return kind(*(Expression(text, reads=own, whole=name, kind=n) for text, own, n in parts))
+    parts, size = zip(texts, reads, kinds, strict=True), len(texts)
+    return kind(
+        *(Expression(text, reads=own, whole=name, kind=n, size=size) for text, own, n in parts)
+    )
 
 
 def numbers_of(value: Any) -> tuple[Expression, ...]:

@@ -29,19 +29,25 @@ from dqforge.reports.c_code.numbers import comment_text
 from dqforge.reports.steps.blocks import Arm, Block, Functions
 from dqforge.reports.steps.counted_loops import (
     Index,
+    Table,
     constants,
     filled,
+    interval,
     item,
+    listed,
     place,
     placed,
+    put_item,
     reached,
     repeated,
     summed,
+    tables_of,
 )
 from dqforge.reports.steps.record_text import (
     SHARED,
     c_name,
     comment,
+    is_pointed,
     kind_fields,
     kind_of,
     member_name,
@@ -272,20 +278,24 @@ class StepReader(Arithmetic):
         found = joined(f"{head} ? {text}", *condition.terms, *parts, kind=kind)
         return place(found.text, atom=False) if isinstance(parts[0], Index) else found
 
-    def at(self, table: Sequence[Any], place: Any, column: int | None = None) -> Any:
-        """A number of an array."""
-        return item(table, place, column)
+    def at(self, table: Sequence[Any], place: Any, *inner: Any) -> Any:
+        """A number or a vector of an array."""
+        return item(table, place, *inner)
 
     def with_item(self, array: tuple[Any, ...], place: Any, value: Any) -> Any:
-        """A statement that sets a number of an array of the state."""
+        """Statements that set a number or a vector of an array of the state."""
         self.write_state()
-        (kept,) = (kept for kept in self._kept if kept.value is array)
-        parts = expression(place, "int"), expression(value)
-        self.take(parts)
-        text = f"{kept.place}[{parts[0].bare()}] = "
-        self.block.work(folded(text, parts[1].bare(), ";", self.block.indent))
-        self._renew(kept)
-        return kept.value
+        return put_item(self, self._kept, self._renew, array, place, value)
+
+    def interval(self, name: str, axis: Sequence[Any], value: Any) -> Any:
+        """A variable that counts up to the interval."""
+        return interval(self, name, axis, value)
+
+    def local(self, name: str, record: _T) -> _T:
+        """A variable that is a record."""
+        self.block.take(name)
+        self.block.variable(self.type_name(c_name(type(record))), name)
+        return cast("_T", self._record(record, f"&{name}", f"{name}.", frozenset()))
 
     def table(self, name: str, values: Sequence[float]) -> Any:
         """A constant array."""
@@ -357,13 +367,17 @@ class StepReader(Arithmetic):
                     named[id(item)] = self._named(own, item, "" if named else meaning)
                 found[at] = named.get(id(item), item)
             return found
+        if isinstance(value, Table):
+            self._declare("float *const", name, value.text, meaning, ())
+            return Table(name, value.shape)
         if isinstance(value, tuple):
             parts = numbers_of(value)
             if not hasattr(value, "_fields"):
                 if text := whole_of(value):
                     self._declare("float *const", name, text, meaning, parts)
                 else:
-                    self._array(name, parts, meaning)
+                    begin = f"const float {name}[{len(parts)}] = {{"
+                    listed(self, begin, name, parts, meaning)
                 return tuple(Expression(f"{name}[{n}]", whole=name) for n in range(len(value)))
             text, parts = whole_of(value), self._axes(value)
             kind = self.type_name(c_name(type(value)))
@@ -489,24 +503,8 @@ class StepReader(Arithmetic):
         texts = [part.text for part in parts]
         if len(f"{self.block.indent}{begin} {', '.join(texts)} }};") <= WIDTH:
             return False
-        self._lines(begin, name, parts, meaning)
+        listed(self, begin, name, parts, meaning)
         return True
-
-    def _array(self, name: str, parts: Sequence[Expression], meaning: str) -> None:
-        """An array with a line for each of its numbers."""
-        self._lines(f"const float {name}[{len(parts)}] = {{", name, parts, meaning)
-
-    def _lines(self, begin: str, name: str, parts: Sequence[Expression], meaning: str) -> None:
-        self.block.take(name)
-        self.take(parts)
-        ends = [","] * (len(parts) - 1) + [""]
-        self.block.lines.append(f"{self.block.indent}{begin}")
-        if meaning:
-            self.block.lines[-1] += f" /* {comment_text(meaning)} */"
-        for part, end in zip(parts, ends, strict=True):
-            found = folded("", part.bare(), end, self.block.indent + "    ")
-            self.block.lines += [line for line in found if line.strip()]
-        self.block.lines.append(f"{self.block.indent}}};")
 
     def _kind(self, value: Any) -> str:
         if isinstance(value, tuple):
@@ -626,7 +624,7 @@ class StepReader(Arithmetic):
         names: tuple[str, ...] = cast("Any", kind)._fields
         found = [joined(f"{text}.{n}", *parts, atom=True, whole=text) for n in names]
         for part in found:
-            part.uses = found[0].uses
+            part.uses, part.size = found[0].uses, len(names)
         return kind(*found)
 
     def _state_of(self, address: str) -> frozenset[str]:
@@ -637,7 +635,8 @@ class StepReader(Arithmetic):
 
     def _place(self, value: Any) -> tuple[str, frozenset[Origin]] | None:
         """Address of a record, and the members through which it is reached; None of others."""
-        return next(((text, outer) for own, text, outer in self._records if own is value), None)
+        known = [*self._records, *self.functions.constants]
+        return next(((text, outer) for own, text, outer in known if own is value), None)
 
     def write(
         self,
@@ -659,7 +658,7 @@ class StepReader(Arithmetic):
                 is returned.
             names: Of the parameters, none where they are those of the function.
         """
-        names = names or list(inspect.signature(function).parameters)[1:]
+        names = names or list(inspect.signature(function).parameters)[1 : len(arguments) + 1]
         inner = self.inside(function, [*names, *into])
         inside = [inner.parameter(n, item) for n, item in zip(names, arguments, strict=True)]
         result = function(inner, *(value for _, value in inside))
@@ -756,7 +755,10 @@ class StepReader(Arithmetic):
             own = outer | {(c_name(type(like)), member.name)}
             kind = self.member_kind(type(like), member.name)
             if is_dataclass(value):
-                values[member.name] = self._record(value, f"&{name}", f"{name}.", own)
+                at = name if is_pointed(type(like), member.name) else f"&{name}"
+                values[member.name] = self._record(value, at, members_at(at), own)
+            elif frozen and (tables := tables_of(value, name)) is not None:
+                values[member.name] = tables
             elif hasattr(value, "_fields"):
                 values[member.name] = self.vector(type(value), name, state=True)
             elif isinstance(value, tuple) and hasattr(next(iter(value), 0.0), "_fields"):

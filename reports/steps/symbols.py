@@ -22,13 +22,16 @@ class Expression:
         members: Members of other records that it takes.
         whole: The vector or array that it is a part of, empty of others.
         kind: Type in C.
+        size: Numbers of that vector, 0 where that is not asked.
 
     Attributes:
         minus: What it is the negative of, None of others.
         opposite: Its negative where that is no longer than itself, else None.
     """
 
-    __slots__ = ("atom", "kind", "members", "minus", "opposite", "reads", "text", "uses", "whole")
+    __slots__ = (
+        "atom", "kind", "members", "minus", "opposite", "reads", "size", "text", "uses", "whole",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -39,9 +42,10 @@ class Expression:
         members: frozenset[Origin] = frozenset(),
         whole: str = "",
         kind: str = "float",
+        size: int = 0,
     ) -> None:
         self.text, self.atom, self.reads, self.members = text, atom, reads, members
-        self.whole, self.kind = whole, kind
+        self.whole, self.kind, self.size = whole, kind, size
         self.minus: Expression | None = None
         self.opposite: Expression | None = None
         self.uses = [0]
@@ -54,7 +58,7 @@ class Expression:
     def marked(self, mark: str, *, whole: str = "") -> Expression:
         """The same member of a state, read at another time."""
         reads = frozenset({self.text + mark})
-        return type(self)(self.text, reads=reads, whole=whole, kind=self.kind)
+        return type(self)(self.text, reads=reads, whole=whole, kind=self.kind, size=self.size)
 
     def to(self, kind: str) -> Expression:  # noqa: ARG002
         """As it is written to a place of a type in C."""

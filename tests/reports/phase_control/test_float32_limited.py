@@ -13,19 +13,22 @@ from phase_drives import near_sinusoidal, plain_control
 from dqforge.machines.design import catalogue
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Topology
+from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.phase_control.limited_shapes import (
     fit_limited,
     limited_deviation,
     limited_torques,
 )
 from dqforge.optimizer.phase_control.phase_controller import LimitedShapes, PhaseControl
+from dqforge.optimizer.phase_control.phase_records import Alphabetazero
+from dqforge.optimizer.phase_control.torque_limits import LimitedSteps, TorqueSteps
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.main_header import header_files
 from dqforge.reports.phase_control.emitted_integers import (
     phase_control_inputs,
     phase_control_programme,
 )
-from dqforge.reports.phase_control.float32_model import LimitedTable, PhaseControlModel
+from dqforge.reports.phase_control.float32_model import PhaseControlModel
 from dqforge.reports.phase_control.header import (
     phase_control_files,
     phase_control_from,
@@ -66,7 +69,7 @@ def model(solution: Solution, document: dict[str, Any], control: PhaseControl) -
     return phase_control_from(plain_solution_control(solution, control), document)
 
 
-def table_of(model: PhaseControlModel) -> LimitedTable:
+def table_of(model: PhaseControlModel) -> LimitedSteps:
     assert model.limited is not None
     return model.limited
 
@@ -95,9 +98,10 @@ def test_compiled_code_is_the_model(
     rows = phase_control_inputs(model)
     inside = np.isfinite(rows).all(axis=1) & (rows[:, 0] == 1)
     torque, omega_m, v_dc = rows[inside, 8], rows[inside, 5], rows[inside, 6]
-    place = table_of(model).place(
-        torque, np.float32(2.0) * omega_m, v_dc, np.zeros(torque.size, dtype=np.uint32)
-    )
+    none = np.zeros(torque.size, dtype=np.uint32)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        speed = np.float32(2.0) * omega_m
+        place = table_of(model).limited_place(SINGLE, torque, speed, v_dc, none)
     assert np.count_nonzero(place.sign) > 50, "the run hardly visits the table"
 
 
@@ -113,8 +117,11 @@ def test_single_precision_is_what_was_solved(
     exact = limited_deviation(shapes, 1, torque, omega_e, v_dc, 2.0 * np.pi * turn)
     single = [np.asarray(x, dtype=np.float32) for x in (torque, omega_e, v_dc, turn)]
     table = table_of(model)
-    at = table.place(single[0], single[1], single[2], np.zeros(count, dtype=np.uint32))
-    found = np.stack(table.deviation(at, single[3]))
+    nothing = Alphabetazero(*np.zeros((3, count), dtype=np.float32))
+    none = np.zeros(count, dtype=np.uint32)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = table.limited_place(SINGLE, single[0], single[1], single[2], none)
+    found = np.stack(table.deviated(SINGLE, table.table, nothing, at, single[3]))
     assert np.max(np.abs(exact)) > 0.5
     assert np.max(np.abs(found - exact)) < 2e-4
 
@@ -124,11 +131,13 @@ def test_torques_are_those_of_the_table(control: PhaseControl, model: PhaseContr
     omega_e = np.linspace(shapes.omega_e[0], 1.2 * shapes.omega_e[-1], count)
     _, most = limited_torques(shapes, omega_e, np.array(shapes.v_nominal))
     single = np.asarray(omega_e, dtype=np.float32)
-    link, none = np.full(count, shapes.v_nominal, dtype=np.float32), np.zeros(count, np.float32)
-    one = np.ones(count, dtype=np.float32)
-    found = table_of(model).largest_torque(one, single, link, none)
+    link = np.full(count, shapes.v_nominal, dtype=np.float32)
+    much = np.full(count, 1000.0, dtype=np.float32)
+    gains = replace(model.numbers, torque_max=np.zeros(count, dtype=np.float32))
+    limits = TorqueSteps(None, table_of(model))
+    found = limits.limited_torque(SINGLE, gains, much, single, link)
     assert np.max(np.abs(found - most)) < 1e-4 * control.torque_max
-    generating = table_of(model).largest_torque(-one, single, link, none)
+    generating = limits.limited_torque(SINGLE, gains, -much, single, link)
     assert not np.any(generating)
 
 

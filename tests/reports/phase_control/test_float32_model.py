@@ -13,17 +13,13 @@ from phase_drives import T_S, near_sinusoidal, plain_control, trapezoidal
 from dqforge.machines.names import CurrentFrame, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.topologies import TOPOLOGIES
+from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl, PhaseShape
-from dqforge.reports.phase_control.float32_model import PhaseControlModel, PhaseControlState
-from dqforge.reports.phase_control.float32_parts import (
-    Stationary,
-    coupling,
-    from_frame,
-    reference_at,
-    shape_at,
-    slope_at,
-    to_frame,
-)
+from dqforge.optimizer.phase_control.phase_records import Alphabetazero, Control, Shape
+from dqforge.optimizer.phase_control.shape_frame import Frame, shape_frame
+from dqforge.optimizer.phase_control.shape_references import ShapeSteps, reference_at
+from dqforge.optimizer.steps.step_arithmetic import Rotation
+from dqforge.reports.phase_control.float32_model import PhaseControlModel
 from dqforge.reports.phase_control.header import (
     Surroundings,
     phase_control_from,
@@ -44,8 +40,21 @@ def angles(count: int = 400) -> Any:
     return theta.astype(np.float32)
 
 
-def turn_of(theta: Any) -> tuple[Any, Any]:
-    return np.cos(theta), np.sin(theta)
+def turn_of(theta: Any) -> Rotation:
+    return Rotation(np.cos(theta), np.sin(theta))
+
+
+def reading(table: Any) -> ShapeSteps:
+    nodes = table.shape[1] - 1
+    return ShapeSteps(nodes, len(table), float(np.float32(nodes / (2.0 * np.pi))))
+
+
+def shape_at(table: Any, place: Any, opened: Any = None) -> Alphabetazero:
+    return reading(table).shape_at(SINGLE, Shape(tuple(table)), place, opened)
+
+
+def slope_at(table: Any, place: Any) -> Alphabetazero:
+    return reading(table).slope_at(SINGLE, Shape(tuple(table)), place)
 
 
 @pytest.mark.parametrize("rows", [1, 3])
@@ -53,16 +62,16 @@ def test_the_shape_is_that_of_the_machine(rows: int) -> None:
     machine, theta = near_sinusoidal(192), angles()
     table = np.concatenate([machine.flux, machine.flux[:, :1]], axis=1).astype(np.float32)[:rows]
     place = (theta / (2.0 * np.pi)).astype(np.float32)
-    found = shape_at(table, place, None)
+    found = shape_at(table, place)
     fine = near_sinusoidal(5760)
     k = np.round(np.mod(place, 1.0) * 5760).astype(int) % 5760
     a, b, c = fine.flux[:, k]
     expected = (2.0 * a - b - c) / 3.0, (b - c) / np.sqrt(3.0), (a + b + c) / 3.0
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one, other, atol=2e-3 * machine.psi_pm)
-    slope = slope_at(table, place, None, 1)
+    slope = slope_at(table, place)
     step = np.float32(1e-3)
-    ahead = shape_at(table, place + step / np.float32(2.0 * np.pi), None)
+    ahead = shape_at(table, place + step / np.float32(2.0 * np.pi))
     inside = np.floor(np.mod(place, 1.0) * 192) == np.floor(
         np.mod(place + step / (2.0 * np.pi), 1.0) * 192
     )
@@ -77,10 +86,12 @@ def test_references_make_the_torque_of_the_faded_shape(zero: float, fade: float)
     fades, that of the faded shape."""
     machine, theta = trapezoidal(96), angles()
     model = model_of(plain_control(machine))
-    f = shape_at(model.shape, (theta / (2.0 * np.pi)).astype(np.float32), None)
+    f = shape_at(model.shape, (theta / (2.0 * np.pi)).astype(np.float32))
     full = np.ones_like(theta)
     turn = turn_of(theta)
-    i = reference_at(model.gains, f, turn, 2.0 * full, 0.0 * full, fade * full, zero * full)
+    i = reference_at(
+        SINGLE, model.numbers, f, turn, 2.0 * full, 0.0 * full, fade * full, zero * full
+    )
     psi = machine.psi_pm
     seen = (
         fade * f.alpha - (1.0 - fade) * psi * turn[1],
@@ -102,7 +113,7 @@ def test_an_open_phase_gets_no_reference_and_the_torque_stays(opened: int) -> No
     places = (theta / (2.0 * np.pi)).astype(np.float32)
     f = shape_at(model.shape, places, np.full(theta.shape, opened, dtype=np.uint32))
     one = np.ones_like(theta)
-    i = reference_at(model.gains, f, turn_of(theta), one, 0.0 * one, one, one)
+    i = reference_at(SINGLE, model.numbers, f, turn_of(theta), one, 0.0 * one, one, one)
     phases = np.stack(
         [
             i.alpha + i.zero,
@@ -111,7 +122,7 @@ def test_an_open_phase_gets_no_reference_and_the_torque_stays(opened: int) -> No
         ]
     )
     assert np.max(np.abs(phases[opened - 1])) < 1e-6 * np.max(np.abs(phases))
-    whole = shape_at(model.shape, places, None)
+    whole = shape_at(model.shape, places)
     torque = machine.pole_pairs * (
         1.5 * (whole.alpha * i.alpha + whole.beta * i.beta) + 3.0 * whole.zero * i.zero
     )
@@ -122,20 +133,22 @@ def test_an_open_phase_gets_no_reference_and_the_torque_stays(opened: int) -> No
 def test_frames_lead_there_and_back_and_have_the_back_emf_on_q(frame: CurrentFrame) -> None:
     machine, theta = trapezoidal(96), angles()
     model = model_of(plain_control(machine))
-    f = shape_at(model.shape, (theta / (2.0 * np.pi)).astype(np.float32), None)
+    f = shape_at(model.shape, (theta / (2.0 * np.pi)).astype(np.float32))
     generator = np.random.default_rng(4)
-    x = Stationary(*generator.normal(size=(3, theta.size)).astype(np.float32))
-    seen = to_frame(frame, f, x, model.gains["psi_pm"])
-    for one, other in zip(from_frame(frame, f, seen, model.gains["psi_pm"]), x, strict=True):
+    x = Alphabetazero(*generator.normal(size=(3, theta.size)).astype(np.float32))
+    along, psi = shape_frame(frame), model.gains["psi_pm"]
+    assert along is not None
+    seen = along.to_frame(SINGLE, f, x, psi)
+    for one, other in zip(along.from_frame(SINGLE, f, seen, psi), x, strict=True):
         np.testing.assert_allclose(one, other, atol=2e-6)
-    emf = to_frame(frame, f, f, model.gains["psi_pm"])
-    assert np.max(np.abs(emf.alpha)) < 1e-7
+    emf = along.to_frame(SINGLE, f, f, psi)
+    assert np.max(np.abs(emf.d)) < 1e-7
     if frame == "dqy":
         assert np.max(np.abs(emf.zero)) < 1e-7
         # power-invariant but for the factor: the square of the length is kept
         length = x.alpha**2 + x.beta**2 + 2.0 * x.zero**2
         scale = (f.alpha**2 + f.beta**2 + 2.0 * f.zero**2) / model.gains["psi_pm"] ** 2
-        found = seen.alpha**2 + seen.beta**2 + seen.zero**2
+        found = seen.d**2 + seen.q**2 + seen.zero**2
         np.testing.assert_allclose(found, scale * length, rtol=2e-6)
 
 
@@ -149,22 +162,28 @@ def test_coupling_is_the_voltage_of_currents_that_are_constant_in_the_frame(
     model = model_of(plain_control(machine))
     theta = (2.0 * np.pi * (np.arange(96) + 0.5) / 96).astype(np.float32)
     generator = np.random.default_rng(5)
-    x = Stationary(*generator.normal(size=(3, 96)).astype(np.float32))
+    x = Frame(*generator.normal(size=(3, 96)).astype(np.float32))
+    along = shape_frame(frame)
+    assert along is not None
     if frame == "dqx":
         x = x._replace(zero=np.zeros_like(x.zero))
     psi, step = model.gains["psi_pm"], 0.01
     shapes = [
-        shape_at(model.shape, ((theta + side) / (2.0 * np.pi)).astype(np.float32), None)
+        shape_at(model.shape, ((theta + side) / (2.0 * np.pi)).astype(np.float32))
         for side in (-step, 0.0, step)
     ]
-    before, after = (from_frame(frame, shape, x, psi) for shape in (shapes[0], shapes[2]))
-    slope = slope_at(model.shape, (theta / (2.0 * np.pi)).astype(np.float32), None, 1)
+    before, after = (along.from_frame(SINGLE, shape, x, psi) for shape in (shapes[0], shapes[2]))
+    slope = slope_at(model.shape, (theta / (2.0 * np.pi)).astype(np.float32))
     omega = np.full(96, 300.0, dtype=np.float32)
-    found = coupling(frame, model.gains, shapes[1], slope, x, omega)
+    found = along.coupling(SINGLE, model.numbers, shapes[1], slope, x, omega)
     inductances = (8e-3, 8e-3, 5e-3)
     for v, one, other, inductance in zip(found, before, after, inductances, strict=True):
         expected = 300.0 * inductance * (other - one) / (2.0 * step)
         np.testing.assert_allclose(v, expected, atol=2e-3 * max(np.max(np.abs(expected)), 1.0))
+
+
+def integrals(state: Control) -> list[Any]:
+    return [pi.integral for pi in (state.d, state.q, state.zero) if pi is not None]
 
 
 def measured_at(rows: int, v_dc: float = 220.0, **changes: float) -> Any:
@@ -192,7 +211,7 @@ def test_duties_make_the_voltage_of_the_state(topology: Topology) -> None:
     measured[:, 3] = theta
     measured = measured if rule.midpoint else measured[:, :6]
     for torque in (0.5, 3.9):
-        state = PhaseControlState.start(64, model.structure)
+        state = model.structure.at_rest(64)
         for v_dc in (220.0, 60.0):
             measured[:, 5] = v_dc
             if rule.midpoint:
@@ -220,19 +239,19 @@ def test_integrals_rest_while_the_voltage_is_shortened(topology: Topology) -> No
     model = model_of(plain_control(near_sinusoidal(96), topology))
     rows = measured_at(1, v_dc=2.0, v_m=1.0)
     rows = rows if model.structure.midpoint else rows[:, :6]
-    state = PhaseControlState.start(1, model.structure)
+    state = model.structure.at_rest(1)
     torque = np.full(1, 3.0, dtype=np.float32)
     for _ in range(20):
         model.torque_control(state, rows, torque)
-    assert not np.any([state.d, state.q, state.zero])
-    assert not np.any(list(state.harmonic.values()))
+    assert not np.any(integrals(state))
+    assert not np.any(state.harmonic)
     free = rows.copy()
     free[:, 5], free[:, 6:] = 400.0, 200.0
     model.torque_control(state, free, torque)
-    assert np.all(state.q != 0.0)
-    assert not np.any(list(state.harmonic.values()))  # the error is beyond error_max
+    assert np.all(state.q.integral != 0.0)
+    assert not np.any(state.harmonic)  # the error is beyond error_max
     model.torque_control(state, free, np.full(1, 0.2, dtype=np.float32))
-    assert np.all([np.any(r) for r in state.harmonic.values()])
+    assert np.all([np.any(r) for r in state.harmonic])
 
 
 @pytest.mark.parametrize("column", range(7))
@@ -242,15 +261,15 @@ def test_a_bad_sample_makes_no_voltage_and_leaves_the_states(column: int, bad: f
     good = measured_at(1, a=0.2, b=-0.1, c=0.05)
     spoilt = good.copy()
     spoilt[0, column] = bad
-    state = PhaseControlState.start(1, model.structure)
+    state = model.structure.at_rest(1)
     torque = np.full(1, 0.5, dtype=np.float32)
     model.torque_control(state, good, torque)
-    before = np.array([state.d, state.q, state.zero, *state.harmonic[7], *state.harmonic_zero[3]])
+    before = np.array([*integrals(state), *state.harmonic[1], *state.harmonic_zero[0]])
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         duty = model.torque_control(state, spoilt, torque)
     assert all(0.0 <= one[0] <= 1.0 for one in duty)
     assert not np.any([*state.v, state.v_0])
-    after = np.array([state.d, state.q, state.zero, *state.harmonic[7], *state.harmonic_zero[3]])
+    after = np.array([*integrals(state), *state.harmonic[1], *state.harmonic_zero[0]])
     np.testing.assert_array_equal(before, after)
 
 
@@ -317,7 +336,7 @@ def test_several_electrical_periods_have_their_own_shape() -> None:
     machine = near_sinusoidal(96)
     flux = np.concatenate([machine.flux, 0.8 * machine.flux], axis=1)
     model = model_of(plain_control(machine, shape=PhaseShape(flux, 2), harmonics=None))
-    state = PhaseControlState.start(2, model.structure)
+    state = model.structure.at_rest(2)
     measured = measured_at(2)[:, :6]
     measured[:, 3] = [0.4, 0.4 + 2.0 * np.pi]
     measured[:, 4] = 0.0
