@@ -54,6 +54,7 @@ MODELS = {
     "single_headers.frame_tables": "the frames dqx and dqy by their steps, in floats and in C",
     "modulation_choice.rule_model": "the choice of modulator in single precision",
     "phase_control.float32_model": "the control of phases in single precision",
+    "phase_control.fixed_phase_text": "writes the control of phases in fixed point in C, likewise",
     "phase_control.fixed_phase_model": "the control of phases in integers, step by step",
     "output.recomputation": "computes and proves again what is read back",
     "six_step.header": "control of a six-step drive in single precision",
