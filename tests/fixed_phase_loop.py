@@ -12,10 +12,16 @@ from phase_drives import T_S
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.topologies import TOPOLOGIES
-from dqforge.machines.transforms import Pair, Triple, clarke_matrix
+from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.fixed_control.arithmetic import Integers
-from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
-from dqforge.optimizer.fixed_phase_control.phase_step import PhaseState, Sample, control_step
+from dqforge.optimizer.fixed_control.vectors import Abc, Dq
+from dqforge.optimizer.fixed_phase_control.integers import (
+    FixedPhaseControl,
+    Measured,
+    phase_at_rest,
+    phase_gains,
+)
+from dqforge.optimizer.fixed_phase_control.phase_step import PhaseSteps
 
 
 @dataclass
@@ -47,7 +53,8 @@ class Loop:
         k, machine = self.control, self.machine
         current, voltage, speed, torque, _ = k.bases
         zero = np.zeros(1, dtype=np.int64)
-        state = PhaseState(Triple(zero, zero, zero), tuple(Pair(zero, zero) for _ in k.harmonics))
+        run, gains, state = PhaseSteps(k), phase_gains(k), phase_at_rest(k, zero)
+        state.open_phase = np.array([open_phase])
         plane, none = machine.l_s - machine.m_s, machine.l_s + 2.0 * machine.m_s
         decay = np.exp(-machine.r_s / np.array([plane, plane, none]) * (T_S / 4.0))
         i, theta, duty, found = np.zeros(3), 0.0, None, np.empty(steps)
@@ -55,19 +62,18 @@ class Loop:
         back = np.linalg.inv(clarke_matrix())
         for step in range(steps):
             phases = back @ i
-            sample = Sample(
-                Triple(*(self.codes(x / current) for x in phases)),
+            middle = self.codes(110.0 / (voltage * 2**k.dc_scale))
+            measured = Measured(
+                Abc(*(self.codes(x / current) for x in phases)),
                 np.array([round(theta / (2.0 * math.pi) * 65536) % 65536]),
                 self.codes(self.omega_m / speed),
                 self.codes(220.0 / (voltage * 2**k.dc_scale)),
-                self.codes(110.0 / (voltage * 2**k.dc_scale)),
-                np.array([open_phase]),
+                middle if k.midpoint else None,
             )
-            made = control_step(
-                Integers(), k, state, sample, self.codes(asked / torque),
-                Pair(zero, self.codes(constant / current)),
-            )  # fmt: skip
-            state = made.state
+            reference = Dq(zero, self.codes(constant / current))
+            made = run.shaped_control(
+                Integers(), gains, state, measured, self.codes(asked / torque), reference
+            )
             v = np.zeros(3) if duty is None else self._voltage(duty)
             mean = 0.0
             for _ in range(4):
@@ -78,7 +84,7 @@ class Loop:
                 theta += omega_e * T_S / 4.0
                 flux = self.fine[:, round(theta / math.tau * 7200) % 7200]
                 mean += machine.pole_pairs * (1.5 * flux[:2] @ i[:2] + 3.0 * flux[2] * i[2]) / 4.0
-            duty = [float(x[0]) / self.code for x in made.duty]
+            duty = [float(x[0]) / self.code for x in made]
             found[step] = mean
         return found
 

@@ -60,3 +60,9 @@ class Gain(NamedTuple):
 
 
 WORDS_OF_GAIN = ("mantissa", COUNT, WIDE)
+
+
+class Filling(NamedTuple):
+    """Says of a function that it fills an array of this name in the firmware."""
+
+    name: str

@@ -11,7 +11,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import largest_phase_voltage
-from dqforge.machines.transforms import Pair, Triple, clarke_matrix
+from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, Reach
 from dqforge.optimizer.fixed_control.codes import sine_error
 from dqforge.optimizer.fixed_control.design import (
@@ -23,18 +23,18 @@ from dqforge.optimizer.fixed_control.design import (
     torque_code,
 )
 from dqforge.optimizer.fixed_control.ranges import codes, pi_ranges, require, speed_ranges
+from dqforge.optimizer.fixed_control.vectors import Abc, Dq
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedAxis,
     FixedHarmonic,
     FixedMidpoint,
     FixedPhaseControl,
+    Measured,
+    Turning,
+    phase_at_rest,
+    phase_gains,
 )
-from dqforge.optimizer.fixed_phase_control.phase_step import (
-    PhaseState,
-    Sample,
-    control_step,
-    torque_reference,
-)
+from dqforge.optimizer.fixed_phase_control.phase_step import PhaseSteps
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.phase_control.phase_controller import AxisGains, PhaseControl
@@ -302,16 +302,20 @@ def phase_ranges(control: FixedPhaseControl) -> tuple[Reach, ...]:
     found = Ranges(width, "phase control: ")
     every, angle = codes(width), Range(0, 2**width - 1)
 
-    def state(fraction: int) -> Range:
+    def held(fraction: int) -> Range:
         return Range(-top << fraction, top << fraction)
 
+    state, turning = phase_at_rest(control, found.const(0)), held(control.harmonic_fraction)
     axes = (control.d, control.q, control.zero)
-    integral = Triple(*(state(0 if axis is None else axis.fraction) for axis in axes))
-    turning = state(control.harmonic_fraction)
-    sample = Sample(Triple(every, every, every), angle, every, every, Range(0, top), Range(0, 3))
-    before = PhaseState(integral, tuple(Pair(turning, turning) for _ in control.harmonics))
-    control_step(found, control, before, sample, every, Pair(every, every))
-    torque_reference(found, control, every)
+    d, q, zero = (held(0 if axis is None else axis.fraction) for axis in axes)
+    state.integral = (d, q, zero)
+    state.harmonic = tuple(Turning(turning, turning) for _ in control.harmonics)
+    state.open_phase = Range(0, 3)
+    middle = None if control.midpoint is None else Range(0, top)
+    measured = Measured(Abc(every, every, every), angle, every, every, middle)
+    steps, gains = PhaseSteps(control), phase_gains(control)
+    steps.shaped_control(found, gains, state, measured, every, Dq(every, every))
+    steps.references.sinusoids(found, gains, every)
     parts = [found, speed_ranges(control)]
     if control.speed is not None:
         parts += [pi_ranges(width, "speed", pi, form) for form, pi in control.speed.items()]

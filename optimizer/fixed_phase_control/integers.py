@@ -6,22 +6,57 @@ codes. Integrals have ``fraction`` more bits than a code.
 
 from __future__ import annotations
 
-from typing import Generic, NamedTuple
+from collections import namedtuple
+from functools import cache
+from typing import Annotated, Any, ClassVar, Generic, NamedTuple
 
 from dqforge.machines.names import CurrentFrame, Feedforward, NumberFormat, Topology
 from dqforge.machines.records import dataclass
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.transforms import N
 from dqforge.optimizer.fixed_control.codes import TurnSteps, full_scale, turn_steps
-from dqforge.optimizer.fixed_control.transforms import FixedPi, PiForm
+from dqforge.optimizer.fixed_control.transforms import (
+    FixedPi,
+    Pi,
+    PiForm,
+    PiGains,
+    speed_loop_gains,
+)
+from dqforge.optimizer.fixed_control.vectors import (
+    CODE,
+    COUNT,
+    FEW,
+    TURN,
+    WIDE,
+    Abc,
+    Coded,
+    Turned,
+)
 from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.steps.step_arithmetic import Member
 
 
-class Vector(NamedTuple, Generic[N]):
+class Axes(NamedTuple, Generic[N]):
     """Values on the axes alpha, beta and zero."""
 
     alpha: N
     beta: N
     zero: N
+
+
+class Vector(Axes[N]):
+    """Alpha, beta and zero sequence (mean of the phases) in wide words."""
+
+    WORDS: ClassVar[str] = WIDE
+
+
+@cache
+def duties_type(topology: Topology) -> Any:
+    """The vector of the duty cycles of a topology's legs."""
+    made: Any = namedtuple
+    kind = made("Duties", TOPOLOGIES[topology].legs)
+    kind.WORDS = TURN
+    return kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,3 +184,122 @@ class FixedPhaseControl:
     def nodes(self) -> int:
         """Intervals of the shape."""
         return len(self.shape[0]) - 1
+
+    @property
+    def has_zero(self) -> bool:
+        """Whether a zero-sequence current is controlled."""
+        return self.zero is not None
+
+    @property
+    def framed(self) -> bool:
+        """Whether integrals lie along and across the flux."""
+        return self.frame in ("dqx", "dqy")
+
+
+# What the firmware has of them. Numbers are integers, or those of an arithmetic.
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """A PI controller, whose integral has fraction more bits than a code, and the voltage of its
+    reference.
+    """
+
+    kp: FixedGain
+    ki: FixedGain
+    fraction: Annotated[int, FEW]
+    resistance: FixedGain
+    inductance: Annotated[FixedGain, Member("over the sampling period")]
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """Back-EMF over electrical speed at the nodes of a period, in codes of the flux."""
+
+    POINTED: ClassVar[bool] = True  # Gains have its address.
+
+    flux: Annotated[tuple[tuple[int, ...], ...], CODE]
+
+
+@dataclass(frozen=True, slots=True)
+class ControlGains:
+    """The control as a whole: everything that differs from drive to drive."""
+
+    d: Axis
+    q: Axis
+    zero: Axis | None
+    unit: Annotated[FixedGain, Member("current per torque")]
+    sample: Annotated[FixedGain, Member("turn in a sample, of the code of the speed")]
+    back_emf: FixedGain
+    current_per_torque: Annotated[FixedGain, Member("of sinusoids")]
+    speed: Annotated[PiGains, Member("gains of 0: no speed loop")]
+    speed_filter: Annotated[FixedGain, Member("share of a new sample, to the state of the filter")]
+    torque_max: Annotated[int, CODE, Member("limit of the speed controller's output")]
+    ratio: Annotated[int, COUNT, Member("current samples per speed sample")]
+    shape: Shape
+
+
+@dataclass(slots=True)
+class Turning(Generic[N]):
+    """An integrator that turns with a harmonic; in the firmware an array of two numbers."""
+
+    ARRAY: ClassVar[bool] = True
+
+    x: N
+    y: N
+
+
+@dataclass(slots=True)
+class Control(Generic[N]):
+    """What changes from sample to sample."""
+
+    integral: Annotated[tuple[N, N, N], Member("of the axes of the frame")]
+    harmonic: Annotated[tuple[Turning[N], ...], Member("integrators that turn with harmonics")]
+    v: Annotated[Vector[N], Member("that the duty cycles make")]
+    reference: Annotated[Vector[N], Member("of the currents")]
+    open_phase: Annotated[N, FEW, Member("0: none, 1 to 3: a to c")]
+    speed: Pi[N]
+    filtered: Annotated[N, Member("speed with as many more bits as a code has, less 2")]
+    omega_m: Annotated[N, CODE, Member("filtered speed")]
+    torque: Annotated[N, CODE, Member("reference of the torque")]
+    count: Annotated[N, COUNT, Member("current samples since the speed controller ran")]
+
+
+@dataclass(frozen=True, slots=True)
+class Measured(Generic[N]):
+    """Samples of one instant; the angle is a share of the shape's period."""
+
+    i: Abc[N]
+    theta: Turned[N]
+    omega_m: Coded[N]
+    v_dc: Coded[N]
+    v_m: Annotated[N, CODE, Member("midpoint of the link above its negative rail, as v_dc")] | None
+
+
+def _axis(part: FixedAxis) -> Axis:
+    return Axis(part.kp, part.ki, part.fraction, part.resistance, part.inductance)
+
+
+def phase_gains(control: FixedPhaseControl) -> ControlGains:
+    """Gains of the firmware."""
+    loop = speed_loop_gains(control)
+    return ControlGains(
+        _axis(control.d),
+        _axis(control.q),
+        None if control.zero is None else _axis(control.zero),
+        control.unit,
+        control.sample,
+        control.electrical,
+        control.current_per_torque,
+        loop.speed,
+        loop.speed_filter,
+        loop.torque_max,
+        loop.ratio,
+        Shape(control.shape),
+    )
+
+
+def phase_at_rest(control: FixedPhaseControl, zero: N) -> Control[N]:
+    """Nothing turns, of numbers that are all 0."""
+    none, turning = Vector(zero, zero, zero), tuple(Turning(zero, zero) for _ in control.harmonics)
+    return Control((zero, zero, zero), turning, none, none, zero, Pi(zero), zero, zero, zero, zero)

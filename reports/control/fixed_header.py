@@ -131,6 +131,7 @@ def control_fixed_context(design: Design, fit: FixedControlFit) -> PlainData:
     loops = {_LOOP_NAMES[name]: forms for name, forms in control.loops.items()}
     return {
         **title(design),
+        "subject": "current control",
         "format": control.format,
         "width": control.width,
         "preamble": _preamble(fit, design),

@@ -62,7 +62,7 @@ def _state() -> Control[Any]:
     return control_at_rest(_ANY)
 
 
-def _pi_reader(prefix: str, width: int) -> CodeReader:
+def pi_reader(prefix: str, width: int) -> CodeReader:
     """Functions of PI controllers behind the basic ones."""
     reader = code_reader(prefix, width, known=basics_reader(prefix, width).functions)
     state: Any = Pi(_ANY)
@@ -89,7 +89,7 @@ def pi_text(
         loops: Controllers in their forms by the names of their constants.
         said: Lines about them.
     """
-    reader = _pi_reader(prefix, width)
+    reader = pi_reader(prefix, width)
     form = reader.form.upper()
     head = "PI controllers: ki and tracking lead to a state that has so many more bits than a code."
     lines = [f"/* {head}", *(f" * {comment_text(line)}" for line in said), " */"]
@@ -102,13 +102,6 @@ def pi_text(
     ]
     types = [record_type(reader, like) for like in (Pi(_ANY), PiVelocity(_ANY, _ANY))]
     return "\n\n".join([typed, *types, "\n".join(constants), texts(reader)])
-
-
-def speed_loop_text(prefix: str, width: int) -> str:
-    """The speed loop, for gains and state of any control that has its members."""
-    reader = code_reader(prefix, width, known=_pi_reader(prefix, width).functions)
-    write(reader, speed_loop, width, _GAINS, _state(), _ANY, _ANY)
-    return texts(reader)
 
 
 def _observer_text(control: FixedControl, prefix: str, macro: str) -> list[str]:
@@ -170,10 +163,9 @@ def control_text(control: FixedControl, prefix: str, macro: str) -> str:
         prefix, macro: Before the names of functions and types, and of constants.
     """
     width, steps, rule = control.width, control.steps, control.modulator
-    known = _pi_reader(prefix, width).functions
+    known = pi_reader(prefix, width).known_functions
     reader = code_reader(prefix, width, known=shortening_reader(prefix, width).functions)
-    for part in ("results", "changes", "kinds", "argument_kinds", "returned"):
-        getattr(reader.functions, part).update(getattr(known, part))
+    reader.known_functions.take(known)
     parts = [
         record_type(reader, _DECOUPLING),
         vector_type(reader, Feedforward, "What the feedforward adds to the voltage."),

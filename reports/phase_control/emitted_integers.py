@@ -4,7 +4,6 @@ rotor coordinates.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dqforge.machines.topologies import TOPOLOGIES
-from dqforge.optimizer.fixed_control.transforms import IDLE, FixedControl
+from dqforge.optimizer.fixed_control.transforms import FixedControl
 from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
 from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
 from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
@@ -39,7 +38,7 @@ from dqforge.reports.control.fixed_header import (
     wide_programme,
 )
 from dqforge.reports.control.fixed_model import fixed_control_from
-from dqforge.reports.control.fixed_text import pi_text, speed_loop_text
+from dqforge.reports.control.fixed_text import pi_text
 from dqforge.reports.control.header import (
     ControlModel,
     control_files,
@@ -57,6 +56,7 @@ from dqforge.reports.phase_control.fixed_phase_model import (
     phase_results,
     phase_rows,
 )
+from dqforge.reports.phase_control.fixed_phase_text import phase_text, phase_types
 from dqforge.reports.phase_control.float32_model import PhaseControlModel, opened
 from dqforge.reports.phase_control.header import (
     phase_control_files,
@@ -200,7 +200,7 @@ def _speed_comment(control: FixedPhaseControl) -> list[str]:
 
 def phase_fixed_context(design: Design, fit: FixedPhaseFit) -> PlainData:
     """Everything that the header prints, as plain data."""
-    control, bits = fit.control, fit.control.width - 1
+    control = fit.control
     scales = [
         {"name": name, "value": value, "comment": text}
         for (name, text), value in zip(_BASES, control.bases, strict=True)
@@ -208,26 +208,22 @@ def phase_fixed_context(design: Design, fit: FixedPhaseFit) -> PlainData:
     link = control.bases[1] * 2.0**control.dc_scale
     scales.append({"name": "BASE_DC_VOLTAGE_V", "value": link, "comment": "V, of the dc link"})
     prefix, macro = design.export.prefix, title(design)["macro"]
+    error = error_words(control.width, fit.sine_error)
     return {
         **title(design),
+        "subject": "current control of any back-EMF",
         "format": control.format,
         "width": control.width,
-        "top": control.top,
-        "third": round(2**bits / 3),
-        "half_root": round(2**bits * math.sqrt(0.75)),
-        "types": code_types(prefix, macro, control.width),
-        "basics": code_basics(
-            prefix, macro, control.width, error_words(control.width, fit.sine_error)
-        ),
-        "pis": pi_text(prefix, macro, control.width, {}, _speed_comment(control)),
-        "speed_loop": speed_loop_text(prefix, control.width),
-        "control": control,
-        "idle": asdict(IDLE),
-        "rule": TOPOLOGIES[control.topology],
-        "legs": TOPOLOGIES[control.topology].legs,
         "preamble": _preamble(fit, design),
         "scales": scales,
-        "root_half": round(2**bits * math.sqrt(0.5)),
+        "reference": False,
+        "parts": [
+            code_types(prefix, macro, control.width),
+            phase_types(control, prefix),
+            code_basics(prefix, macro, control.width, error),
+            pi_text(prefix, macro, control.width, {}, _speed_comment(control)),
+            phase_text(control, prefix, macro),
+        ],
     }
 
 
@@ -236,7 +232,7 @@ def phase_fixed_files(design: Design, fit: FixedPhaseFit) -> dict[str, bytes]:
     context, control = phase_fixed_context(design, fit), fit.control
     inputs = phase_rows(control, design.export.vectors, _SEED)
     vectors = np.concatenate([inputs, phase_results(control, inputs)], axis=1)
-    text = render("phase_control/fixed_phase.h.j2", context)
+    text = render("control/fixed.h.j2", context)
     return _harness(control).files(design, text, vectors)
 
 

@@ -12,28 +12,21 @@ import numpy as np
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.topologies import TOPOLOGIES
-from dqforge.machines.transforms import Pair, Triple
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
-from dqforge.optimizer.fixed_control.transforms import (
-    IDLE,
-    Pi,
-    SpeedLoop,
-    speed_loop,
-    speed_loop_gains,
-)
+from dqforge.optimizer.fixed_control.transforms import IDLE, speed_loop
+from dqforge.optimizer.fixed_control.vectors import Abc, Dq
 from dqforge.optimizer.fixed_phase_control.design import phase_ranges
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedAxis,
     FixedHarmonic,
     FixedMidpoint,
     FixedPhaseControl,
+    Measured,
+    Turning,
+    phase_at_rest,
+    phase_gains,
 )
-from dqforge.optimizer.fixed_phase_control.phase_step import (
-    PhaseState,
-    Sample,
-    control_step,
-    torque_reference,
-)
+from dqforge.optimizer.fixed_phase_control.phase_step import PhaseSteps
 from dqforge.reports.control.fixed_model import (
     NOT_OURS,
     forms_from,
@@ -126,25 +119,30 @@ def phase_results(
     control: FixedPhaseControl, inputs: CodeArray, arithmetic: Integers | None = None
 ) -> CodeArray:
     """Results of one step for rows of inputs, shape (rows, results), columns as `phase_outputs`."""
-    o = Integers() if arithmetic is None else arithmetic
+    o, steps = Integers() if arithmetic is None else arithmetic, PhaseSteps(control)
     x = dict(zip(phase_inputs(control), inputs.T, strict=True))
-    sample = Sample(
-        Triple(x["i_a"], x["i_b"], x["i_c"]), x["theta"], x["omega"], x["v_dc"], x["v_m"], x["open"]
+    gains, state = phase_gains(control), phase_at_rest(control, o.const(0))
+    measured = Measured(
+        Abc(x["i_a"], x["i_b"], x["i_c"]),
+        x["theta"],
+        x["omega"],
+        x["v_dc"],
+        x["v_m"] if control.midpoint else None,
     )
     names = _states(control)[3:]
+    a, b, c = (x[name] for name in _INTEGRALS)
     pairs = zip(names[::2], names[1::2], strict=True)
-    state = PhaseState(
-        Triple(*(x[name] for name in _INTEGRALS)), tuple(Pair(x[a], x[b]) for a, b in pairs)
-    )
-    step = control_step(o, control, state, sample, x["torque"], Pair(x["d"], x["q"]))
-    turning = [value for pair in step.state.harmonics for value in pair]
-    filtered, integral, torque, count = (x[name] for name in _SPEED[1:])
-    loop = SpeedLoop(Pi(integral), filtered, x["omega"], torque, count)
-    gains = speed_loop_gains(control)
-    speed_loop(o, control.width, gains, loop, x["omega"], x["speed_reference"])
-    sinusoid = torque_reference(o, control, loop.torque)
-    speed = (loop.filtered, loop.speed.integral, loop.torque, loop.count, loop.omega_m, sinusoid.y)
-    found = [*step.duty, *step.state.integral, *turning, *step.voltage, *step.reference, *speed]
+    state.integral = (a, b, c)
+    state.harmonic = tuple(Turning(x[m], x[n]) for m, n in pairs)
+    state.open_phase = x["open"]
+    duty = steps.shaped_control(o, gains, state, measured, x["torque"], Dq(x["d"], x["q"]))
+    integrals = [*state.integral, *(v for held in state.harmonic for v in (held.x, held.y))]
+    state.speed.integral, state.filtered = x["speed_integral"], x["speed_filtered"]
+    state.torque, state.count = x["speed_torque"], x["speed_count"]
+    torque = speed_loop(o, control.width, gains, state, x["omega"], x["speed_reference"])
+    sinusoid = steps.references.sinusoids(o, gains, torque)
+    speed = (state.filtered, state.speed.integral, state.torque, state.count, state.omega_m)
+    found = [*duty, *integrals, *state.v, *state.reference, *speed, sinusoid.y]
     shape = inputs.shape[:1]
     return np.stack([np.broadcast_to(value, shape) for value in found], axis=1)
 

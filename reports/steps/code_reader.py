@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast, get_type_hints
 
 from dqforge.optimizer.fixed_control.arithmetic import rounded, saturated
@@ -25,7 +25,25 @@ from dqforge.optimizer.fixed_control.vectors import (
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.reports.c_code.numbers import int32_literal, int64_literal
 from dqforge.reports.steps.blocks import Block, Functions
+from dqforge.reports.steps.code_arrays import (
+    Call,
+    Filled,
+    Table,
+    elements,
+    filled_by,
+    is_array,
+    is_record,
+    items_of,
+    numbers_at,
+    put_into,
+    record_at,
+    sizes,
+    tables,
+    taking,
+)
+from dqforge.reports.steps.counted_loops import filled
 from dqforge.reports.steps.integers import CODES
+from dqforge.reports.steps.record_text import c_name
 from dqforge.reports.steps.step_reader import StepReader
 from dqforge.reports.steps.symbols import Condition, Expression, Origin
 
@@ -73,10 +91,18 @@ class Words:
 
 @dataclass(slots=True)
 class CodeFunctions(Functions):
-    """Functions and their types: ``argument_kinds``, and ``returned``."""
+    """Functions and their types: ``argument_kinds``, and ``returned``; ``arrays`` are those that
+    functions fill.
+    """
 
     argument_kinds: dict[str, list[str]] = field(default_factory=dict)
     returned: dict[str, str] = field(default_factory=dict)
+    arrays: dict[str, Filled] = field(default_factory=dict)
+
+    def take(self, known: CodeFunctions) -> None:
+        """Take functions over whose texts stand before."""
+        for part in ("results", "changes", "kinds", "argument_kinds", "returned", "arrays"):
+            getattr(self, part).update(getattr(known, part))
 
 
 class Code(Expression):
@@ -117,24 +143,29 @@ class Code(Expression):
             found.uses = self.uses
         return found
 
-    def __rlshift__(self, one: int) -> Code:
-        """A power of two, as wide as an operator computes."""
-        return _Power(one, self)
+    def __rlshift__(self, factor: int) -> Code:
+        """A number times a power of two, as wide as an operator computes."""
+        return _Power(factor, self)
 
 
 class _Power(Code):
-    """2^bits or half of it, whose type is that of what it is added to."""
+    """factor 2^bits or half of it, whose type is that of what it is added to."""
 
-    __slots__ = ("bits", "lowered")
+    __slots__ = ("bits", "factor", "lowered")
 
-    def __init__(self, one: int, bits: Code, lowered: int = 0) -> None:
-        assert one == 1
+    def __init__(self, factor: int, bits: Code, lowered: int = 0) -> None:
         super().__init__(bits.text, kind=bits.kind, reads=bits.reads)
-        self.bits, self.lowered, self.uses = bits, lowered, bits.uses
+        self.factor, self.bits, self.lowered, self.uses = factor, bits, lowered, bits.uses
 
     def __rshift__(self, bits: int) -> Code:
-        """A smaller power; 0 where it is below 1."""
-        return _Power(1, self.bits, self.lowered + bits)
+        """A smaller number; 0 where it is below 1."""
+        return _Power(self.factor, self.bits, self.lowered + bits)
+
+
+def gain_text(gain: FixedGain) -> str:
+    """An initialiser of a gain."""
+    half = int64_literal(gain.half) if gain.shift > 31 else int32_literal(gain.half)
+    return f"{{ {int32_literal(gain.mantissa)}, {gain.shift}U, {half} }}"
 
 
 def _bits(kind: str) -> int:
@@ -183,7 +214,9 @@ class CodeReader(StepReader):
     ) -> None:
         super().__init__(prefix, functions, block)
         self.form, self.words, self.hints = form, words, hints or {}
-        self.known_functions = functions
+        self.known_functions, self.counted = functions, words.wide
+        self.array = filled_by(self.hints.get("return"))  # that the function fills
+        self.inner = self  # of the function that was written last
 
     # Names and types.
 
@@ -212,11 +245,16 @@ class CodeReader(StepReader):
             )
         )
 
+    def type_of(self, kind: type[Any]) -> str:
+        """Name of the type of a record or vector."""
+        return self.type_name(c_name(kind))
+
     def inside(self, function: Callable[..., Any], names: Sequence[str]) -> CodeReader:
         """The reader of a function."""
         hints = get_type_hints(getattr(function, "text", function), include_extras=True)
-        block = Block("    ", set(names))
-        return CodeReader(self.prefix, self.form, self.words, self.known_functions, block, hints)
+        block, functions = Block("    ", set(names)), self.known_functions
+        self.inner = CodeReader(self.prefix, self.form, self.words, functions, block, hints)
+        return self.inner
 
     def member_kind(self, kind: type[Any], name: str) -> str:
         """Type of a member of a record."""
@@ -226,6 +264,23 @@ class CodeReader(StepReader):
         """A number by its name."""
         return Code(name, kind=kind, **more)
 
+    def _named(self, name: str, value: Any, meaning: str) -> Any:
+        """A constant of the block; a gain is an initialiser, an array what a call fills."""
+        if isinstance(value, Call):
+            return value.into(self, name)
+        if isinstance(value, FixedGain):
+            self.block.take(name)
+            self.block.add(f"const {self.type_of(Gain)} {name} = ", gain_text(value), meaning)
+            return self.vector(Gain, name)
+        if is_array(value):
+            self.block.take(name)
+            self.take(value)
+            text = ", ".join(part.bare() for part in value)
+            begin = f"const {self.words.wide} {name}[{len(value)}] = "
+            self.block.add(begin, f"{{ {text} }}", meaning)
+            return items_of(self, name, Filled(name, len(value), None))
+        return super()._named(name, value, meaning)
+
     def result_kind(self, value: Expression) -> str:  # noqa: ARG002
         """Type that the function says it returns."""
         return self.words.of(word_of(self.hints.get("return")))
@@ -234,17 +289,49 @@ class CodeReader(StepReader):
         """Declaration of a parameter, and its value inside of the function."""
         if isinstance(like, FixedGain | Gain):
             return f"{self.type_name('gain')} {name}", self.vector(Gain, name)
+        if isinstance(like, Filled):
+            own = self.counted if like.kind is None else self.type_of(like.kind)
+            return f"{own} {name}[{like.count}]", None
+        if is_record(like):
+            return f"const {self.counted} {name}{sizes(like)}", self._record_at(like, name)
+        if is_array(like):
+            inside = items_of(self, name, Filled(name, len(like), None))
+            return f"const {self.counted} {name}[{len(like)}]", inside
         if isinstance(like, tuple) or hasattr(like, "__dataclass_fields__"):
             return super().parameter(name, like)
         kind = self.words.of(word_of(self.hints.get(name)))
         return f"{kind} {name}", Code(name, kind=kind)
 
     def _record(self, like: Any, address: str, place: str, outer: frozenset[Origin]) -> Any:
-        """A record; its gains are vectors, which are given by value."""
+        """A record; its gains are vectors, which are given by value, numbers of its arrays are
+        followed one by one; of some records others have the address.
+        """
+        if getattr(like, "POINTED", False) and address[0] == "&":
+            address, place = address[1:], f"{address[1:]}->"
         gains = [m.name for m in fields(like) if isinstance(getattr(like, m.name), FixedGain)]
-        found = super()._record(like, address, place, outer)
+        arrays = {m.name: getattr(like, m.name) for m in fields(like)}
+        arrays = {name: value for name, value in arrays.items() if is_array(value)}
+        found = super()._record(replace(like, **dict.fromkeys(arrays)), address, place, outer)
         for name in gains:
             object.__setattr__(found, name, self.vector(Gain, f"{place}{name}"))
+        for name, value in arrays.items():
+            text, kind = f"{place}{name}", self.member_kind(type(like), name)
+            if like.__dataclass_params__.frozen:
+                object.__setattr__(found, name, tables(value, text, kind))
+            elif any(map(is_record, value)):
+                items = (self._record_at(item, f"{text}[{n}]") for n, item in enumerate(value))
+                object.__setattr__(found, name, tuple(items))
+            else:
+                numbers = numbers_at(self, len(value), text, kind)
+                object.__setattr__(found, name, numbers)
+                self._kept += elements(found, name, numbers)
+        return found
+
+    def _record_at(self, like: Any, text: str) -> Any:
+        """A record that is an array in C."""
+        found, kept = record_at(self, like, text)
+        self._records.append((found, text, frozenset()))
+        self._kept += kept
         return found
 
     def _kind(self, value: Any) -> str:
@@ -268,7 +355,12 @@ class CodeReader(StepReader):
             if left[0].kind == self.words.of(CODE):
                 return cast("_T", left[0])
             return cast("_T", self._called("saturated", left, None))
-        return cast("_T", super().call(own, *left))
+        found = super().call(own, *left)
+        for item, changes in zip(left, self.functions.changes[own.__name__], strict=False):
+            for kept in self._kept if changes and is_record(item) else ():
+                if kept.record is item:
+                    self._renew(kept)
+        return cast("_T", found)
 
     def write(
         self,
@@ -285,7 +377,24 @@ class CodeReader(StepReader):
         functions = self.known_functions
         functions.argument_kinds[name] = [self.words.of(word_of(hints.get(n))) for n in own]
         functions.returned[name] = self.words.of(word_of(hints.get("return")))
+        array = filled_by(hints.get("return"))
+        if array is not None:
+            functions.arrays[name] = array
+            function, arguments = taking(function, array), [*arguments, array]
         super().write(name, function, arguments, text, into, names)
+        for n, (own_name, item) in enumerate(zip(own, arguments, strict=False)):
+            if is_record(item) and any(x.startswith(f"{own_name}[") for x in self.inner._changed):
+                functions.changes[name][n] = frozenset({own_name})
+                given, found = f"{self.counted} {own_name}[", functions.texts[name]
+                functions.texts[name] = found.replace(f"const {given}", given, 1)
+
+    def returned(self, result: Any, into: Sequence[str] = ()) -> tuple[str, list[str]]:
+        """Type of what a function returns, and the statements that return it or fill an array."""
+        if self.array is None:
+            return super().returned(result, into)
+        end = Block(self.block.indent, set())
+        self.take(put_into(self.array, result, end))
+        return "void", end.lines
 
     def _called(self, name: str, arguments: Sequence[Any], kind: type[Any] | None) -> Any:
         kinds = self.known_functions.argument_kinds.get(name, [self.words.wide] * len(arguments))
@@ -300,6 +409,8 @@ class CodeReader(StepReader):
     def _called_as(
         self, name: str, text: str, parts: Sequence[Expression], kind: type[Any] | None
     ) -> Any:
+        if name in self.known_functions.arrays:
+            return Call(text, self.known_functions.arrays[name], tuple(parts))
         if kind is None or kind is type(None):
             own = self.known_functions.returned.get(name)
             kind_of_it = own or self.words.of(_OPERATIONS[name])
@@ -315,14 +426,14 @@ class CodeReader(StepReader):
     ) -> tuple[Callable[..., Any], list[Any]]:
         """A function of the firmware without what is known when it is written; its arguments."""
         parameters = list(inspect.signature(function).parameters.values())
-        known = {
+        absent = parameters[1 + len(args) :]  # has defaults
+        known = {own.name: own.default for own in absent} | {
             own.name: item
-            for own, item in zip(parameters[1:], args, strict=True)
+            for own, item in zip(parameters[1:], args, strict=False)
             if own.name == "width" or own.annotation in ("str", str)
         }
-        left = [
-            item for own, item in zip(parameters[1:], args, strict=True) if own.name not in known
-        ]
+        given = zip(parameters[1:], args, strict=False)
+        left = [item for own, item in given if own.name not in known]
 
         def run(o: Any, *values: Any) -> Any:
             given = iter(values)
@@ -361,7 +472,8 @@ class CodeReader(StepReader):
     def const(self, value: Any) -> Any:
         """A constant, or a number that is there already."""
         if isinstance(value, _Power):
-            shifted = f"(({self.words.wide})1 << {value.bits.bare()})"
+            factor = constant(value.factor, self.words.wide).text
+            shifted = f"(({self.words.wide}){factor} << {value.bits.bare()})"
             return _made(
                 f"{shifted} >> {value.lowered}" if value.lowered else shifted[1:-1],
                 self.words.wide,
@@ -534,6 +646,25 @@ class CodeReader(StepReader):
         return _made(f"({condition.text()}) ? {' : '.join(texts)}", kind, *condition.terms, a, b)
 
     # Loops and tables.
+
+    def each(self, name: str, count: int, of: Callable[[Any], Any]) -> tuple[Any, ...]:
+        """An array that a counted loop fills; that of the function is declared."""
+        declared = self.array is not None and self.array.name == name
+        return filled(self, name, count, of, declared=declared)
+
+    def at(self, table: Sequence[Any], place: Any, column: int | None = None) -> Any:
+        """An item of an array."""
+        assert column is None
+        first = table[0]
+        if hasattr(first, "_fields"):
+            array = first[0].whole.rpartition("[")[0]
+            return self.vector(type(first), f"{array}[{place.bare()}]")
+        return _made(f"{first.whole}[{place.bare()}]", first.kind, *table, atom=True)
+
+    def entry(self, table: Any, index: Any) -> Any:
+        """An entry of a table of a record."""
+        assert isinstance(table, Table)
+        return _made(table.at(index), table.kind, index, atom=True)
 
     def halvings(self, name: str, a: Any, most: int, into: tuple[str, str]) -> Any:  # noqa: ARG002
         """A loop that halves a copy of a number and counts."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Any
@@ -22,12 +22,14 @@ from dqforge.optimizer.fixed_control.vectors import (
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.reports.c_code.numbers import int32_literal, int64_literal
 from dqforge.reports.steps.blocks import Block
+from dqforge.reports.steps.code_arrays import is_array, sizes
 from dqforge.reports.steps.code_reader import (
     Code,
     CodeFunctions,
     CodeReader,
     Words,
     axes_of,
+    gain_text,
     word_of,
 )
 from dqforge.reports.steps.record_text import c_name, comment, said, sentence, struct
@@ -48,8 +50,7 @@ def code_reader(prefix: str, width: int, form: str = "", known: Any = None) -> C
     """
     functions = CodeFunctions()
     if known is not None:
-        for part in ("results", "changes", "kinds", "argument_kinds", "returned"):
-            getattr(functions, part).update(getattr(known, part))
+        functions.take(known)
     return CodeReader(prefix, form or f"q{width - 1}", Words(width), functions, Block("", set()))
 
 
@@ -84,14 +85,18 @@ def record_type(reader: CodeReader, like: Any, text: str = "") -> str:
     """The type of a record, without those in it."""
     members = []
     for member in fields(like):
-        value = getattr(like, member.name)
+        value, name = getattr(like, member.name), member.name
+        if value is None or value == ():
+            continue
         if isinstance(value, FixedGain):
             kind = reader.type_name("gain")
         elif is_dataclass(value) or hasattr(value, "_fields"):
-            kind = reader.type_name(c_name(type(value)))
+            kind = reader.type_of(type(value))
+            if getattr(value, "POINTED", False):
+                kind, name = f"const {kind}", f"*{name}"
         else:
-            kind = reader.member_kind(type(like), member.name)
-        members.append((f"{kind} {member.name}", said(type(like), member.name)))
+            kind = reader.member_kind(type(like), name)
+        members.append((f"{kind} {name}{sizes(value)}", said(type(like), member.name)))
     lines = struct(reader.type_name(c_name(type(like))), members)
     return "\n".join([*comment(text or sentence(type(like))), *lines])
 
@@ -99,19 +104,29 @@ def record_type(reader: CodeReader, like: Any, text: str = "") -> str:
 def initial(value: Any, width: int) -> str:
     """An initialiser of a record of integers."""
     if isinstance(value, FixedGain):
-        half = int64_literal(value.half) if value.shift > 31 else int32_literal(value.half)
-        return f"{{ {int32_literal(value.mantissa)}, {value.shift}U, {half} }}"
-    return f"{{ {', '.join(_members(value, width))} }}"
+        return gain_text(value)
+    return f"{{ {', '.join(_members(value, width, {}))} }}"
 
 
-def _members(record: Any, width: int) -> Iterator[str]:
+def _listed(value: Any) -> str:
+    """An initialiser of an array of codes."""
+    return f"{{ {', '.join(map(_listed, value))} }}" if is_array(value) else int32_literal(value)
+
+
+def _members(record: Any, width: int, pointed: Mapping[str, str]) -> Iterator[str]:
     from typing import get_type_hints
 
     hints = get_type_hints(type(record), include_extras=True)
     for member in fields(record):
         value, word = getattr(record, member.name), word_of(hints[member.name])
-        if is_dataclass(value):
+        if value is None:
+            continue
+        if member.name in pointed:
+            yield f"&{pointed[member.name]}"
+        elif is_dataclass(value):
             yield initial(value, width)
+        elif is_array(value):
+            yield _listed(value)
         elif word in (COUNT, FEW, TURN):
             yield f"{value}U"
         else:
@@ -119,14 +134,21 @@ def _members(record: Any, width: int) -> Iterator[str]:
             yield int64_literal(value) if wide else int32_literal(value)
 
 
-def constant_of(reader: CodeReader, name: str, record: Any) -> str:
-    """A constant with the values of a record."""
+def constant_of(
+    reader: CodeReader, name: str, record: Any, pointed: Mapping[str, str] | None = None
+) -> str:
+    """A constant with the values of a record; ``pointed`` are the names of constants to which
+    members point.
+    """
     kind = reader.type_name(c_name(type(record)))
-    values = list(_members(record, reader.words.width))
+    values = list(_members(record, reader.words.width, pointed or {}))
     head = f"static const {kind} {name} = {{"
     if len(f"{head} {', '.join(values)} }};") <= 118:
         return f"{head} {', '.join(values)} }};"
-    lines = ["\n".join(folded("", value, "", "    ")) for value in values]
+    lines = [
+        "\n".join(line for line in folded("", value, "", "    ") if line.strip())
+        for value in values
+    ]
     return "\n".join([head, ",\n".join(lines), "};"])
 
 

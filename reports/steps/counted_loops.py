@@ -26,6 +26,14 @@ class Writer(Protocol):
     def write_state(self) -> None:
         """Write what the step has changed of a state."""
 
+    def number_of(self, name: str, kind: str, **more: Any) -> Expression:
+        """A number by its name and type in C."""
+
+
+def _counted(reader: Writer) -> str:
+    """Type of the numbers that loops compute: ``float``, unless the reader has another one."""
+    return getattr(reader, "counted", "float")
+
 
 class Index(Expression):
     """A place of an array: a whole number that is not negative, as text."""
@@ -180,13 +188,15 @@ def constants(reader: Writer, name: str, values: Sequence[float]) -> tuple[Expre
 
 
 def filled(
-    reader: Writer, name: str, count: int, of: Callable[[Any], Any]
+    reader: Writer, name: str, count: int, of: Callable[[Any], Any], *, declared: bool = False
 ) -> tuple[Expression, ...]:
     """An array that a loop fills; ``of`` has the number of a place for its argument."""
-    reader.block.take(name)
-    reader.block.variable("float", f"{name}[{count}]")
+    if not declared:
+        reader.block.take(name)
+        reader.block.variable(_counted(reader), f"{name}[{count}]")
     _loop(reader, count, of, lambda place, value: (f"{name}[{place}] = ", value.bare()))
-    return tuple(Expression(f"{name}[{n}]", whole=name) for n in range(count))
+    kind = _counted(reader)
+    return tuple(reader.number_of(f"{name}[{n}]", kind, whole=name) for n in range(count))
 
 
 def summed(
@@ -255,10 +265,10 @@ def repeated(
     for kept in own:
         reader.take([kept.value])
         outer.take(kept.place)
-        outer.variable("float", kept.place)
+        outer.variable(_counted(reader), kept.place)
     for kept in own:
         outer.work(folded(f"{kept.place} = ", kept.value.bare(), ";", outer.indent))
-        kept.value = Expression(kept.place)
+        kept.value = reader.number_of(kept.place, _counted(reader))
         kept.renewed()
     known += own
     if f"{outer.indent}unsigned int {name};" not in outer.lines:
@@ -279,4 +289,4 @@ def repeated(
     outer.work([*head, *inner.lines, f"{outer.indent}}}"])
     del known[len(known) - len(own) :]
     for kept in own:
-        setattr(state, kept.member, Expression(kept.place))
+        setattr(state, kept.member, reader.number_of(kept.place, _counted(reader)))

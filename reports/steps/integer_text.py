@@ -19,6 +19,7 @@ from dqforge.optimizer.fixed_observers.kit import WIDTH, FixedMethod, TrackedSta
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.reports.c_code.numbers import int32_literal, int64_literal
 from dqforge.reports.steps.blocks import Block
+from dqforge.reports.steps.code_arrays import sizes
 from dqforge.reports.steps.integer_reader import (
     VECTORS,
     Functions,
@@ -68,10 +69,6 @@ def integer_observer_text(
     return "\n\n".join("\n".join(lines) for lines in parts)
 
 
-def _sizes(values: Any) -> str:
-    return f"[{len(values)}]{_sizes(values[0])}" if isinstance(values, tuple) else ""
-
-
 def _record_structs(like: Any, functions: Functions) -> Iterator[tuple[str, list[str]]]:
     """Types of a record of integers and of those in it, by name."""
     lines = []
@@ -84,7 +81,7 @@ def _record_structs(like: Any, functions: Functions) -> Iterator[tuple[str, list
             lines.append((f"{functions.record(type(value))} {member.name}", says))
         else:
             kind = INT32 if isinstance(value, tuple) else member_type(type(like), member.name)
-            lines.append((f"{kind} {member.name}{_sizes(value)}", says))
+            lines.append((f"{kind} {member.name}{sizes(value)}", says))
     name = functions.record(type(like))
     yield name, [*comment(sentence(type(like))), *struct(name, lines)]
 

@@ -55,6 +55,7 @@ MODELS = {
     "modulation_choice.rule_model": "the choice of modulator in single precision",
     "phase_control.float32_model": "the control of phases in single precision",
     "phase_control.header": "writes the control of phases in C, from its steps",
+    "phase_control.fixed_phase_text": "writes the control of phases in fixed point in C, likewise",
     "phase_control.fixed_phase_model": "the control of phases in integers, step by step",
     "output.recomputation": "computes and proves again what is read back",
     "six_step.header": "control of a six-step drive in single precision",

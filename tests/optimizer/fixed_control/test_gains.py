@@ -19,8 +19,14 @@ from dqforge.machines.design.settings import (
 )
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.fixed_control.arithmetic import quantised_loop, real_pi, velocity_integers
-from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control, require_scales
+from dqforge.optimizer.fixed_control.design import (
+    FixedControlFit,
+    fit_control,
+    quantised_loop,
+    real_pi,
+    require_scales,
+    velocity_integers,
+)
 from dqforge.optimizer.loops.integer_gains import FixedGain, given, pi_integers, quantise
 from dqforge.optimizer.loops.loop_gains import current_step_response
 

@@ -15,16 +15,22 @@ from phase_drives import T_S, near_sinusoidal, plain_control, trapezoidal
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import CurrentFrame, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.machines.transforms import Pair, Triple, clarke_matrix
+from dqforge.machines.topologies import TOPOLOGIES, leg_signs
+from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges
+from dqforge.optimizer.fixed_control.vectors import Abc, Dq, Rotation
 from dqforge.optimizer.fixed_phase_control.design import fit_phase_control
-from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
-from dqforge.optimizer.fixed_phase_control.phase_step import (
-    PhaseState,
-    Sample,
-    control_step,
-    flux_at,
+from dqforge.optimizer.fixed_phase_control.integers import (
+    Control,
+    FixedPhaseControl,
+    Measured,
+    Turning,
+    Vector,
+    phase_at_rest,
+    phase_gains,
 )
+from dqforge.optimizer.fixed_phase_control.leg_steps import LegSteps
+from dqforge.optimizer.fixed_phase_control.phase_step import HarmonicSteps, PhaseSteps
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 
 RPM = math.pi / 30.0
@@ -82,11 +88,60 @@ def test_sinusoidal_currents_leave_the_ripple_of_the_back_emf() -> None:
 def test_flux_between_the_nodes_is_that_of_the_machine() -> None:
     control = integers(Z, "four-leg")
     angle = np.arange(65536)
-    found = np.stack(flux_at(Integers(), control, angle)) / 2**15 * control.bases[4]
+    flux = PhaseSteps(control).references.flux(Integers(), phase_gains(control).shape, angle)
+    found = np.stack(flux) / 2**15 * control.bases[4]
     exact = np.stack(
         [np.interp(angle / 65536.0, np.arange(97) / 96.0, np.append(row, row[0])) for row in Z.flux]
     )
     assert np.max(np.abs(found - exact)) < 3.0 * control.bases[4] / 2**15
+
+
+@pytest.mark.parametrize("topology", get_args(Topology))
+def test_duty_cycles_make_the_voltage(topology: Topology) -> None:
+    """Leg voltages of the switching states, averaged, are the phase voltages that are asked for."""
+    control, generator = integers(P, topology), np.random.default_rng(3)
+    rule, code, count = TOPOLOGIES[topology], 2**15, 500
+    v_dc, v_m = (np.full(count, x * code // 100) for x in (90, 43))
+    v = generator.integers(-code // 6, code // 6, (3, count))
+    v[2] = v[2] // 4 if control.has_zero else 0
+    links = (v_dc, v_m) if rule.midpoint else (v_dc,)
+    legs = LegSteps(control).duties(Integers(), Vector(*v), *links)
+    made = leg_signs(topology) @ np.stack(legs) / code * v_dc * 2**control.dc_scale
+    if rule.midpoint:
+        made = made - v_m * 2**control.dc_scale
+    if not control.has_zero:
+        made = made - np.mean(made, axis=0)
+    asked = np.linalg.inv(clarke_matrix()) @ v
+    assert np.max(np.abs(made - asked)) <= 3.0 * 2**control.dc_scale
+
+
+@pytest.mark.parametrize("place", range(4))
+def test_turning_integrator_makes_its_voltage(place: int) -> None:
+    """(kp + (R + j w L) exp(1.5 j n w t_s)) r, turned to now, by complex numbers."""
+    control, generator, code = integers(P, "four-leg"), np.random.default_rng(4), 2**15
+    part, steps, count = control.harmonics[place], HarmonicSteps(control), 300
+    held = generator.integers(-code // 4, code // 4, (2, count))
+    now, turn = generator.uniform(0.0, 2.0 * np.pi, (2, count))
+    omega = generator.integers(-code // 2, code // 2, count)
+
+    def rotation(angle: Any) -> Rotation[Any]:
+        return Rotation(*(np.rint((code - 1) * f(angle)).astype(int) for f in (np.cos, np.sin)))
+
+    state = Turning(*(held << control.harmonic_fraction))
+    full = np.full(count, control.top)
+    axis = phase_gains(control).q
+    made = steps.harmonic_voltage(
+        Integers(), axis, part.reactance, full, state, rotation(now), rotation(turn), omega,
+        np.array(part.order),
+    )  # fmt: skip
+    sign = 1.0 if part.order > 0 else -1.0
+    impedance = axis.resistance.value + 1j * sign * part.reactance.value * omega / code
+    r = (held[0] + 1j * held[1]) * np.exp(1j * now)
+    exact = (axis.kp.value + impedance * np.exp(1j * turn)) * r
+    whole = np.abs(exact) < code
+    assert np.count_nonzero(whole) > count // 2
+    error = np.abs(made.x + 1j * made.y - exact)[whole]
+    assert np.max(error) < 2e-3 * code
 
 
 @pytest.mark.parametrize("topology", get_args(Topology))
@@ -108,32 +163,25 @@ def test_what_is_seen_lies_within_the_ranges() -> None:
     def word() -> Any:
         return generator.integers(-(2**15), 2**15, 4000)
 
-    axes = (control.d, control.q, control.zero)
-    states = [held(0 if axis is None else axis.fraction) for axis in axes]
-    turning = held(control.harmonic_fraction)
-
     def some(part: Range) -> Any:
         return generator.integers(part.low, part.high, 4000, endpoint=True)
 
-    pairs = control.harmonics
-    control_step(
-        ranges, control,
-        PhaseState(Triple(*states), tuple(Pair(turning, turning) for _ in pairs)),
-        Sample(Triple(every, every, every), Range(0, 65535), every, every, Range(0, 32767),
-               Range(0, 3)),
-        every, Pair(every, every),
-    )  # fmt: skip
+    def state(of: Any) -> Control[Any]:
+        """With every number that the word of a member holds."""
+        found, turning = phase_at_rest(control, of(Range(0, 0))), held(control.harmonic_fraction)
+        axes = (control.d, control.q, control.zero)
+        d, q, zero = (of(held(0 if axis is None else axis.fraction)) for axis in axes)
+        found.integral, found.open_phase = (d, q, zero), of(Range(0, 3))
+        found.harmonic = tuple(Turning(of(turning), of(turning)) for _ in control.harmonics)
+        return found
+
+    angle, upper = Range(0, 65535), Range(0, 32767)
+    step, gains = PhaseSteps(control).shaped_control, phase_gains(control)
+    measured = Measured(Abc(every, every, every), angle, every, every, upper)
+    step(ranges, gains, state(lambda part: part), measured, every, Dq(every, every))
     numbers = Integers(seen={})
-    control_step(
-        numbers, control,
-        PhaseState(
-            Triple(*(some(part) for part in states)),
-            tuple(Pair(some(turning), some(turning)) for _ in pairs),
-        ),
-        Sample(Triple(word(), word(), word()), some(Range(0, 65535)), word(), word(),
-               some(Range(0, 32767)), some(Range(0, 3))),
-        word(), Pair(word(), word()),
-    )  # fmt: skip
+    measured = Measured(Abc(word(), word(), word()), some(angle), word(), word(), some(upper))
+    step(numbers, gains, state(some), measured, word(), Dq(word(), word()))
     assert numbers.seen
     for name, (low, high) in numbers.seen.items():
         found = ranges.reaches[name].range.hull(Range(0, 0))  # where the record starts
@@ -145,14 +193,15 @@ def test_open_phase_is_taken_from_the_reference() -> None:
     control = integers(P, "four-leg")
     loop = Loop(P, control, 300.0 * RPM)
     zero = np.zeros(1, dtype=np.int64)
-    state = PhaseState(Triple(zero, zero, zero), tuple(Pair(zero, zero) for _ in control.harmonics))
+    step, gains = PhaseSteps(control).shaped_control, phase_gains(control)
     for angle in range(0, 65536, 4096):
-        sample = Sample(
-            Triple(zero, zero, zero), np.array([angle]), loop.codes(0.1), loop.codes(0.5),
-            zero, np.array([2]),
-        )  # fmt: skip
-        made = control_step(Integers(), control, state, sample, loop.codes(0.2), Pair(zero, zero))
-        alpha, beta, none = (float(x[0]) for x in made.reference)
+        state = phase_at_rest(control, zero)
+        state.open_phase = np.array([2])
+        measured = Measured(
+            Abc(zero, zero, zero), np.array([angle]), loop.codes(0.1), loop.codes(0.5), None
+        )
+        step(Integers(), gains, state, measured, loop.codes(0.2), Dq(zero, zero))
+        alpha, beta, none = (float(x[0]) for x in state.reference)
         a, b, c = np.linalg.inv(clarke_matrix()) @ np.array([alpha, beta, none])
         assert abs(b) <= 3.0
         assert max(abs(a), abs(c)) > 500.0
