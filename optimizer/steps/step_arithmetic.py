@@ -336,6 +336,19 @@ class Arithmetic(Floats):
         """Whether integers have a bit, given by its worth."""
         return (a & bit) != 0
 
+    def write_state(self) -> None:
+        """Let the firmware write what has changed of its state before what comes next."""
+
+    def masked(self, a: Any, bits: Any) -> Any:
+        """Whole numbers from 0 on without the bits that are not among ``bits``."""
+        return a & bits
+
+    def converted(self, a: Any, kind: str) -> Any:
+        """Whole numbers as those of another type, by its name in numpy; what has no place in it
+        loses its high bits.
+        """
+        return np.asarray(a).astype(kind)[()]
+
     def clarke(self, x: Abc) -> AlphaBeta:
         """Phases to stationary coordinates, factor 2/3; a part common to all phases falls out."""
         return AlphaBeta(*clarke(self, Triple(*x)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,9 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
+from dqforge.optimizer.curves.single_precision import SINGLE
+from dqforge.optimizer.speed_measurement import counted, timed
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic
 from dqforge.reports.c_code.harness import (
     SWEEP_SEED,
     Harness,
@@ -27,6 +31,10 @@ from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, significant, symbols
 from dqforge.reports.pages.templating import LOOPS, render
 from dqforge.reports.plain_data import PlainData, shortest
+from dqforge.reports.steps.blocks import Block, Functions
+from dqforge.reports.steps.record_text import record_structs, record_values
+from dqforge.reports.steps.symbols import Expression
+from dqforge.reports.steps.word_reader import WordReader
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -117,7 +125,7 @@ def plain_measured(found: MeasuredSpeed) -> PlainData:
 # The emitted measurement of the speed: its numbers as plain data, its model, and events to try it.
 #
 # The model is integers throughout: a number of edges over a number of ticks. Float32 and fixed
-# point are made of these in the end.
+# point are made of these in the end. It is the text of `dqforge.optimizer.speed_measurement`.
 
 METHODS: tuple[SpeedMeasurementName, ...] = ("counts", "capture", "mixed")
 EDGE, SAMPLE, START = 0, 1, 2  # Events of the harness.
@@ -192,66 +200,62 @@ def numbers_from(plain: Mapping[str, Any]) -> EdgeNumbers:
     return found
 
 
-@dataclass(slots=True)
 class EdgeState:
-    """State of the C structure; ``count`` edges took ``span`` ticks (of counts: one sample).
+    """The measurement as the C has it, in words of 32 bits.
 
-    Times are 32 bits wide, those of the timer go on from that of the last sample.
+    Args:
+        numbers: Of the C structure.
     """
 
-    now: int = 0
-    time: int = 0
-    stamp: int = 0
-    begun: int = 0
-    ticks: int = 0
-    edges: int = 0
-    sense: int = 0
-    idle: int = 0
-    count: int = 0
-    span: int = 1
+    def __init__(self, numbers: EdgeNumbers) -> None:
+        self.numbers, self.state = numbers, _at_rest(numbers)
+        self._gains: Any = _gains(numbers)
 
-    def edge(self, numbers: EdgeNumbers, stamp: int, sense: int) -> None:
+    @property
+    def span(self) -> int:
+        """What the edges took, in ticks (of counts: in samples)."""
+        return int(self.state.span)
+
+    def start(self) -> None:
+        """No edge and no speed yet."""
+        own: Any = counted if self.numbers.method == "counts" else timed
+        own.start(SINGLE, self.state)
+
+    def edge(self, stamp: int, sense: int) -> None:
         """An edge at a time of the timer, forward (1) or backward (-1)."""
-        at = (self.time + ((stamp - self.now) & numbers.mask)) % _WORD
-        if self.sense != sense or self.idle >= numbers.patience:
-            self.begun, self.edges, self.ticks = at, 0, 0
-        else:
-            self.edges += sense
-            self.ticks = max((at - self.stamp) % _WORD, 1)
-        self.stamp, self.sense, self.idle = at, sense, 0
+        assert isinstance(self.state, timed.SpeedMeasurement)
+        with np.errstate(over="ignore"):
+            timed.edge(SINGLE, self._gains, self.state, np.uint32(stamp), np.int32(sense))
 
-    def sample(self, numbers: EdgeNumbers, now: int) -> None:
+    def sample(self, now: int) -> None:
         """The speed controller asks, at a time of the timer (of counts: a position)."""
-        if numbers.method == "counts":
-            moved = (now - self.stamp) % _WORD
-            self.count = (moved - _WORD if moved >= _WORD // 2 else moved) if self.sense else 0
-            self.stamp, self.sense = now, 1
-            return
-        self.time = (self.time + ((now - self.now) & numbers.mask)) % _WORD
-        self.now = now
-        elapsed = (self.time - self.stamp) % _WORD
-        if self.ticks == 0 or self.idle >= numbers.patience:
-            self.count, self.span = 0, 1
-        elif numbers.method == "mixed" and self.edges != 0:
-            self.count = self.edges
-            self.span = max((self.stamp - self.begun) % _WORD, 1)
-            self.ticks = max(self.span // abs(self.edges), 1)
-            self.begun, self.edges = self.stamp, 0
-        elif elapsed > self.ticks:
-            self.count, self.span = self.sense, elapsed
-        elif numbers.method == "capture":
-            self.count, self.span = self.sense, self.ticks
-        self.idle = min(self.idle + 1, numbers.patience)
+        with np.errstate(over="ignore"):
+            if isinstance(self.state, counted.SpeedMeasurement):
+                counted.sample(SINGLE, self.state, np.uint32(now))
+            else:
+                own = timed.captured if self.numbers.method == "capture" else timed.mixed
+                own(SINGLE, self._gains, self.state, np.uint32(now))
 
-    def row(self, numbers: EdgeNumbers) -> tuple[int, ...]:
+    def row(self) -> tuple[int, ...]:
         """Bits of the speed in rad/s, and the per-unit codes of every width."""
-        speed = numbers.scale * np.float32(self.count) / np.float32(self.span)
-        found = [int(np.float32(speed).view(np.uint32))]
-        for width, code in numbers.codes:
-            size, top = abs(code * self.count) // self.span, 2 ** (width - 1) - 1
-            value = min(size, top)
-            found.append((-value if self.count < 0 else value) % _WORD)
-        return tuple(found)
+        speed = timed.rad_per_s(SINGLE, self._gains, self.state)
+        with np.errstate(over="ignore"):
+            codes = [
+                int(timed.per_unit(SINGLE, width, code, self.state)) % _WORD
+                for width, code in self.numbers.codes
+            ]
+        return (int(np.float32(speed).view(np.uint32)), *codes)
+
+
+def _at_rest(numbers: EdgeNumbers) -> timed.State:
+    return counted.at_rest() if numbers.method == "counts" else timed.at_rest()
+
+
+def _gains(numbers: EdgeNumbers) -> timed.Gains:
+    scale: Any = numbers.scale
+    if numbers.method == "counts":
+        return counted.SpeedMeasurementGains(scale)
+    return timed.SpeedMeasurementGains(scale, numbers.mask, numbers.patience)
 
 
 def _positions(generator: np.random.Generator, count: int) -> NDArray[np.uint32]:
@@ -292,15 +296,15 @@ def edge_events(numbers: EdgeNumbers, count: int, seed: int) -> NDArray[np.uint3
 
 def edge_rows(numbers: EdgeNumbers, events: NDArray[np.uint32]) -> NDArray[np.uint32]:
     """What the compiled functions must return after each event, shape (M, 1 + widths)."""
-    state, found = EdgeState(), []
+    state, found = EdgeState(numbers), []
     for event, time, forward in events.tolist():
         if event == START:
-            state = EdgeState()
+            state.start()
         elif event == EDGE and numbers.method != "counts":
-            state.edge(numbers, time, 1 if forward else -1)
+            state.edge(time, 1 if forward else -1)
         elif event == SAMPLE:
-            state.sample(numbers, time)
-        found.append(state.row(numbers))
+            state.sample(time)
+        found.append(state.row())
     return np.array(found, dtype=np.uint32)
 
 
@@ -322,16 +326,57 @@ def measurement_files(design: Design, found: MeasuredSpeed) -> dict[str, bytes]:
     ]
     context: PlainData = {
         **title(design),
+        "part": "speed_measurement",
+        "subject": "speed from the edges of an encoder",
         "preamble": lines,
-        "method": numbers.method,
-        "scale": numbers.scale,
-        "mask": numbers.mask,
-        "patience": numbers.patience,
-        "codes": numbers.codes,
-        "base": f"{design.control.bases.speed:.6g}",
+        "includes": ["<stdint.h>"],
+        "vectors": False,
+        "body": measurement_text(numbers, prefix, design.control.bases.speed),
     }
-    text = render("single_headers/speed_measurement/speed_measurement.h.j2", context)
+    text = render("c_code/header.h.j2", context)
     return {f"{prefix}_speed_measurement.h": text.encode("ascii")}
+
+
+def measurement_text(numbers: EdgeNumbers, prefix: str, base: float) -> str:
+    """Types, numbers and functions of the header.
+
+    Args:
+        numbers: Of the C structure.
+        prefix: Before all names.
+        base: Mechanical speed in rad/s that is one per unit.
+    """
+    gains, state, name = _gains(numbers), _at_rest(numbers), "speed_measurement"
+    reader = WordReader(prefix, Functions(), Block("", set()))
+    time, sense = Expression("now", kind="uint32_t"), Expression("sense", kind="int32_t")
+    if numbers.method == "counts":
+        reader.write(f"{name}_start", counted.start, [state])
+        reader.write(f"{name}_sample", counted.sample, [state, time])
+    else:
+        sample = timed.captured if numbers.method == "capture" else timed.mixed
+        reader.write(f"{name}_start", timed.start, [state])
+        reader.write(f"{name}_edge", timed.edge, [gains, state, time, sense])
+        reader.write(f"{name}_sample", sample, [gains, state, time])
+    reader.write(f"{name}_rad_per_s", timed.rad_per_s, [gains, state])
+    for width, code in numbers.codes:
+        said = f"Mechanical speed over {base:.6g} rad/s, {width - 1} fractional bits."
+        own = partial(_code, width, code)
+        reader.write(f"{name}_q{width - 1}", own, [state], said, names=["state"])
+    constant = f"{prefix.upper()}_SPEED_MEASUREMENT_GAINS"
+    parts = [
+        *record_structs(gains, prefix),
+        [
+            f"static const {prefix}_{name}_gains_t {constant} = {{",
+            *record_values(gains, None),
+            "};",
+        ],
+        *record_structs(state, prefix),
+        *([text] for text in reader.functions.texts.values()),
+    ]
+    return "\n\n".join("\n".join(lines) for lines in parts)
+
+
+def _code(width: int, code: int, o: Arithmetic, state: timed.State) -> Any:
+    return timed.per_unit(o, width, code, state)
 
 
 def measurement_programme(numbers: EdgeNumbers) -> Programme:

@@ -224,7 +224,14 @@ class Condition:
 
 
 # What stands behind the digits of an integer.
-_SUFFIXES = {"long": "L", "uint32_t": "U", "unsigned int": "U", "int": "", "int32_t": ""}
+_SUFFIXES = {
+    "long": "L",
+    "uint32_t": "U",
+    "uint64_t": "U",
+    "unsigned int": "U",
+    "int": "",
+    "int32_t": "",
+}
 
 
 def expression(value: Any, kind: str = "float") -> Expression:

@@ -67,11 +67,11 @@ def test_the_thesis_integers() -> None:
     # (8.6): 2^23; the clock of 33.9 ns is rounded
     assert code == pytest.approx(2**23, rel=1e-3)
     exact = replace(own, codes=((16, 2**23),))
-    state = EdgeState()
+    state = EdgeState(exact)
     for stamp in (0, 1000, 2000):
-        state.edge(exact, stamp, 1)
-    state.sample(exact, 2001)
-    assert state.row(exact)[1] == 2**23 // 1000
+        state.edge(stamp, 1)
+    state.sample(2001)
+    assert state.row()[1] == 2**23 // 1000
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -91,17 +91,68 @@ def test_a_steady_speed_is_found_within_a_tick(method: SpeedMeasurementName, sen
     own, wanted, speed = numbers(method), settings(method), 37.3
     time = np.linspace(0.0, 0.1, 1001)
     edges = edge_instants(wanted, speed * time, time)
-    state, period = EdgeState(), 1e-3
+    state, period = EdgeState(own), 1e-3
     asked = np.arange(period, 0.1, period)
     for instant, kind in sorted([(float(t), 0) for t in edges] + [(float(t), 1) for t in asked]):
         ticks = int(instant * wanted.clock) & 0xFFFFFFFF
         if kind == 0:
-            state.edge(own, ticks, sense)
+            state.edge(ticks, sense)
         else:
-            state.sample(own, ticks)
+            state.sample(ticks)
             if instant > 0.02:
-                found = float(np.uint32(state.row(own)[0]).view(np.float32))
+                found = float(np.uint32(state.row()[0]).view(np.float32))
                 assert found == pytest.approx(sense * speed, rel=1.5 / state.span)
+
+
+def test_counted_edges_are_the_way_between_two_samples() -> None:
+    """The way in whole numbers, the counter running over both ends of its 32 bits."""
+    found = solve_gains(design(settings("counts"))).measured_speed
+    assert found is not None
+    own, turn = numbers("counts"), 4 * 1024
+    ways = [0, 5, -7, turn, -turn, 2**31 - 1, -(2**31), 2**31 - 1, -3]
+    state, position = EdgeState(own), 2**32 - 3
+    state.sample(position)
+    for way in ways:
+        position += way
+        state.sample(position % 2**32)
+        bits, q15, q31 = state.row()
+        exact = 2.0 * np.pi * way / turn / found.edges.period
+        assert float(np.uint32(bits).view(np.float32)) == pytest.approx(exact, rel=1e-6)
+        for code, width in ((q15, 16), (q31, 32)):
+            signed = (code + 2**31) % 2**32 - 2**31
+            most = 2 ** (width - 1) - 1
+            wanted = float(np.clip(exact / 500.0 * 2.0 ** (width - 1), -most, most))
+            # one edge is a whole number of codes, within half a code
+            assert signed == pytest.approx(wanted, abs=0.5 * abs(way) + 1.0)
+
+
+@pytest.mark.parametrize("method", ["capture", "mixed"])
+def test_a_word_ends_nothing(method: SpeedMeasurementName) -> None:
+    """Edges a thousand ticks apart while timer and 32 bits run over, then a turn, a rest."""
+    own = numbers(method)
+    state, least = EdgeState(own), float(own.scale) / 1000.0
+
+    def speed() -> float:
+        return float(np.uint32(state.row()[0]).view(np.float32))
+
+    time = 2**32 - 40_500
+    for edge in range(90):
+        state.edge(time % 2**32, 1)
+        if edge % 3 == 2:
+            state.sample((time + 1) % 2**32)
+            assert speed() == pytest.approx(least, rel=1e-6)
+        time += 1000
+    state.edge(time % 2**32, -1)
+    state.sample((time + 1) % 2**32)
+    assert speed() == 0.0
+    state.edge((time + 1000) % 2**32, -1)
+    state.sample((time + 1001) % 2**32)
+    assert speed() == pytest.approx(-least, rel=1e-6)
+    state.sample((time + 5000) % 2**32)
+    assert speed() == pytest.approx(-float(own.scale) / 4000.0, rel=1e-6)
+    for _ in range(own.patience):
+        state.sample((time + 5000) % 2**32)
+    assert speed() == 0.0
 
 
 def test_numbers_read_back() -> None:
