@@ -13,6 +13,7 @@ import numpy as np
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import Core
+from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.certificates.current_reference import Certificate
 from dqforge.optimizer.current_reference.fit import Alternative, ReferenceFit
 from dqforge.optimizer.current_reference.forms import ReferenceErrors
@@ -544,7 +545,7 @@ def _flashed(solution: Solution, _: Solution) -> list[Flashed]:
     ]
     top = design.machine.omega_m_max
     if top is not None:
-        rows.append(Flashed("largest speed", f"{top * 30.0 / np.pi:.5g} rpm", "of the machine"))
+        rows.append(Flashed("largest speed", f"{in_rpm(top):.5g} rpm", "of the machine"))
     return rows
 
 

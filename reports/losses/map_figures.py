@@ -12,6 +12,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.losses.drive_budget import PARTS
 from dqforge.optimizer.losses.drive_comparison import Alternatives, MissionComparison, MissionRun
@@ -70,7 +71,6 @@ if TYPE_CHECKING:
     from dqforge.optimizer.losses.loss_map import LossMap
 
 
-_RPM = 30.0 / math.pi
 BARS_SHOWN = 14  # Alternatives in a figure; a table has room for more.
 _ROW = 0.22
 _VISIBLE = 1e-4  # Share of the total from which a kind of loss is drawn.
@@ -150,7 +150,7 @@ def _draw_winners(axes: Axes, found: LossMap, alternatives: Alternatives) -> Non
     code = np.full(best.shape, -1)
     for place, k in enumerate(ranked):
         code[best == k] = min(place, len(WINNERS))
-    speed, torque = cell_edges(found.omega_m) * _RPM, cell_edges(found.torque)
+    speed, torque = in_rpm(cell_edges(found.omega_m)), cell_edges(found.torque)
     draw_cells(axes, code, speed, torque)
     for k in named:
         mask = best == k
@@ -158,7 +158,7 @@ def _draw_winners(axes: Axes, found: LossMap, alternatives: Alternatives) -> Non
             i, j = inside(mask)
             text = alternative_text(alternatives, k, plain=False).replace(", ", "\n")
             axes.text(
-                found.omega_m[j] * _RPM,
+                in_rpm(found.omega_m[j]),
                 found.torque[i],
                 text,
                 ha="center",
@@ -551,7 +551,7 @@ def _watts(value: float) -> str:
 def _summary(_: Solution, comparison: LossComparison) -> Rows:
     rows = []
     for p, (point, best) in enumerate(zip(comparison.points, comparison.best_labels, strict=True)):
-        label = f"losses at {point.torque:.4g} N m, {point.omega_m * 30.0 / math.pi:.4g} rpm"
+        label = f"losses at {point.torque:.4g} N m, {in_rpm(point.omega_m):.4g} rpm"
         if best is None:
             rows.append((label, "no alternative is feasible"))
             continue

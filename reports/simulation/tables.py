@@ -13,6 +13,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import NumberFormat
 from dqforge.machines.topologies import TOPOLOGIES
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.capability import Capability, Draw, Outcome, ReportPart
@@ -422,7 +423,6 @@ def _simulation(outcome: Outcome) -> DriveSimulation | None:
 
 # Figure of a simulation: speed, torque, currents and duty cycles over time.
 
-_RPM = 30.0 / math.pi
 _PHASES = (("a", BLUE), ("b", ORANGE), ("c", TEAL))
 
 
@@ -520,13 +520,13 @@ def plot_simulation(found: DriveSimulation) -> Figure:
             _angle(axes[3], time, found)
         if split and run.phases is not None:
             _midpoint(axes[-2], time, run.phases.v_midpoint)
-        _line(speed, time, run.omega_m * _RPM, TEAL, "speed")
+        _line(speed, time, in_rpm(run.omega_m), TEAL, "speed")
         if run.start is not None:
             _states(speed, time, run.start)
         if seen is not None:
-            _line(speed, time, run.omega_m_observed * _RPM, ORANGE, "observed", 0.7)
+            _line(speed, time, in_rpm(run.omega_m_observed), ORANGE, "observed", 0.7)
         elif run.scenario.encoder.speed != "exact" and run.scenario.encoder.lines > 0:
-            _line(speed, time, run.omega_m_measured * _RPM, PALE, "measured", 0.7)
+            _line(speed, time, in_rpm(run.omega_m_measured), PALE, "measured", 0.7)
         speed.set_ylabel("Speed in rpm")
         _line(torque, time, run.torque, ORANGE, "torque")
         _line(torque, time, run.torque_load, MUTED, "load", 0.9)
@@ -534,7 +534,7 @@ def plot_simulation(found: DriveSimulation) -> Figure:
         _currents(currents, time, run)
         _duties(duty, time, run)
         duty.set(xlabel=f"Time in {unit}", xlim=(0.0, float(time[-1])))
-        wanted_of = {"speed": (speed, run.reference * _RPM), "torque": (torque, run.reference)}
+        wanted_of = {"speed": (speed, in_rpm(run.reference)), "torque": (torque, run.reference)}
         if run.scenario.mode in wanted_of:
             _reference(wanted_of[run.scenario.mode][0], time, wanted_of[run.scenario.mode][1])
         for panel in axes:

@@ -11,7 +11,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
-from dqforge.machines.transforms import Reals
+from dqforge.machines.transforms import Reals, in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.curves.single_precision import SingleArray, SinglePolynomial
 from dqforge.optimizer.field_weakening.fit import DomainBorders, SurfaceTrial, WeakeningFit
@@ -222,7 +222,7 @@ def _comment(fit: WeakeningFit) -> list[str]:
 
 
 def _preamble(design: Design, fit: WeakeningFit) -> list[str]:
-    rpm = fit.settings.omega_m * 30.0 / np.pi
+    rpm = in_rpm(fit.settings.omega_m)
     return [
         (
             f"{design.machine.pole_pairs} pole pairs, {design.i_max:.6g} A (peak), up to "

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.operating_points.characteristics import Characteristics
 from dqforge.optimizer.overmodulation import LargestTorque, Overmodulation
@@ -15,8 +16,6 @@ from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row
 from dqforge.reports.pages.templating import MODULATION
 from dqforge.reports.plain_data import PlainData
-
-_RPM = 30.0 / math.pi
 
 ASSUMED = (
     "At constant speed; the current controllers are taken to leave the harmonics alone. Faster "
@@ -75,7 +74,7 @@ def point_rows(largest: LargestTorque) -> list[tuple[str, ...]]:
     """The points of most torque with what the harmonics do there."""
     points, ripple = largest.points, largest.harmonics
     columns = (
-        _RPM * points.omega_m, points.torque, largest.linear_torque, 100.0 * ripple.index,
+        in_rpm(points.omega_m), points.torque, largest.linear_torque, 100.0 * ripple.index,
         ripple.current, ripple.peak_current, ripple.torque, ripple.torque_6, ripple.torque_12,
         ripple.copper,
     )  # fmt: skip

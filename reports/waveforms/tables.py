@@ -11,7 +11,7 @@ import numpy as np
 from dqforge.machines.design.design import Design
 from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.machines.topologies import TOPOLOGIES
-from dqforge.machines.transforms import Reals
+from dqforge.machines.transforms import Reals, in_rpm
 from dqforge.optimizer.solution import Solution
 from dqforge.optimizer.steps.step_arithmetic import Abc, Arithmetic
 from dqforge.optimizer.waveforms.comparison import RuleCurrents, WaveformComparison
@@ -195,7 +195,7 @@ def waveform_tables(design: Design, comparison: WaveformComparison) -> list[Tabl
         "breaks",
     )
     held = f"held by {', '.join(comparison.binding)}" if comparison.binding else "nothing binds"
-    where = f"{comparison.torque:.4g} N m at {comparison.omega_m * 30.0 / math.pi:.4g} rpm"
+    where = f"{comparison.torque:.4g} N m at {in_rpm(comparison.omega_m):.4g} rpm"
     notes = [
         f"{where}; dc link {limits.v_dc:.4g} V, {limits.topology}, {limits.i_max:.4g} A (peak)",
         f"within all limits: {held}",
