@@ -68,6 +68,13 @@ def _source(name: str) -> str | None:
     return path.read_text(encoding="utf-8") if path.is_file() else None
 
 
+def resource(name: str) -> str:
+    """The text of ``<room>/<file>`` that lies among the templates of the package and takes no
+    values.
+    """
+    return _place(name).read_text(encoding="utf-8")
+
+
 def _kept_place(name: str) -> Path | None:
     """File of a template of the package, whose byte code is kept."""
     path = _place(name)
