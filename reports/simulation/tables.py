@@ -16,7 +16,7 @@ from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.capability import Capability, Draw, Outcome, ReportPart
+from dqforge.reports.capability import Capability, Draw, Outcome, Passage, ReportPart
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import (
     AXIS_COLOURS,
@@ -250,19 +250,34 @@ def run_key(found: DriveSimulation) -> str:
     return f"at most {away} from the reference"
 
 
-def simulation_part(found: DriveSimulation) -> PlainData:
-    """What the report's template prints of a simulation: tables and file names."""
-    prefix = found.design.export.prefix
-    return {
-        "tables": simulation_html(found),
-        "files": list(found.files()),
-        "controllers": [f"{prefix}_six_step.h"]
-        if found.six_step is not None
-        else [control_header_name(prefix, name) for name in found.formats],
-        "firmware": [each.firmware for each in found.every if each.firmware is not None],
-        "remarks": [remark for each in found.every for remark in each.remarks],
-        "figures": [figure_name(each.label, number) for number, each in enumerate(found.every)],
-    }
+def simulation_passage(found: DriveSimulation) -> Passage:
+    """What the report says of a simulation."""
+    from markupsafe import Markup
+
+    prefix, code = found.design.export.prefix, Markup("<code>{}</code>")
+    controllers = [control_header_name(prefix, name) for name in found.formats]
+    if found.six_step is not None:
+        controllers = [f"{prefix}_six_step.h"]
+    held = Markup(" and that of ").join(code.format(name) for name in controllers)
+    loops = ""
+    for name in (each.firmware for each in found.every if each.firmware is not None):
+        remarks = "".join(f"; {remark}" for each in found.every for remark in each.remarks)
+        loops += (
+            f" The same drive is run by loops with the structure of {name}, at their own sampling "
+            f"and delay{remarks}."
+        )
+    files = Markup(" and ").join(code.format(name) for name in found.files())
+    text = Markup(
+        "The controller of {}, compiled, runs the simulated drive sample by sample; its duty "
+        "cycles act one period later.{} The samples are in {}."
+    ).format(held, loops, files)
+    caption = (
+        "Speed, torque, currents and duty cycles at the sampling instants; dashed: references."
+    )
+    names = [figure_name(each.label, number) for number, each in enumerate(found.every)]
+    captions = [caption, *(f"The same, {name.split('_')[-1]}." for name in names[1:])]
+    drawings = list(zip(names, captions, strict=True))
+    return Passage(text=[text], drawings=drawings, tables=simulation_html(found))
 
 
 def control_header_name(prefix: str, number_format: NumberFormat) -> str:
@@ -398,7 +413,7 @@ def _figures(_: Solution, found: DriveSimulation) -> Mapping[str, Draw]:
 
 def _parts(_: Solution, found: DriveSimulation) -> list[ReportPart]:
     return [
-        ReportPart(CHAPTER, "simulation/report.html.j2", simulation_part(found), run_key(found))
+        simulation_passage(found).of(CHAPTER, run_key(found)),
     ]
 
 
