@@ -33,6 +33,21 @@ PHASE_AXES = np.array([0.0, 2.0, -2.0]) * (math.pi / 3.0)
 POWER_INVARIANT = math.sqrt(1.5)
 _HALF_ROOT_3 = math.sqrt(0.75)
 
+# Sampling periods from a sample to the middle of the period in which its voltage acts: one of
+# computation, half of one from the zero-order hold.
+CURRENT_DELAY = 1.5
+_Value = TypeVar("_Value", float, NDArray[np.float64])
+
+
+def in_rpm(omega: _Value) -> _Value:
+    """A speed in rpm, of one in rad/s."""
+    return omega * 30.0 / math.pi
+
+
+def linear_voltage(v_dc: _Value) -> _Value:
+    """Largest amplitude in V of the phase voltage without overmodulation: v_dc/sqrt(3)."""
+    return v_dc / math.sqrt(3.0)
+
 
 class Pair(NamedTuple, Generic[N]):
     """Values on two axes: alpha and beta, d and q, or the cosine and sine of a turn."""

@@ -115,7 +115,7 @@ def swing_time(machine: LinearMachine, current: float) -> float:
         machine: With an inertia.
         current: That holds the rotor, in A.
     """
-    torque = 1.5 * machine.pole_pairs * machine.psi_pm * current
+    torque = machine.torque_per_ampere * current
     return 2.0 * math.pi / math.sqrt(machine.pole_pairs * torque / (machine.inertia or 0.0))
 
 

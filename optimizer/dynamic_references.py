@@ -26,9 +26,10 @@ import numpy as np
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ReferenceSettings, filter_share
-from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.dq_machines.synchronous import Machine, torque_from_flux
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import CURRENT_DELAY
 from dqforge.optimizer.loops.integer_gains import CurrentControl, TurningMachines, closed_matrices
 from dqforge.optimizer.loops.loop_gains import LoopGains, decoupling
 from dqforge.optimizer.loops.robustness import BoxPoints, DriveBox, box_points
@@ -226,7 +227,7 @@ class _Around:
             ki_ts=(loops[0].ki_ts, loops[1].ki_ts),
             l_d=feed.l_d,
             l_q=feed.l_q,
-            advance=1.5 * design.control.t_s,
+            advance=CURRENT_DELAY * design.control.t_s,
             t_s=design.control.t_s,
         )
         machines = box.turning_machines(drives, turning)
@@ -358,7 +359,7 @@ def _worst(
         d = psi * machine.psi_pm + l_d * (psi_d - machine.psi_pm)
         q = l_q * psi_q
         v = np.hypot(r_s * machine.r_s * i_d - turning * q, r_s * machine.r_s * i_q + turning * d)
-        torque = 1.5 * machine.pole_pairs * (d * i_q - q * i_d)
+        torque = torque_from_flux(machine.pole_pairs, d, q, i_d, i_q)
         lacks = v[:, 0] - link * voltage
         place = int(np.argmax(lacks))
         enough = np.flatnonzero(v[place] <= link * voltage)

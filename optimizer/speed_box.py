@@ -81,7 +81,7 @@ def speed_box(box: DriveBox) -> SpeedBox:
         torque = np.full(2, factors[0])
     masses = _reach(points.of("inertia"))
     # What a dead time adds to R/R' per gain of the voltage, in 1/s at first.
-    per_gain = 4.0 / np.pi * design.inverter.f_sw * design.inverter.v_dc / design.machine.r_s
+    per_gain = design.inverter.lost_per_dead_time / design.machine.r_s
     dead = _extremes(points.of("dead_time"))
     if dead != (0.0, 0.0):
         per_gain /= box.tolerances.low_current

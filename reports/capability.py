@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from dqforge.optimizer.solution import Solution
     from dqforge.reports.c_code.harness import HeaderKind
     from dqforge.reports.pages.answer import Table
+    from dqforge.reports.pages.html_text import HtmlTable
     from dqforge.reports.pages.templating import Chapter
     from dqforge.reports.plain_data import PlainData
 
@@ -50,8 +51,39 @@ class ReportPart:
 
     chapter: Chapter
     template: str
-    data: PlainData
+    data: PlainData | Passage
     key: str | Markup = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Passage:
+    """What most capabilities say in a chapter, in this order; what is empty is left out.
+
+    Args:
+        title: A heading of its own.
+        text: Paragraphs.
+        outcome, proven: A sentence that stands out, and whether it is a proof.
+        drawings: Figures by name, with their captions.
+        tables, kind: Tables, and how they are laid out.
+        notes: A list.
+        declaration: What is to be included.
+        after: Paragraphs at the end.
+    """
+
+    title: str = ""
+    text: Sequence[str | Markup] = ()
+    outcome: str | Markup = ""
+    proven: bool = False
+    drawings: Sequence[tuple[str, str]] = ()
+    tables: Sequence[HtmlTable] = ()
+    kind: str = ""
+    notes: Sequence[str] = ()
+    declaration: str = ""
+    after: Sequence[str | Markup] = ()
+
+    def of(self, chapter: Chapter, key: str | Markup = "") -> ReportPart:
+        """The passage as a part of a chapter."""
+        return ReportPart(chapter, "pages/part.html.j2", self, key)
 
 
 @dataclass(frozen=True, slots=True)

@@ -114,7 +114,7 @@ def summary(outcome: Outcome, found: Found) -> Markup:
 
 def chapters(solution: Solution, found: Found) -> list[WrittenChapter]:
     """The chapters with the parts that the capabilities write, each figure as inline SVG."""
-    from markupsafe import Markup
+    from markupsafe import Markup, escape
 
     texts: dict[Any, str] = dict.fromkeys(CHAPTERS, "")
     keys: dict[Any, str | Markup] = {}
@@ -129,7 +129,7 @@ def chapters(solution: Solution, found: Found) -> list[WrittenChapter]:
         for part in parts:
             before = texts.get(part.chapter, "")
             if not before and part.chapter.opening:
-                before = render(part.chapter.opening, {})
+                before = f"<p>{escape(part.chapter.opening)}</p>\n"
             text = render(part.template, {"data": part.data, "figures": figures})
             texts[part.chapter] = before + text
             keys[part.chapter] = keys.get(part.chapter) or part.key

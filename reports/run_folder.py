@@ -111,7 +111,7 @@ def _cells(file: ListedFile) -> tuple[str | Markup, ...]:
 FIGURES = "pages/figures.js.j2"  # Tells the values of figures under the pointer.
 # Opens the folded part to which a link leads, marks in the contents where one is, opens all for
 # print.
-FOLDING = "pages/folding.js.j2"
+FOLDING = "pages/folding.js"
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +132,7 @@ def page_scripts(*templates: str) -> PageScripts:
     """The scripts of a page, and the policy that admits them.
 
     Args:
-        templates: Templates ``<room>/<file>.js.j2``; they take no values.
+        templates: Files ``<room>/<file>.js``, or templates of them; they take no values.
     """
     from markupsafe import Markup
 

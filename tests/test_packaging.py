@@ -48,6 +48,9 @@ def expected_files() -> set[str]:
     paths = [ROOT / name for name in ("__init__.py", "cli.py", "py.typed")]
     for floor in FLOORS:
         paths += [*(ROOT / floor).rglob("*.py"), *(ROOT / floor).rglob("*.j2")]
+        paths += [
+            path for end in ("js", "css", "c", "h") for path in (ROOT / floor).rglob(f"*.{end}")
+        ]
     paths += (ROOT / "machines" / "library").rglob("*.yaml")
     paths += (ROOT / "machines" / "library" / "schemas").glob("*.json")
     return {f"dqforge/{path.relative_to(ROOT).as_posix()}" for path in paths}

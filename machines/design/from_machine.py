@@ -22,10 +22,11 @@ import yaml
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
-from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.dq_machines.synchronous import LinearMachine, torque_per_ampere
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import linear_voltage
 
 SOURCE = "design made in Python"  # What messages call the file, which nobody has seen.
 MAP_FILE = "flux-map.npz"
@@ -289,7 +290,7 @@ def random_drive(number: int, seed: int = 1) -> RandomDrive:
     acceleration_time = _log_uniform(generator, 0.03, 0.5)
     f_s = _log_uniform(generator, 8e3, 20e3)
     theta_e = float(generator.uniform(-math.pi, math.pi))
-    v_rated = _VOLTAGE_USED * v_dc / math.sqrt(3.0)
+    v_rated = _VOLTAGE_USED * linear_voltage(v_dc)
     impedance = v_rated / current
     psi_pm = v_rated / omega * (math.sqrt(1.0 - reactance**2) - resistance)
     omega_m = omega / pole_pairs
@@ -300,7 +301,7 @@ def random_drive(number: int, seed: int = 1) -> RandomDrive:
         l_q=saliency * reactance * impedance / omega,
         psi_pm=psi_pm,
         i_max=current,
-        inertia=1.5 * pole_pairs * psi_pm * current * acceleration_time / omega_m,
+        inertia=torque_per_ampere(pole_pairs, psi_pm) * current * acceleration_time / omega_m,
         omega_m_max=omega_m,
     )
     dead_time = 0.5e-6 if v_dc < LOW_VOLTAGE else 3e-6

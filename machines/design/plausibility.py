@@ -20,6 +20,7 @@ from dqforge.machines.design.settings import ToleranceName
 from dqforge.machines.dq_machines.synchronous import largest_torque_within
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import linear_voltage
 
 
 def implausibilities(design: Design, sections: DesignFile) -> list[str]:
@@ -48,7 +49,7 @@ def scale_of(design: Design) -> Scale:
     psi = float(np.hypot(*machine.flux(-part, part))[0])
     if machine.psi_pm == 0.0:
         psi = max(psi, float(np.hypot(*machine.flux(part, part))[0]))
-    voltage = design.inverter.v_dc / math.sqrt(3.0)
+    voltage = linear_voltage(design.inverter.v_dc)
     return Scale(
         voltage=voltage,
         current=i_max,

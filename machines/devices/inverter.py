@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Literal
 
@@ -54,6 +55,13 @@ class Inverter:
     overmodulation: OvermodulationName = "none"
     overmodulation_limit: float = 1.0
     current_sensing: CurrentSensing | None = None
+
+    @property
+    def lost_per_dead_time(self) -> float:
+        """Amplitude in V that each second of a dead time takes from the fundamental of a phase:
+        that of a square wave of the height f_sw v_dc, 4/pi f_sw v_dc.
+        """
+        return 4.0 / math.pi * self.f_sw * self.v_dc
 
 
 # Real semiconductor devices: conduction, switching and thermal behaviour as their data

@@ -20,6 +20,7 @@ from dqforge.machines.dq_machines.synchronous import (
     FluxJet,
     LinearMachine,
     Machine,
+    torque_per_ampere,
 )
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
@@ -137,7 +138,7 @@ class MachineBatch(FluxFormulas):
     @property
     def torque_per_ampere(self) -> FloatArray:
         """Torque per ampere of i_q at zero current, 3/2 p psi_pm, in N m/A (peak), shape (N,)."""
-        return 1.5 * self.pole_pairs * self.psi_pm
+        return torque_per_ampere(self.pole_pairs, self.psi_pm)
 
     def flux(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Flux linkages (psi_d, psi_q) in Wb at currents in A, shape (..., N)."""

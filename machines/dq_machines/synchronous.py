@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import field
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,6 +159,20 @@ def torque_from_flux(
         i_d, i_q: Currents in A (peak), shapes that fit.
     """
     return 1.5 * pole_pairs * (psi_d * i_q - psi_q * i_d)
+
+
+_Value = TypeVar("_Value", float, FloatArray)
+
+
+def torque_per_ampere(pole_pairs: Any, psi_pm: _Value) -> _Value:
+    """Torque per ampere of i_q without current in the d axis, 3/2 p psi_pm, in N m/A (peak).
+
+    Args:
+        pole_pairs: Number of pole pairs, or those of several machines.
+        psi_pm: Flux linkage of the magnets in Wb (peak of phase).
+    """
+    found: _Value = 1.5 * pole_pairs * psi_pm
+    return found
 
 
 def copper_loss(r_s: float | FloatArray, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
@@ -361,7 +375,7 @@ class MachineFormulas(FluxFormulas):
     @property
     def torque_per_ampere(self: Machine) -> float:
         """Torque per ampere of i_q at zero current, 3/2 p psi_pm, in N m/A (peak)."""
-        return 1.5 * self.pole_pairs * self.psi_pm
+        return torque_per_ampere(self.pole_pairs, self.psi_pm)
 
 
 _NUMBERS = MACHINE | {

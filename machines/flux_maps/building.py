@@ -176,7 +176,7 @@ def build_flux_map(
         *zero,
         *check_map(flux_map, source, expected_psi_pm),
     )
-    torques = 1.5 * (single.psi_d * single.i_q - single.psi_q * single.i_d)
+    torques = torque_from_flux(1, single.psi_d, single.psi_q, single.i_d, single.i_q)
     return FluxMapReading(
         flux_map,
         findings,

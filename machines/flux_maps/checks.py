@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.flux_map import FluxMap
+from dqforge.machines.dq_machines.synchronous import copper_loss
 from dqforge.machines.errors import InputError
 from dqforge.machines.flux_maps.evidence import MOST_PLACES, NOTABLE_CURL, places
 from dqforge.machines.names import FluxAxes
@@ -386,7 +387,7 @@ def loss_findings(measured: MeasuredLoss, r_s: float) -> tuple[str, ...]:
     warning where that is negative; ``r_s`` in Ohm is that of a phase.
     """
     given = measured.values
-    copper = 1.5 * r_s * (measured.i_d**2 + measured.i_q**2)
+    copper = copper_loss(r_s, measured.i_d, measured.i_q)
     known = np.isfinite(given) & np.isfinite(copper)
     if not known.any():
         return ()

@@ -205,7 +205,7 @@ _MOST_FREEDOM = 0.6
 _MAGNET_SHARE = 0.03
 
 # Third derivatives by i_d and by i_q, and how often each occurs.
-_MOST_CUTS, _DROPPING = 30, 5
+_MOST_CUTS, _DROPPING = 60, 5
 _MOST_ROUNDS = 8
 _OUTLIER, _OUTLIER_SHARE = 8.0, 0.05
 _THIRD = ((3, 0, 1.0), (2, 1, 3.0), (1, 2, 3.0), (0, 3, 1.0))

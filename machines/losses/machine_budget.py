@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.devices.inverter import Inverter, SwitchDevice
 from dqforge.machines.dq_machines.machine_batch import MachineOrBatch
+from dqforge.machines.dq_machines.synchronous import torque_from_flux
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.text_table import TextTable, read_table
 from dqforge.machines.modulation.modulators import PhaseWaveforms, sector_waveforms
@@ -476,7 +477,7 @@ def machine_budget(
         )
     resistance = machine.r_s * (ratio + extra / ratio)
     series = resistance + loss.magnet * omega_e * omega_e / 1.5
-    torque = 1.5 * machine.pole_pairs * (psi_d * i_q - psi_q * i_d)
+    torque = torque_from_flux(machine.pole_pairs, psi_d, psi_q, i_d, i_q)
     return MachineBudget(
         torque=torque,
         shaft_power=torque * omega_m,

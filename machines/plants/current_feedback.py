@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import BoolArray, FloatArray
-from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.dq_machines.synchronous import LinearMachine, copper_loss
 from dqforge.machines.errors import InputError
 from dqforge.machines.losses.bridge_tables import BridgeTables
 from dqforge.machines.modulation.modulators import modulate
@@ -585,7 +585,7 @@ def _accounted(
     link_mean = float(np.sum(weight * link))
     return SwitchedDrive(
         link_power=v_dc * link_mean,
-        copper=1.5 * machine.r_s * float(np.sum(weight * (i_d**2 + i_q**2))),
+        copper=float(np.sum(weight * copper_loss(machine.r_s, i_d, i_q))),
         shaft_power=float(np.sum(weight * torque)) * omega_e / machine.pole_pairs,
         conduction=conduction,
         switching=switching,

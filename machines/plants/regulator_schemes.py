@@ -31,7 +31,7 @@ from dqforge.machines.plants.regulator_rules import (
     codes_of,
 )
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import dq_to_phases
+from dqforge.machines.transforms import dq_to_phases, linear_voltage
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,7 @@ def check_further_points(plant: Plant, scheme: FurtherScheme) -> None:
     """Refuse what the bridge cannot make: the circle and the pattern need it, rules judge by it."""
     machine, v_dc = plant.drive.machine, plant.drive.v_dc
     voltage = np.hypot(*machine.voltage(plant.i_d, plant.i_q, plant.omega_e))
-    limit = v_dc / math.sqrt(3.0)
+    limit = linear_voltage(v_dc)
     if float(np.max(voltage)) >= limit and not isinstance(scheme, Trajectory):
         raise InputError(
             f"the references need {float(np.max(voltage)):.4g} V, the bridge makes {limit:.4g} V "

@@ -17,6 +17,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import OpenPhase, StartLoadName
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import CURRENT_DELAY
 
 # Many drives in motion at once: linear dq machines under field-oriented current control, as the
 # firmware sees them.
@@ -280,7 +281,7 @@ def drive_motion(
             + 1j * kp_q * error.imag
             + 1j * omega[k] * control.flux(i_now)
         )
-        after = (command + added[k]) * np.exp(1j * (theta + 1.5 * t_s * omega[k]))
+        after = (command + added[k]) * np.exp(1j * (theta + CURRENT_DELAY * t_s * omega[k]))
         psi = next_flux(plant, psi, pending, theta, (omega[k], omega[k + 1]), t_s, substeps)
         theta = theta + 0.5 * t_s * (omega[k] + omega[k + 1])
         before, pending = pending, after

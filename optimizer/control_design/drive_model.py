@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.plants.scenario import ComplexArray, plants, steady_voltage
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import CURRENT_DELAY
 from dqforge.optimizer.observers.parts import ObserverState, steady_observer, vector_count
 from dqforge.optimizer.steps.step_arithmetic import EXACT, Pair
 
@@ -356,7 +357,7 @@ class ObservedDrive:
         columns, size = self.estimator.start(i, v, omega)
         _, delta, seen = self.estimator.step(columns, v, i)
         own, held = i * np.exp(-1j * delta), v * np.exp(1j * omega * t_s)
-        u = v * np.exp(1j * (2.0 * omega * t_s - delta - 1.5 * t_s * seen))
+        u = v * np.exp(1j * (2.0 * omega * t_s - delta - CURRENT_DELAY * t_s * seen))
         integral = u - 1j * seen * self._flux(own)
         parts = [i.real, i.imag, omega, v.real, v.imag, held.real, held.imag]
         parts += [integral.real, integral.imag, seen / machine.pole_pairs]
@@ -389,7 +390,7 @@ class ObservedDrive:
         (kp_d, ki_d), (kp_q, ki_q) = data.current_gains
         integral = (states[:, 7] + ki_d * error.real) + 1j * (states[:, 8] + ki_q * error.imag)
         u = integral + kp_d * error.real + 1j * kp_q * error.imag + 1j * seen * self._flux(own)
-        made = u * np.exp(1j * (delta + 1.5 * data.t_s * seen))
+        made = u * np.exp(1j * (delta + CURRENT_DELAY * data.t_s * seen))
         i, omega, turn = self._moved(cases, i, omega, acting)
         back = np.exp(-1j * turn)
         acting, made = acting * back, made * back

@@ -14,6 +14,7 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.certificates.cell_queue import (
     BoxDrive,
     CurrentLoopBox,
@@ -560,7 +561,7 @@ def _turning_proof_refusal(
     box: DriveBox, inputs: CurrentLoopBox, drive: BoxDrive
 ) -> NoSolutionError:
     machine = box.design.machine
-    rpm = drive.omega_e / machine.pole_pairs * 30.0 / np.pi
+    rpm = in_rpm(drive.omega_e / machine.pole_pairs)
     point = parameters_of(inputs, drive)
     radius = float(largest_moduli(loop_matrices(inputs, point[None]))[0])
     shares = (

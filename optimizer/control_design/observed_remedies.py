@@ -15,6 +15,7 @@ from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError
 from dqforge.machines.names import ObserverMethodName
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 
 if TYPE_CHECKING:
@@ -124,7 +125,7 @@ def _require_speeds(design: Design, found: ObservedLoop, *, tracked: bool) -> No
     if tracked and below is None:  # it may hold from rest, and nothing that is tried fails
         return
     if wanted.above * pole_pairs < low * (1.0 - _ROUNDING):
-        least = f"{_up(low / pole_pairs * 30.0 / np.pi)} rpm"
+        least = f"{_up(in_rpm(low / pole_pairs))} rpm"
         raise InputError(
             f"{key} is {_rpm(design, wanted.above * pole_pairs)}, but the speed loop on the "
             f"{found.observer} holds at all corners {box} from {least} on{failing}; write {least} "

@@ -325,7 +325,7 @@ def settings_of(asked: Question, name: str) -> ObserverSettings:
         return plain
     known, inverter = asked.disturbances, asked.design.inverter
     left = max(abs(known.lost), abs(known.lost_least))
-    whole = 4.0 / np.pi * inverter.f_sw * inverter.v_dc * inverter.dead_time
+    whole = inverter.lost_per_dead_time * inverter.dead_time
     small = left <= COMPENSATED * whole
     return replace(plain, speed_gain=SPEED_GAIN_COMPENSATED if small else SPEED_GAIN)
 

@@ -15,7 +15,7 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.dq_machines.synchronous import Machine, torque_from_flux
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
@@ -377,7 +377,7 @@ def error_map(
     )
     wanted = np.minimum(samples.torque.astype(np.float64), samples.most)
     psi_d, psi_q = region.machine.flux(i_d, i_q)
-    torque = 1.5 * region.machine.pole_pairs * (psi_d * i_q - psi_q * i_d)
+    torque = torque_from_flux(region.machine.pole_pairs, psi_d, psi_q, i_d, i_q)
     available = np.maximum(samples.flux.astype(np.float64), region.flux_min)
     return ErrorMap(
         i_d,

@@ -14,7 +14,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import Reals
+from dqforge.machines.transforms import Reals, in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.current_reference.forms import PENALTY_FROM
 from dqforge.optimizer.curves.single_precision import (
@@ -167,7 +167,7 @@ def _too_fast(region: WeakeningRegion, v_max: float, omega_m: float) -> str:
     half = machine.r_s * torque / (1.5 * machine.pole_pairs)
     left = sagged**2 - (machine.r_s * region.i_max) ** 2
     omega_e = (np.sqrt(half**2 + flux**2 * left) - half) / flux**2
-    fastest = float(omega_e) / LEAST_VOLTAGE / machine.pole_pairs * 30.0 / np.pi
+    fastest = in_rpm(float(omega_e) / LEAST_VOLTAGE / machine.pole_pairs)
     step = 10.0 ** (np.floor(np.log10(fastest)) - 2.0)
     return (
         f"field_weakening: at {100.0 * LEAST_VOLTAGE:g} % of {v_max:.4g} V, to which the dc link "

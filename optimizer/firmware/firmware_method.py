@@ -14,6 +14,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Firmware, LoadedByName
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import in_rpm, linear_voltage
 from dqforge.optimizer.firmware.configuration import (
     DriveValues,
     Mechanics,
@@ -371,8 +372,8 @@ def _unstable_together(
     left = "" if profile.current.cross else ", with no feedforward of the other axis' current"
     words = (
         f"both current loops together are unstable as {profile.firmware} runs them from about "
-        f"{turning.unstable_from * 30.0 / math.pi:.4g} rpm{left}: largest pole modulus "
-        f"{turning.radius:.4g} at {turning.omega_m * 30.0 / math.pi:.4g} rpm"
+        f"{in_rpm(turning.unstable_from):.4g} rpm{left}: largest pole modulus "
+        f"{turning.radius:.4g} at {in_rpm(turning.omega_m):.4g} rpm"
     )
     return (words,)
 
@@ -604,7 +605,7 @@ def asked(design: Design, i_d: LoopGains, i_q: LoopGains, speed: LoopGains | Non
 
 def _per_ampere(loop: LoopGains, design: Design) -> PiGains | None:
     """Gains in A s/rad and A/rad; None for a machine that makes no torque without d current."""
-    constant = 1.5 * design.machine.pole_pairs * design.machine.psi_pm
+    constant = design.machine.torque_per_ampere
     if not math.isfinite(constant) or constant <= 0.0:
         return None
     return PiGains(loop.kp / constant, loop.ki / constant)
@@ -720,11 +721,11 @@ def _base_speed(design: Design) -> float:
     """Mechanical speed in rad/s at which flux linkage and link meet."""
     machine = design.machine
     flux = math.hypot(machine.psi_pm, machine.l_q * design.i_max)
-    return design.inverter.v_dc / math.sqrt(3.0) / (flux * machine.pole_pairs)
+    return linear_voltage(design.inverter.v_dc) / (flux * machine.pole_pairs)
 
 
 def _speed_text(design: Design) -> str:
-    return f"{float(f'{_base_speed(design) * 30.0 / math.pi:.2g}'):g} rpm"
+    return f"{float(f'{in_rpm(_base_speed(design)):.2g}'):g} rpm"
 
 
 def _inertia_text(design: Design) -> str:

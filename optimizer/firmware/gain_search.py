@@ -19,6 +19,7 @@ from dqforge.machines.design.settings import CurrentLoopSettings, SpeedLoopSetti
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import VendorMethod
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     CurrentLoops,
@@ -457,7 +458,7 @@ def speed_search(
         current,
         control.speed_loop,
         replace(asked, current_d=current.asked.current_d, current_q=current.asked.current_q),
-        1.5 * machine.pole_pairs * machine.psi_pm,
+        machine.torque_per_ampere,
         speed_delay(i_q, control.t_s, control.speed_loop),
     )
 
@@ -527,7 +528,7 @@ class CurrentSearch:
             return None
         return (
             "both current loops together are unstable from about "
-            f"{found.unstable_from * 30.0 / math.pi:.4g} rpm (largest pole modulus "
+            f"{in_rpm(found.unstable_from):.4g} rpm (largest pole modulus "
             f"{found.radius:.4g})"
         )
 

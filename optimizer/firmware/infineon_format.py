@@ -15,8 +15,9 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
-from dqforge.machines.dq_machines.synchronous import linearised
+from dqforge.machines.dq_machines.synchronous import linearised, torque_per_ampere
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import linear_voltage
 from dqforge.optimizer.firmware import firmware_method
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
@@ -198,7 +199,7 @@ def speed_rule(
         inertia, viscous: Inertia in kg m^2 and viscous friction in N m s/rad.
         bandwidth: In rad/s.
     """
-    per_torque = 1.0 / (1.5 * pole_pairs * psi_pm)
+    per_torque = 1.0 / torque_per_ampere(pole_pairs, psi_pm)
     return PiGains(per_torque * inertia * bandwidth, per_torque * viscous * bandwidth)
 
 
@@ -375,7 +376,7 @@ def _poles(own: Mapping[str, OwnValue]) -> Iterator[str]:
 def _voltages(own: Mapping[str, OwnValue], drive: DriveValues) -> Iterator[str]:
     most, v_dc = number(own, "motor.w_max.elec"), drive.v_dc
     if most and v_dc and drive.psi_pm:
-        emf, available = most * drive.psi_pm, v_dc / math.sqrt(3.0)
+        emf, available = most * drive.psi_pm, linear_voltage(v_dc)
         if emf > available:
             yield (
                 f"at w_max {most:.4g} rad/s the magnets of lam {drive.psi_pm:g} Wb induce "
@@ -383,10 +384,10 @@ def _voltages(own: Mapping[str, OwnValue], drive: DriveValues) -> Iterator[str]:
                 f"field weakening the speed ends at {available / drive.psi_pm:.4g} rad/s"
             )
     nominal = number(own, "motor.v_nom")
-    if nominal and v_dc and nominal > v_dc / math.sqrt(3.0) * (1.0 + TOLERANCE):
+    if nominal and v_dc and nominal > linear_voltage(v_dc) * (1.0 + TOLERANCE):
         yield (
             f"v_nom {nominal:.4g} V (peak of phase) is above vdc_nom/sqrt(3) = "
-            f"{v_dc / math.sqrt(3.0):.4g} V"
+            f"{linear_voltage(v_dc):.4g} V"
         )
     rated = number(own, "motor.w_nom.elec")
     if rated and most and rated > most * (1.0 + TOLERANCE):

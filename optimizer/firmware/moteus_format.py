@@ -16,7 +16,7 @@ from functools import cache
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.dq_machines.synchronous import Machine, torque_per_ampere
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import Firmware
 from dqforge.machines.records import dataclass
@@ -256,7 +256,7 @@ def _speed_gains(numbers: Numbers, drive: DriveValues) -> PiGains | None:
     damping = numbers.get("servo.pid_position.kd")
     if damping is None or drive.psi_pm is None or drive.pole_pairs is None:
         return None
-    turn = 2.0 * math.pi * 1.5 * drive.pole_pairs * drive.psi_pm
+    turn = 2.0 * math.pi * torque_per_ampere(drive.pole_pairs, drive.psi_pm)
     return PiGains(damping / turn, numbers.get("servo.pid_position.kp", 0.0) / turn)
 
 

@@ -9,6 +9,7 @@ from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Protocol
 
 from dqforge.machines.design.numerical import numerical_errors
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.errors import InputError, NoSolutionError, about, shown
 from dqforge.machines.names import Firmware
 from dqforge.machines.records import dataclass
@@ -311,7 +312,7 @@ def _own_speed(gains: OwnGains, drive: DriveValues) -> JudgedLoop | None:
     assert drive.t_speed is not None
     if drive.l_q is None:
         return None
-    per_ampere = 1.5 * drive.pole_pairs * drive.psi_pm
+    per_ampere = torque_per_ampere(drive.pole_pairs, drive.psi_pm)
     current = CurrentLoops(
         PiController(d.kp, d.ki, drive.t_s), PiController(q.kp, q.ki, drive.t_s), back_emf=True
     )

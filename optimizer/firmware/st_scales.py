@@ -10,6 +10,7 @@ from dataclasses import replace
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import linear_voltage
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     DriveValues,
@@ -95,7 +96,7 @@ def scales(own: Mapping[str, OwnValue]) -> Scales | None:
     v_dc = number(own, "NOMINAL_BUS_VOLTAGE_V")
     if current is None or rate is None or not v_dc:
         return None
-    return Scales(current, v_dc / math.sqrt(3.0), rate)
+    return Scales(current, linear_voltage(v_dc), rate)
 
 
 # State observer and phase-locked loop of ST's MCSDK: constants in 16 bits, and their poles.

@@ -11,8 +11,10 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from typing import Literal
 
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import linear_voltage
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     DriveValues,
@@ -403,7 +405,7 @@ def _currents(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
 def _voltage(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
     """l_max_duty keeps a share of the range; without field weakening the speed ends there."""
     share = loop_number(held.own, "l_max_duty") * loop_number(held.own, "foc_overmod_factor")
-    limit = share * asked.design.inverter.v_dc / math.sqrt(3.0)
+    limit = share * linear_voltage(asked.design.inverter.v_dc)
     lost = 1.0 - limit / asked.design.v_max
     if lost > NOTICED:
         yield Shortfall(
@@ -441,7 +443,7 @@ def _feed_forward(asked: Asked, runs: LoopProfile) -> Iterator[Shortfall]:
     if not (runs.current.back_emf and drive.inertia and drive.pole_pairs and drive.psi_pm):
         return
     lag = runs.current.d.t_s * (1.0 - FAST_SHARE) / FAST_SHARE
-    acceleration = 1.5 * drive.pole_pairs * drive.psi_pm * design.i_max / drive.inertia
+    acceleration = torque_per_ampere(drive.pole_pairs, drive.psi_pm) * design.i_max / drive.inertia
     volts = drive.pole_pairs * drive.psi_pm * acceleration * lag
     if volts > _MUCH * design.v_max:
         yield Shortfall(

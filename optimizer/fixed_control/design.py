@@ -13,6 +13,7 @@ from dqforge.machines.design.settings import filter_share
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import in_rpm, linear_voltage
 from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
 from dqforge.optimizer.fixed_control.arithmetic import Reach
@@ -218,11 +219,10 @@ def require_scales(design: Design) -> None:
             f"the current limit is {design.i_max:.4g} A; write current: {design.i_max * 1.25:.3g} A"
         )
     if speed is not None and speed > bases.speed * (1.0 + 1e-9):
-        rpm = 30.0 / math.pi
         raise InputError(
-            f"control.per_unit.speed: {bases.speed * rpm:.5g} rpm is full scale in fixed point, "
-            f"but the largest speed is {speed * rpm:.5g} rpm; write speed: "
-            f"{speed * rpm * 1.25:.4g} rpm"
+            f"control.per_unit.speed: {in_rpm(bases.speed):.5g} rpm is full scale in fixed point, "
+            f"but the largest speed is {in_rpm(speed):.5g} rpm; write speed: "
+            f"{in_rpm(speed) * 1.25:.4g} rpm"
         )
 
 
@@ -233,7 +233,7 @@ def _require_bases(design: Design) -> None:
         raise InputError(
             f"control.per_unit.voltage: {bases.voltage:.4g} V is too small a base for a dc link of"
             f" {design.inverter.v_dc:.4g} V in fixed point;"
-            f" write voltage: {design.inverter.v_dc / math.sqrt(3.0):.4g} V"
+            f" write voltage: {linear_voltage(design.inverter.v_dc):.4g} V"
         )
 
 

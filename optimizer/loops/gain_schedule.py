@@ -19,12 +19,12 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import CURRENT_DELAY
 from dqforge.optimizer.curves.fitting import Curve, SideConditions, fit_curve
 from dqforge.optimizer.curves.single_precision import MultiplyAdd, SingleArray, multiply_add
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
 from dqforge.optimizer.loops.pi_methods import (
-    CURRENT_DELAY,
     BatchMargins,
     batch_margins,
     close_loops,

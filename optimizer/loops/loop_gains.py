@@ -22,6 +22,7 @@ from dqforge.machines.design.settings import (
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import CURRENT_DELAY
 from dqforge.optimizer.loops.observed_margins import (
     ObservedLoop,
     current_loops,
@@ -30,7 +31,6 @@ from dqforge.optimizer.loops.observed_margins import (
 )
 from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
 from dqforge.optimizer.loops.pi_methods import (
-    CURRENT_DELAY,
     DriveVariants,
     PlantBatch,
     Settings,

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import CURRENT_DELAY, in_rpm
 from dqforge.optimizer.loops.plants import PiLoop
 from dqforge.optimizer.sampled_systems import LEAST_SHARE, LoopMargins
 
@@ -29,7 +30,7 @@ class LimitCycle:
     @property
     def words(self) -> str:
         """Frequency, and peak to peak in rpm."""
-        hertz, rpm = self.omega / (2.0 * np.pi), self.swing * 30.0 / np.pi
+        hertz, rpm = self.omega / (2.0 * np.pi), in_rpm(self.swing)
         return f"it swings at {hertz:.3g} Hz, the speed by {rpm:.3g} rpm from peak to peak"
 
 
@@ -433,7 +434,7 @@ def _phase(loops: CurrentLoops, y: FloatArray) -> FloatArray:
     n1 = loops.kp + loops.step
     ahead = np.arctan2(n1 * sine, loops.step - n1 * y)
     behind = np.arctan2(sine, loops.decay - y)
-    return np.asarray(0.5 * np.pi - 1.5 * turn + ahead - behind)
+    return np.asarray(0.5 * np.pi - CURRENT_DELAY * turn + ahead - behind)
 
 
 def _to_critical(loops: CurrentLoops, y: FloatArray) -> FloatArray:

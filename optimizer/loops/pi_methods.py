@@ -19,12 +19,10 @@ from dqforge.machines.design.settings import CurrentLoopSettings, SpeedLoopSetti
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import VendorMethod
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import CURRENT_DELAY
 from dqforge.optimizer.sampled_systems import GOLDEN, GOLDEN_STEPS
 
 Settings = TypeVar("Settings", CurrentLoopSettings, SpeedLoopSettings)
-
-
-CURRENT_DELAY = 1.5  # sampling periods: one of computation, half of one from the zero-order hold
 
 
 SEARCH_HALVINGS = 40

@@ -22,12 +22,12 @@ from dqforge.machines.design.settings import (
 from dqforge.machines.dq_machines.synchronous import LinearMachine, torque_from_flux
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import CURRENT_DELAY, in_rpm
 from dqforge.optimizer.certificates.current_loop_proof import CurrentLoopProof
 from dqforge.optimizer.loops.integer_gains import CurrentControl, TurningMachines, largest_pole
 from dqforge.optimizer.loops.loop_gains import LoopGains, speed_delay
 from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
 from dqforge.optimizer.loops.pi_methods import (
-    CURRENT_DELAY,
     BatchMargins,
     DriveVariants,
     PlantBatch,
@@ -294,7 +294,7 @@ def turning_robustness(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> Worst |
     )
     radius = largest_pole(box.turning_machines(points, machine.pole_pairs * omega_m), emitted)
     row, place = divmod(int(np.argmax(radius)), _SPEEDS)
-    at = f"{omega_m[place] * 30.0 / np.pi:.4g} rpm, {points.text(row)}"
+    at = f"{in_rpm(omega_m[place]):.4g} rpm, {points.text(row)}"
     if np.max(radius) >= 1.0:
         raise unstable_together(at, float(np.max(radius)))
     return Worst(float(np.max(radius)), at)
@@ -534,17 +534,15 @@ class DriveBox:
         """Resistance in Ohm that each second of the dead time's rest adds at the smallest current
         and a voltage gain of 1.
         """
-        inverter = self.design.inverter
-        return 4.0 / np.pi * inverter.f_sw * inverter.v_dc / self.tolerances.low_current
+        return self.design.inverter.lost_per_dead_time / self.tolerances.low_current
 
     def resistance(self, points: BoxPoints) -> FloatArray:
         """Resistance in Ohm at points, with what the dead time adds, shape (M,)."""
         resistance = self.design.machine.r_s * (1.0 + points.of("r_s"))
         if "dead_time" not in points.names:
             return resistance
-        inverter = self.design.inverter
-        voltage = inverter.f_sw * points.of("dead_time") * inverter.v_dc * (1.0 + points.of("v_dc"))
-        return resistance + 4.0 / np.pi * voltage / self.tolerances.low_current
+        gain = 1.0 + points.of("v_dc")
+        return resistance + self.dead_time_resistance * points.of("dead_time") * gain
 
     def current_loop_plants(
         self, axis: Axis, points: BoxPoints, inductance: float | None = None

@@ -8,15 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from dqforge.machines.design.design import Design
-from dqforge.machines.dq_machines.synchronous import Machine, linearised
+from dqforge.machines.dq_machines.synchronous import Machine, linearised, torque_from_flux
 from dqforge.optimizer.observers.parts import Disturbances, Load, usual_disturbances
 from dqforge.optimizer.observers.reduced_order import TrainingBox, usual_training_box
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 _SHARES = (0.5, 1.0, -0.5, -1.0)
-
-
-_FUNDAMENTAL = 4.0 / np.pi  # of a square wave, over its height
 
 
 def loads_of(design: Design) -> tuple[Load, ...]:
@@ -59,7 +56,7 @@ def lost_voltage(design: Design) -> tuple[float, float]:
     least, most = (0.0, 0.0) if tolerances is None else tolerances.limits("dead_time")
     if least == most == 0.0:
         least = most = inverter.dead_time
-    volts = _FUNDAMENTAL * inverter.f_sw * inverter.v_dc
+    volts = inverter.lost_per_dead_time
     return volts * least, volts * most
 
 
@@ -109,4 +106,5 @@ def conditions(design: Design, omega_max: float) -> Disturbances:
 def torque_of(machine: Machine, load: Load) -> float:
     """Torque in N m of a load."""
     psi_d, psi_q = load.psi_pm + load.l_d * load.i_d, load.l_q * load.i_q
-    return 1.5 * machine.pole_pairs * (psi_d * load.i_q - psi_q * load.i_d)
+    values = (np.asarray(x) for x in (psi_d, psi_q, load.i_d, load.i_q))
+    return float(torque_from_flux(machine.pole_pairs, *values))

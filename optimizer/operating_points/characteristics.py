@@ -25,6 +25,7 @@ from dqforge.machines.topologies import (
     contradiction,
     overmodulation_of,
 )
+from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.operating_points.ends_of_data import least_flux_current, make_limits
 from dqforge.optimizer.operating_points.mtpa_locus import (
     Active,
@@ -714,9 +715,9 @@ def most_torque(drive: LimitedDrive, omega_m: float, sign: float = 1.0) -> Optim
     if most.active[0] != Active.UNREACHABLE:
         return most
     last = characteristics(machine, limit.v_max, i_max).speed_max
-    end = "" if last is None else f"; it can be kept up to {last * 30.0 / np.pi:.4g} rpm"
+    end = "" if last is None else f"; it can be kept up to {in_rpm(last):.4g} rpm"
     raise NoSolutionError(
-        f"at {omega_m * 30.0 / np.pi:.4g} rpm no current within {i_max:.4g} A keeps the voltage "
+        f"at {in_rpm(omega_m):.4g} rpm no current within {i_max:.4g} A keeps the voltage "
         f"limit of {limit.v_max:.4g} V{end}"
     )
 

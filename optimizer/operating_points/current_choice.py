@@ -23,6 +23,7 @@ from dqforge.machines.dq_machines.synchronous import (
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Strategy
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.operating_points.mtpa_locus import (
     Active,
     id0_currents,
@@ -202,7 +203,7 @@ class CurrentChoice:
         )
         if not most.torque[0] > 0.0:
             raise NoSolutionError(
-                f"operation.speed: at {self.speed.omega_m * 30.0 / np.pi:.4g} rpm no current "
+                f"operation.speed: at {in_rpm(self.speed.omega_m):.4g} rpm no current "
                 f"within {self.i_max:.4g} A keeps the voltage limit of {self.speed.v_max:.4g} V "
                 "and makes torque; lower the speed"
             )

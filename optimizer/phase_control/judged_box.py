@@ -24,7 +24,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import CurrentFrame
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import TOPOLOGIES
-from dqforge.machines.transforms import POWER_INVARIANT, clarke_matrix
+from dqforge.machines.transforms import POWER_INVARIANT, clarke_matrix, in_rpm
 from dqforge.optimizer.loops.robustness import BoxPoints, DriveBox, Worst
 from dqforge.optimizer.phase_control.phase_controller import HarmonicGains, PhaseControl, PhaseShape
 
@@ -219,7 +219,7 @@ def _require(worst: Worst, control: PhaseControl, omega_e: float, limit: float) 
     """Refuse a loop that does not forget, with speed, point and what to write instead."""
     if worst.value < limit:
         return
-    rpm = omega_e / control.pole_pairs * 30.0 / np.pi
+    rpm = in_rpm(omega_e / control.pole_pairs)
     if control.feedforward == "measured":
         advice = "write control.current_loop.feedforward: references, which moves no pole"
     else:

@@ -23,7 +23,7 @@ from dqforge.machines.dq_machines.synchronous import Machine, linearised
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.plants.scenario import next_flux, plants
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import Reals
+from dqforge.machines.transforms import CURRENT_DELAY, Reals, linear_voltage
 from dqforge.optimizer.estimators import (
     WRAPPED,
     Tracker,
@@ -373,7 +373,7 @@ def design_inform(mapped: bool, design: Design, settings: ObserverSettings) -> I
         _require_straight(loaded)
     t_s, machine = design.control.t_s, linearised(design.machine)
     voltage = usual_pulse(design) if settings.voltage is None else settings.voltage
-    most = 0.5 * design.inverter.v_dc / math.sqrt(3.0)
+    most = 0.5 * linear_voltage(design.inverter.v_dc)
     if voltage > most:
         raise InputError(
             f"control.observer.voltage: {voltage:.4g} V leave nothing for the current control; "
@@ -433,7 +433,7 @@ def _speeds(design: Design, gains: InformGains) -> tuple[float, float]:
     machine = linearised(design.machine)
     turn = min(_TURN / (6.0 * gains.t_s), 0.8 / (gains.period * gains.t_s))
     i_q = (POINTS - 1) / gains.per_ampere
-    room = design.inverter.v_dc / math.sqrt(3.0) - gains.voltage - machine.r_s * i_q
+    room = linear_voltage(design.inverter.v_dc) - gains.voltage - machine.r_s * i_q
     flux = math.hypot(machine.psi_pm, machine.l_q * i_q)
     return 0.0, min(turn, room / flux, gains.omega_max)
 
@@ -540,7 +540,7 @@ def track(
         wave = np.stack(
             [np.full(drives, tracker.voltage * tracker.carrier[k % n]), np.zeros(drives)], axis=-1
         )
-        asked = turned(wave, -(angle + 1.5 * t_s * rate))
+        asked = turned(wave, -(angle + CURRENT_DELAY * t_s * rate))
         psi = next_flux(
             plant, psi, v[k, :, 0] + 1j * v[k, :, 1], theta[k], (omega[k], omega[k + 1]), t_s
         )

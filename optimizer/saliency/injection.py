@@ -23,7 +23,7 @@ from dqforge.machines.dq_machines.synchronous import Machine, linearised
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import InjectionWave
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import Reals
+from dqforge.machines.transforms import CURRENT_DELAY, Reals, linear_voltage
 from dqforge.optimizer.estimators import WRAPPED, Tracker, TrackerLoop, TrackerSteps
 from dqforge.optimizer.observers.parts import usual_disturbances
 from dqforge.optimizer.observers.sampled_machine import electrical_limit
@@ -184,7 +184,7 @@ class InjectionSteps:
         )
         if rest is not None:
             observer.asked, observer.rest = observer.added, rest
-        ahead = o.wrap(observer.theta_e + (1.5 * gains.t_s) * observer.omega_e)
+        ahead = o.wrap(observer.theta_e + (CURRENT_DELAY * gains.t_s) * observer.omega_e)
         direction = o.let("direction", o.rotation(ahead))
         observer.added = self._asked(o, gains, observer, direction)
         observer.sample = (sample, observer.sample[0])
@@ -473,7 +473,7 @@ def loop_matrices(gains: InjectionGains) -> tuple[FloatArray, FloatArray]:
     a[1, 1] += 1.0
     if square:
         # the error of the direction that is asked for now: 1.5 samples ahead
-        a[2], b[2] = a[0] + 1.5 * t_s * a[1], b[0] + 1.5 * t_s * b[1]
+        a[2], b[2] = a[0] + CURRENT_DELAY * t_s * a[1], b[0] + CURRENT_DELAY * t_s * b[1]
     else:
         a[2] = ahead
     a[3:, 2:-1] += np.eye(size - 3)
@@ -606,7 +606,7 @@ def _settings(
             f"control.observer.samples: {wave} takes 6, 8, ... {LONGEST} samples per period, got "
             f"{samples}"
         )
-    voltage, most = settings.voltage, 0.5 * design.inverter.v_dc / math.sqrt(3.0)
+    voltage, most = settings.voltage, 0.5 * linear_voltage(design.inverter.v_dc)
     if voltage is not None and voltage > most:
         raise InputError(
             f"control.observer.voltage: {voltage:.4g} V leave nothing for the current control; "
@@ -729,7 +729,7 @@ def _speeds(design: Design, gains: InjectionGains) -> tuple[float, float]:
     turn = 2.0 * math.pi / (10.0 * samples * gains.t_s)
     voltage = max(gains.carrier)
     i_q = (POINTS - 1) / gains.per_ampere
-    room = design.inverter.v_dc / math.sqrt(3.0) - voltage - machine.r_s * i_q
+    room = linear_voltage(design.inverter.v_dc) - voltage - machine.r_s * i_q
     flux = math.hypot(machine.psi_pm, machine.l_q * i_q)
     return 0.0, min(turn, room / flux, gains.omega_max)
 

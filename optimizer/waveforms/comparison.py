@@ -28,6 +28,7 @@ from dqforge.machines.phase_machines.phase_machine import (
 )
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import TOPOLOGIES, sine_share
+from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.operating_points.characteristics import limit_speed
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.waveforms.confirmation import Confirmation, confirm_waveforms
@@ -479,7 +480,7 @@ def solve_salient(
 def _where(torque: float, omega_m: float, limits: WaveformLimits) -> str:
     """The operating point and its limits, as a part of a sentence."""
     return (
-        f"{torque:.4g} N m at {omega_m * 30.0 / np.pi:.4g} rpm within {limits.v_dc:.4g} V "
+        f"{torque:.4g} N m at {in_rpm(omega_m):.4g} rpm within {limits.v_dc:.4g} V "
         f"({limits.topology}) and {limits.i_max:.4g} A"
     )
 

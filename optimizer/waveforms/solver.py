@@ -18,6 +18,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.linear_programme import least_cost
 from dqforge.optimizer.waveforms.constraint_rows import (
     DENSE_UNKNOWNS,
@@ -357,6 +358,6 @@ def require_solution(
     torque, omega_m = float(solutions.torque[missing[0]]), float(solutions.omega_m[missing[0]])
     reason = obstacle(machine, torque, omega_m, limits).text
     raise NoSolutionError(
-        f"no phase currents make {torque:.4g} N m at {omega_m * 30.0 / np.pi:.4g} rpm within "
+        f"no phase currents make {torque:.4g} N m at {in_rpm(omega_m):.4g} rpm within "
         f"{limits.v_dc:.4g} V ({limits.topology}) and {limits.i_max:.4g} A: {reason}"
     )

@@ -20,6 +20,7 @@ from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.machines.plants.scenario import CurrentSensor, Encoder, PlantErrors, Scenario, constant
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import TOPOLOGIES
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import parse_option
 from dqforge.optimizer.flashing_choice import (
     BACK_EMF,
@@ -328,8 +329,6 @@ def files_with_control(solution: Solution, control: PhaseControl) -> dict[str, b
 
 # What to flash: the comparison as tables and plain data, and its rows in the simulation.
 
-_RPM = 30.0 / math.pi
-
 
 _COLUMNS = (
     "legs",
@@ -389,7 +388,7 @@ def flash_tables(design: Design, found: FlashComparison, advice: Advice) -> list
     """Rows of topologies and controllers, the recommendation below them; then what the torque
     ripple becomes where sensors and machine are not what the firmware takes them for.
     """
-    point = f"{found.torque:.4g} N m, {found.omega_m * _RPM:.4g} rpm, {found.v_dc:.4g} V"
+    point = f"{found.torque:.4g} N m, {in_rpm(found.omega_m):.4g} rpm, {found.v_dc:.4g} V"
     rows = tuple(_cells(row, advice, without_device=found.without_device) for row in found.rows)
     by = "of the emitted C in the compiled simulation"
     if found.unsimulated:

@@ -215,7 +215,6 @@ USUAL_BOX = {"r_s": 0.3, "psi_pm": 0.04}
 NOISE = 5e-3
 _RELATIVE: tuple[ToleranceName, ...] = ("r_s", "l_d", "l_q", "psi_pm", "inertia", "v_dc")
 _LEAST_SPEED, _ABOVE = 0.4, 1.25  # of the base speed, and over the hand-over
-_FUNDAMENTAL = 4.0 / math.pi
 _ROWS = 1000
 
 
@@ -246,7 +245,7 @@ def drawn_plants(design: Design, count: int, seed: int) -> tuple[DrawnPlant, ...
     }
     if tolerances is not None:
         limits = {name: tolerances.limits(name) for name in _RELATIVE}
-    per_second = _FUNDAMENTAL * inverter.f_sw * inverter.v_dc
+    per_second = inverter.lost_per_dead_time
     least, most = (max(volts, 0.0) / per_second for volts in lost_voltage(design))
     found = []
     for _ in range(count):

@@ -38,7 +38,7 @@ from dqforge.reports.browser import computed
 from dqforge.reports.command_line.designs import NEW_DESIGN
 from dqforge.reports.firmware.target import TARGETS
 from dqforge.reports.pages.answer import write_all
-from dqforge.reports.pages.templating import render
+from dqforge.reports.pages.templating import render, resource
 
 # The one state of `dqforge serve`: a design file in a folder, with what was uploaded beside it.
 
@@ -410,7 +410,7 @@ class _Part(_Guarded):
         """One of them."""
         kind = {"page.css": "text/css", "page.js": "text/javascript"}[name]
         self.set_header("Content-Type", f"{kind}; charset=utf-8")
-        self.finish(render(f"browser/{name}.j2", {}))
+        self.finish(resource(f"browser/{name}"))
 
 
 class _State(_Guarded):

@@ -15,6 +15,7 @@ from typing import Any
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.firmware.configuration import DriveValues, PiGains
 from dqforge.optimizer.firmware.solve import OwnGains
@@ -376,7 +377,7 @@ def _loss_tables(comparison: Comparison) -> list[Table]:
         comparison.losses, key=lambda row: (row.torque, row.omega_m)
     ):
         rows = list(group)
-        title = f"total losses at {torque:.4g} N m, {omega_m * 30.0 / math.pi:.5g} rpm"
+        title = f"total losses at {torque:.4g} N m, {in_rpm(omega_m):.5g} rpm"
         tables.append(
             Table(title, columns, tuple(_loss_cells(row) for row in rows), (_least(rows),))
         )

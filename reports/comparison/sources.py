@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dqforge.machines.design.design import Design
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.records import dataclass
@@ -326,5 +327,5 @@ def _per_torque(configuration: Configuration) -> PiGains | None:
     speed, drive = configuration.speed, configuration.drive
     if speed is None or drive.pole_pairs is None or not drive.psi_pm:
         return None
-    constant = 1.5 * drive.pole_pairs * drive.psi_pm
+    constant = torque_per_ampere(drive.pole_pairs, drive.psi_pm)
     return PiGains(speed.kp * constant, speed.ki * constant)

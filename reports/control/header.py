@@ -23,7 +23,7 @@ from dqforge.machines.modulation.registry import (
 from dqforge.machines.names import ModulationName, OvermodulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import fundamental_share
-from dqforge.machines.transforms import Pair
+from dqforge.machines.transforms import CURRENT_DELAY, Pair
 from dqforge.optimizer.current_reference.forms import FixedReference, FloatReference
 from dqforge.optimizer.curves.single_precision import SINGLE, SingleArray
 from dqforge.optimizer.dynamic_references import DynamicReferences
@@ -117,7 +117,7 @@ def plain_control(solution: Solution) -> PlainData:
         "l_q": machine.l_q,
         "psi_pm": machine.psi_pm,
         "voltage_share": _controlled_share(design),
-        "advance": 1.5 * control.t_s,
+        "advance": CURRENT_DELAY * control.t_s,
         "torque_max": float(solution.reference.torque_max),
         "speed_filter": speed_filter(
             settings.filter_time if settings is not None else 0.0, control.t_s

@@ -13,6 +13,7 @@ import numpy as np
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import Core
+from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.certificates.current_reference import Certificate
 from dqforge.optimizer.current_reference.fit import Alternative, ReferenceFit
 from dqforge.optimizer.current_reference.forms import ReferenceErrors
@@ -24,6 +25,7 @@ from dqforge.reports.capability import (
     Capability,
     Draw,
     Flashed,
+    Passage,
     Quantity,
     ReportPart,
     Rows,
@@ -130,19 +132,32 @@ def reference_part(solution: Solution) -> PlainData:
     }
 
 
-def errors_part(solution: Solution) -> PlainData:
+def errors_passage(solution: Solution) -> Passage:
     """The part of the report on torque error and loss penalty."""
     errors, proof = solution.fit.errors, solution.certificate
-    return {
-        "samples": count(errors.samples),
-        "proven": "" if proof is None else symbols(proven_text(proof, 3)),
-        "proven_title": "" if proof is None else proof_title(proof),
-        "torque": (
-            f"{quantity(ceiling(errors.torque), 'N m', 3)} "
-            f"({share(ceiling(errors.torque_relative, 2))} of the largest torque)"
-        ),
-        "loss": symbols(penalty_text(solution)),
-    }
+    torque = (
+        f"{quantity(ceiling(errors.torque), 'N m', 3)} "
+        f"({share(ceiling(errors.torque_relative, 2))} of the largest torque)"
+    )
+    text = symbols(
+        f"The torque errs by at most {torque}; {penalty_text(solution)}. These values were found "
+        f"by evaluating the arithmetic of the header {count(errors.samples)} times, on both sides "
+        "of every breakpoint and, in single precision, with and without fused multiply-add."
+    )
+    bounds = "They are sampled, not proven bounds."
+    if proof is not None:
+        bounds = f"Bounds, {proof_title(proof)}: {proven_text(proof, 3)}."
+    caption = (
+        "Errors over torque in the arithmetic of the firmware, without fused multiply-add; every "
+        "stroke keeps the extreme values of its interval. An error that looks like noise is "
+        "rounding. The losses are on logarithmic scales."
+    )
+    return Passage(
+        text=[text],
+        outcome=symbols(bounds),
+        proven=proof is not None,
+        drawings=[("errors", caption)],
+    )
 
 
 def _power_text(power: int) -> str:
@@ -544,7 +559,7 @@ def _flashed(solution: Solution, _: Solution) -> list[Flashed]:
     ]
     top = design.machine.omega_m_max
     if top is not None:
-        rows.append(Flashed("largest speed", f"{top * 30.0 / np.pi:.5g} rpm", "of the machine"))
+        rows.append(Flashed("largest speed", f"{in_rpm(top):.5g} rpm", "of the machine"))
     return rows
 
 
@@ -654,7 +669,7 @@ def _parts(solution: Solution, _: Solution) -> list[ReportPart]:
         ReportPart(
             REFERENCE, "current_reference/reference.html.j2", reference_part(solution), reach.value
         ),
-        ReportPart(ERRORS, "current_reference/errors.html.j2", errors_part(solution), error.value),
+        errors_passage(solution).of(ERRORS, error.value),
     ]
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import InputError, VerificationError
+from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.estimator_comparison.candidate import LOCKED, CaptureMap
 from dqforge.optimizer.estimator_comparison.solve import (
     BY_SALIENCY,
@@ -311,7 +312,7 @@ def _winners(found: EstimatorComparison) -> Table:
     rows = tuple(
         (
             hertz(omega),
-            rpm(omega, pairs),
+            shaft_speed(omega, pairs),
             *(cell_name(found, s, m) for m in range(len(asked.shares))),
         )
         for s, omega in reversed(list(enumerate(asked.omega.tolist())))
@@ -329,7 +330,7 @@ def _start_row(found: EstimatorComparison, row: ComparedStart) -> tuple[str, ...
     return (
         row.candidate.name,
         f"{figures.largest_load:.3g}",
-        rpm(figures.hand_over, pairs),
+        shaft_speed(figures.hand_over, pairs),
         f"{figures.duration:.2g}",
         rates or figures.untried,
         "flash this" if row.candidate.name == found.pair.start else "",
@@ -477,9 +478,9 @@ def hertz(omega: float) -> str:
     return f"{omega / _TURN:.3g}"
 
 
-def rpm(omega: float, pole_pairs: int) -> str:
+def shaft_speed(omega: float, pole_pairs: int) -> str:
     """An electrical speed in rad/s as rpm of the shaft."""
-    return f"{omega / pole_pairs * 30.0 / math.pi:.4g} rpm"
+    return f"{in_rpm(omega / pole_pairs):.4g} rpm"
 
 
 def load_name(share: float) -> str:
@@ -529,8 +530,8 @@ def pair_lines(asked: Question, pair: FlashedPair) -> tuple[str, ...]:
         over = "no speed for a hand-over: at none does it hold at every load"
     else:
         over = (
-            f"hand over above {rpm(pair.up, pairs)} ({hertz(pair.up)} Hz), and back below "
-            f"{rpm(pair.down, pairs)} ({hertz(pair.down)} Hz)"
+            f"hand over above {shaft_speed(pair.up, pairs)} ({hertz(pair.up)} Hz), and back below "
+            f"{shaft_speed(pair.down, pairs)} ({hertz(pair.down)} Hz)"
         )
     lines = [first, over, *_loop_lines(asked, pair)]
     if pair.passed:
@@ -540,7 +541,7 @@ def pair_lines(asked: Question, pair: FlashedPair) -> tuple[str, ...]:
         )
     lines += _keys(asked, pair)
     if pair.gap is not None:
-        from_, to = (rpm(omega, pairs) for omega in pair.gap)
+        from_, to = (shaft_speed(omega, pairs) for omega in pair.gap)
         lines.append(f"neither holds at every load from {from_} to {to}")
     return tuple(lines)
 
@@ -555,7 +556,7 @@ def _loop_lines(asked: Question, pair: FlashedPair) -> list[str]:
     text = f"the speed loop over {pair.at_speed} has {margin}{verdict}"
     if not math.isfinite(loop.low):
         return [f"{text}; at no speed every corner of the tolerances is stable"]
-    least = rpm(loop.low, asked.design.machine.pole_pairs)
+    least = shaft_speed(loop.low, asked.design.machine.pole_pairs)
     return [f"{text}; every corner of the tolerances is stable from {least} on"]
 
 
@@ -565,7 +566,7 @@ def _keys(asked: Question, pair: FlashedPair) -> list[str]:
         return [f"write control.observer: {{method: {pair.at_speed}}}"]
     keys = [f"method: {pair.start}"]
     if pair.up is not None:
-        keys.append(f"hand_over: {rpm(pair.up, asked.design.machine.pole_pairs)}")
+        keys.append(f"hand_over: {shaft_speed(pair.up, asked.design.machine.pole_pairs)}")
     if pair.start == BY_SALIENCY:
         keys.append(f"observer: {{method: {pair.from_standstill}}}")
     start = f"{{{', '.join(keys)}}}"

@@ -28,6 +28,7 @@ from dqforge.machines.plants.scenario import (
     constant,
 )
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import CURRENT_DELAY
 from dqforge.optimizer.observers.methods.flux import design as flux_gains
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import LARGEST_TURN, ObserverTuning
@@ -188,7 +189,7 @@ def control_gains(drive: RandomDrive, template: Mapping[str, object]) -> PlainDa
         "l_d": machine.l_d,
         "l_q": machine.l_q,
         "psi_pm": machine.psi_pm,
-        "advance": 1.5 * t_s,
+        "advance": CURRENT_DELAY * t_s,
         "torque_max": drive.torque_rated,
     }
 

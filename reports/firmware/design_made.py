@@ -15,10 +15,12 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.design.catalogue import load_text, overridden, read_override
 from dqforge.machines.design.numerical import numerical_errors
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.errors import InputError, NoSolutionError, leading_path
 from dqforge.machines.files.positioned_yaml import parse_yaml, written
 from dqforge.machines.names import Firmware
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import parse_quantity
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues, Origin, PiGains
@@ -654,7 +656,7 @@ class _Writer:
         if not known or drive.pole_pairs is None or drive.psi_pm is None or drive.t_s is None:
             self._left_out(speed, "pole pairs, magnet flux and period are not all known")
             return
-        per_ampere = 1.5 * drive.pole_pairs * drive.psi_pm
+        per_ampere = torque_per_ampere(drive.pole_pairs, drive.psi_pm)
         margin = "  " if inertia else "  # "
         if not inertia:
             self.lines.append("  # With machine.inertia the speed controller can be judged:")
@@ -696,7 +698,7 @@ def exact_text(value: float, unit: str, dimension: str) -> str:
 
 def speed_text(value: float, unit: str, dimension: str) -> str:
     """A speed in rpm where that is a number of few digits, else as `exact_text`."""
-    text = f"{float(f'{value * 30.0 / math.pi:.9g}'):.9g} rpm"
+    text = f"{float(f'{in_rpm(value):.9g}'):.9g} rpm"
     read = parse_quantity(text, dimension)
     # Equal but for the last bit, in which the order of the products counts.
     same = math.isclose(read, value, rel_tol=4.0 * sys.float_info.epsilon)

@@ -11,6 +11,7 @@ import struct
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, get_args
 
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.records import dataclass
@@ -83,7 +84,7 @@ def loop_numbers(profile: LoopProfile, values: DriveValues) -> LoopNumbers:
         ("voltage_share", current.voltage_share / math.sqrt(3.0)),
         ("advance, s", current.angle_advance * t_s),
         ("current_max, A", _needed(values.i_max, "i_max")),
-        ("torque per ampere, N m/A", 1.5 * pole_pairs * psi_pm),
+        ("torque per ampere, N m/A", torque_per_ampere(pole_pairs, psi_pm)),
         ("psi_pm, Wb", psi_pm),
         ("saliency, H", (values.l_q or 0.0) - (values.l_d or 0.0) if salient else 0.0),
         ("ramp_step, rad/s", _ramp_step(profile)),

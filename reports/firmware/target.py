@@ -18,6 +18,7 @@ from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.names import Firmware, LoadedByName
 from dqforge.machines.plants.scenario import ControlMode, Profile, Scenario
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import linear_voltage
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.reports.firmware.loop_code import (
     PREFIX,
@@ -160,7 +161,7 @@ def base_speed(profile: LoopProfile, machine: Machine, i_q: float, v_dc: float) 
         i_q: Current in A (peak of phase).
         v_dc: Voltage of the dc link in V.
     """
-    v_max = profile.current.voltage_share * v_dc / math.sqrt(3.0)
+    v_max = profile.current.voltage_share * linear_voltage(v_dc)
     flux_d, flux_q = machine.flux(np.array([0.0]), np.array([i_q]))
     psi_d, psi_q, drop = float(flux_d[0]), float(flux_q[0]), machine.r_s * i_q
     square, middle = psi_d**2 + psi_q**2, drop * psi_d

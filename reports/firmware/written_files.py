@@ -15,7 +15,7 @@ from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
 from dqforge.optimizer.firmware.solve import FirmwareFit
-from dqforge.reports.capability import Capability, Outcome, ReportPart, Rows
+from dqforge.reports.capability import Capability, Outcome, Passage, ReportPart, Rows
 from dqforge.reports.firmware.design_made import Targets, in_file, read_file, together
 from dqforge.reports.firmware.target import TARGETS, FileTitle, Target, TextFile, decoded_file
 from dqforge.reports.loops.firmware_text import pole_text
@@ -626,23 +626,21 @@ def _html(table: Table, text_columns: int) -> HtmlTable:
     return HtmlTable(symbols(table.title), columns, rows, text_columns, notes)
 
 
-def _part(solution: Solution, fit: FirmwareFit) -> PlainData:
+def _passage(solution: Solution, fit: FirmwareFit) -> Passage:
     files, (values, loops, *lost) = firmware_files(solution.design, fit), _tables_of(solution, fit)
-    return {
-        "title": target_named(fit).title,
-        "tables": [
-            replace(
-                _html(replace(values, title=", ".join(files)), len(values.columns)), folded=True
-            ),
-            _html(loops, 1),
-            *(_html(table, len(table.columns)) for table in lost),
-        ],
-    }
+    held = _html(replace(values, title=", ".join(files)), len(values.columns))
+    rest = [_html(loops, 1), *(_html(table, len(table.columns)) for table in lost)]
+    tables = [replace(held, folded=True), *rest]
+    return Passage(title=target_named(fit).title, tables=tables, kind="loops words")
 
 
 def _parts(solution: Solution, fits: Fits) -> list[ReportPart]:
-    made = [_part(solution, fit) for fit in fits]
-    return [ReportPart(CHAPTER, "firmware/fits_report.html.j2", {"fits": made})]
+    text = (
+        "The same drive as the firmware of others runs it: what its file holds, the loops that "
+        "this amounts to, and what is lost."
+    )
+    passages = [Passage(text=[text]), *(_passage(solution, fit) for fit in fits)]
+    return [passage.of(CHAPTER) for passage in passages]
 
 
 FIRMWARE = Capability(

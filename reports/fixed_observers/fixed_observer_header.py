@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
     FixedObserverFit,
     FixedPositionObserver,
@@ -75,7 +76,6 @@ def _preamble(fit: FixedObserverFit, design: Design) -> list[str]:
     observer, fullest = fit.observer, fit.fullest
     bits, code, prefix = observer.width, observer.method.code, design.export.prefix
     current, voltage, speed = observer.bases
-    rpm = 30.0 / math.pi
     return [
         f"Method: {METHODS[observer.method.name].title}, every {design.control.t_s * 1e6:.6g} us.",
         *wrap(
@@ -87,7 +87,8 @@ def _preamble(fit: FixedObserverFit, design: Design) -> list[str]:
         *wrap(
             "Inside all codes have 32 bits, products 64: filters and loop would come to rest in "
             f"dead bands of 16. What is shown is rounded to {math.degrees(fit.angle_step):.3g} deg "
-            f"and {fit.speed_step * rpm:.3g} rpm; an estimated speed beyond full scale saturates.",
+            f"and {in_rpm(fit.speed_step):.3g} rpm; an estimated speed beyond full scale "
+            "saturates.",
             110,
         ),
         *wrap(
@@ -110,7 +111,7 @@ def fit_in_words(fit: FixedObserverFit) -> str:
     """What is proven of an observer and what one code of its estimates is, in words."""
     return (
         f"{fit.observer.format}: {len(fit.reaches)} products and sums never overflow, codes of "
-        f"{math.degrees(fit.angle_step):.3g} deg and {30.0 / math.pi * fit.speed_step:.3g} rpm"
+        f"{math.degrees(fit.angle_step):.3g} deg and {in_rpm(fit.speed_step):.3g} rpm"
     )
 
 

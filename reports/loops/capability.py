@@ -28,6 +28,7 @@ from dqforge.reports.capability import (
     Draw,
     Flashed,
     Outcome,
+    Passage,
     Quantity,
     ReportPart,
     Rows,
@@ -510,7 +511,11 @@ def _parts(solution: Solution, gains: GainSet) -> list[ReportPart]:
         *tolerance_tables(gains, pole_pairs),
     ]
     key = f"smallest phase margin {_tiles(solution, gains)[0].value}"
-    return [ReportPart(CHAPTER, "loops/report.html.j2", {"tables": tables}, key)]
+    caption = (
+        "Left: response to a unit step of the reference. Right: open loops up to half their "
+        "sampling frequency; dots mark the crossovers, thick lines the phase margins."
+    )
+    return [Passage(drawings=[("loops", caption)], tables=tables, kind="loops").of(CHAPTER, key)]
 
 
 def _hertz(omega: float) -> float:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dqforge.machines.transforms import in_rpm
 from dqforge.reports.c_code.numbers import rounded_up
 
 if TYPE_CHECKING:
@@ -144,7 +145,7 @@ def firmware_notes(firmware: FirmwareLoops) -> tuple[str, ...]:
     if turning is not None:
         notes.append(
             f"both current loops together up to the largest speed: largest pole modulus "
-            f"{turning.radius:.5f}, at {turning.omega_m * 30.0 / math.pi:.4g} rpm"
+            f"{turning.radius:.5f}, at {in_rpm(turning.omega_m):.4g} rpm"
         )
     notes += firmware.judged.remarks
     notes += [f"cannot be held: {_shortfall(found)}" for found in firmware.shortfalls]
@@ -254,7 +255,7 @@ def _between(values: tuple[float, float], scale: float = 1.0) -> str:
 
 
 def _rpm(omega_e: float, pole_pairs: int) -> float:
-    return omega_e / pole_pairs * 30.0 / math.pi
+    return in_rpm(omega_e / pole_pairs)
 
 
 def proof_text(proof: CurrentLoopProof, pole_pairs: int) -> str:

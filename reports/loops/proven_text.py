@@ -9,6 +9,7 @@ import textwrap
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from dqforge.machines.transforms import in_rpm
 from dqforge.reports.loops.firmware_text import (
     FIRMWARE_COLUMNS,
     FORM_COLUMNS,
@@ -268,7 +269,7 @@ _WORST = ("worst radius", "at")
 
 
 def _rpm(speed: JudgedSpeed) -> str:
-    return f"{speed.omega_m * 30.0 / math.pi:.5g}"
+    return f"{in_rpm(speed.omega_m):.5g}"
 
 
 def _orders(speed: JudgedSpeed) -> str:

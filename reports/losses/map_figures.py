@@ -12,12 +12,13 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.losses.drive_budget import PARTS
 from dqforge.optimizer.losses.drive_comparison import Alternatives, MissionComparison, MissionRun
 from dqforge.optimizer.losses.phase_comparison import LossComparison
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.capability import Capability, Draw, ReportPart, Rows, Tile
+from dqforge.reports.capability import Capability, Draw, Passage, ReportPart, Rows, Tile
 from dqforge.reports.losses.map_tables import (
     alternative_text,
     leg_notes,
@@ -61,7 +62,6 @@ from dqforge.reports.pages.html_text import (
 )
 from dqforge.reports.pages.templating import LOSSES as CHAPTER
 from dqforge.reports.pages.templating import OTHERS, WINNERS, cell_edges, draw_cells, inside
-from dqforge.reports.plain_data import PlainData
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,7 +70,6 @@ if TYPE_CHECKING:
     from dqforge.optimizer.losses.loss_map import LossMap
 
 
-_RPM = 30.0 / math.pi
 BARS_SHOWN = 14  # Alternatives in a figure; a table has room for more.
 _ROW = 0.22
 _VISIBLE = 1e-4  # Share of the total from which a kind of loss is drawn.
@@ -150,7 +149,7 @@ def _draw_winners(axes: Axes, found: LossMap, alternatives: Alternatives) -> Non
     code = np.full(best.shape, -1)
     for place, k in enumerate(ranked):
         code[best == k] = min(place, len(WINNERS))
-    speed, torque = cell_edges(found.omega_m) * _RPM, cell_edges(found.torque)
+    speed, torque = in_rpm(cell_edges(found.omega_m)), cell_edges(found.torque)
     draw_cells(axes, code, speed, torque)
     for k in named:
         mask = best == k
@@ -158,7 +157,7 @@ def _draw_winners(axes: Axes, found: LossMap, alternatives: Alternatives) -> Non
             i, j = inside(mask)
             text = alternative_text(alternatives, k, plain=False).replace(", ", "\n")
             axes.text(
-                found.omega_m[j] * _RPM,
+                in_rpm(found.omega_m[j]),
                 found.torque[i],
                 text,
                 ha="center",
@@ -420,12 +419,6 @@ _WATT_HOUR = 3600.0
 _MOST_ROWS = 40
 
 
-def mission_part(design: Design, found: MissionComparison) -> PlainData:
-    """What the report prints of a mission."""
-    (table,) = mission_tables(design, found)
-    return {"source": found.mission.source, "notes": table.notes, "table": _table(found)}
-
-
 def _table(found: MissionComparison) -> HtmlTable:
     """Energies in Wh by kind; what is less than 0.01 % everywhere is in the total alone."""
     kinds = [
@@ -476,12 +469,6 @@ def best_loss(comparison: LossComparison) -> tuple[str, str, str] | None:
             f"at {point_text(point)}{against}",
         )
     return None
-
-
-def loss_part(comparison: LossComparison) -> PlainData:
-    """What the report prints of a comparison."""
-    left_out = max(0, len(comparison.points) - POINTS_SHOWN)
-    return {"tables": loss_tables(comparison), "points_left_out": left_out}
 
 
 def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
@@ -551,7 +538,7 @@ def _watts(value: float) -> str:
 def _summary(_: Solution, comparison: LossComparison) -> Rows:
     rows = []
     for p, (point, best) in enumerate(zip(comparison.points, comparison.best_labels, strict=True)):
-        label = f"losses at {point.torque:.4g} N m, {point.omega_m * 30.0 / math.pi:.4g} rpm"
+        label = f"losses at {point.torque:.4g} N m, {in_rpm(point.omega_m):.4g} rpm"
         if best is None:
             rows.append((label, "no alternative is feasible"))
             continue
@@ -592,7 +579,14 @@ def _figures(solution: Solution, comparison: LossComparison) -> Mapping[str, Dra
 def _parts(_: Solution, comparison: LossComparison) -> list[ReportPart]:
     best = best_loss(comparison)
     key = "" if best is None else f"{best[0]} with {best[1]}"
-    return [ReportPart(CHAPTER, "losses/comparison.html.j2", loss_part(comparison), symbols(key))]
+    caption = (
+        "Losses of every control strategy with every modulator; total and junction temperature at "
+        "the end of each bar."
+    )
+    if len(comparison.points) > POINTS_SHOWN:
+        caption += " The tables below have the other operating points, too."
+    shown = Passage(drawings=[("losses", caption)], tables=loss_tables(comparison))
+    return [shown.of(CHAPTER, symbols(key))]
 
 
 def _mission_figures(_: Solution, found: MissionComparison) -> Mapping[str, Draw]:
@@ -601,8 +595,18 @@ def _mission_figures(_: Solution, found: MissionComparison) -> Mapping[str, Draw
 
 
 def _mission_parts(solution: Solution, found: MissionComparison) -> list[ReportPart]:
-    data = mission_part(solution.design, found)
-    return [ReportPart(CHAPTER, "losses/mission.html.j2", data)]
+    (table,) = mission_tables(solution.design, found)
+    caption = (
+        "Top: energy lost by kind over the mission, least first. Bottom: hottest junction over "
+        "time, of the best alternative and, pale, of the first."
+    )
+    shown = Passage(
+        title=f"Mission {found.mission.source}",
+        drawings=[("mission", caption)],
+        tables=[_table(found)],
+        notes=table.notes,
+    )
+    return [shown.of(CHAPTER)]
 
 
 LOSSES = Capability(

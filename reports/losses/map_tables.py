@@ -9,6 +9,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.losses.drive_budget import PARTS
 from dqforge.optimizer.losses.drive_comparison import Alternatives, MissionComparison, MissionRun
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from dqforge.optimizer.losses.loss_map import LossMap
 
 
-_RPM = 30.0 / math.pi
 _GRID = (10, 12)  # Torques and speeds of the map in the terminal at most.
 _MOST_ROWS = 40
 
@@ -124,7 +124,7 @@ def _winner_table(found: LossMap) -> Table:
         )
         for i in places[0][::-1]
     ]
-    columns = ("N m \\ rpm", *(f"{found.omega_m[j] * _RPM:.0f}" for j in places[1]))
+    columns = ("N m \\ rpm", *(f"{in_rpm(found.omega_m[j]):.0f}" for j in places[1]))
     seen = np.unique(best[best >= 0])
     alternatives = found.comparison.alternatives
     named = [f"{letter(int(k))} = {alternative_text(alternatives, int(k))}" for k in seen]
@@ -385,10 +385,7 @@ def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
                 # Strategies with the same currents differ by rounding, which nobody saves.
                 saving = three_decimals(round(float(comparison.saving[index]), 6))
                 rows.append((strategy, modulation, *texts, saving, mark))
-        title = (
-            f"{design.name}: losses at {point.torque:.4g} N m, "
-            f"{point.omega_m * 30.0 / math.pi:.5g} rpm"
-        )
+        title = f"{design.name}: losses at {point.torque:.4g} N m, {in_rpm(point.omega_m):.5g} rpm"
         notes = [
             friction_text(comparison, p),
             WITHOUT_BRIDGE if comparison.scope != "drive" else "",

@@ -9,6 +9,8 @@ import textwrap
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from dqforge.machines.transforms import in_rpm
+
 if TYPE_CHECKING:
     from dqforge.optimizer.estimators import TunedTracker
     from dqforge.optimizer.loops.loop_gains import LoopGains
@@ -243,7 +245,7 @@ def _down(value: float, *, up: bool = False) -> str:
 
 
 def _rpm(omega: float, pole_pairs: int, *, up: bool = False) -> str:
-    return f"{_down(omega / pole_pairs * 30.0 / math.pi, up=up)} rpm"
+    return f"{_down(in_rpm(omega / pole_pairs), up=up)} rpm"
 
 
 def promise_lines(gains: LoopGains | None) -> list[str]:

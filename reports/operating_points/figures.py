@@ -4,13 +4,13 @@ and the torque-speed map with its regions.
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
+from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.operating_points.characteristics import (
     Characteristics,
     Envelope,
@@ -45,8 +45,6 @@ if TYPE_CHECKING:
     from matplotlib.contour import ContourSet
     from matplotlib.figure import Figure
 
-
-_RPM = 30.0 / math.pi
 
 # Efficiencies in percent that a line may stand for.
 _LEVELS = np.array(
@@ -117,7 +115,7 @@ def plot_speed(points: OptimalPoints, limit: VoltageLimit) -> Figure:
             )
         upper.axhline(0.0, color=MUTED, linewidth=0.8, zorder=1)
         upper.margins(y=0.12)
-        upper.set_title(f"{points.omega_m[0] * _RPM:.5g} rpm")
+        upper.set_title(f"{in_rpm(points.omega_m[0]):.5g} rpm")
         _mark_regions(upper, lower, points)
         label_in_unit(upper.yaxis, "Current in {} (peak)", float(np.max(np.abs(points.i_q))), "A")
         lower.plot(points.torque[kept], points.voltage[kept], color=INK, linewidth=1.3)
@@ -208,7 +206,7 @@ def _draw_efficiency(axes: Axes, chart: OperatingMap, envelope: Envelope, top: f
     levels = _chosen_levels(chart.efficiency)
     if not levels:
         return
-    speed = chart.omega_m[1:] * _RPM
+    speed = in_rpm(chart.omega_m[1:])
     percent = np.ma.masked_invalid(_filled(chart.efficiency.copy())[:, 1:])
     shades = [_SHADES[round(k * (len(_SHADES) - 1) / len(levels))] for k in range(len(levels) + 1)]
     edges = [min(0.0, float(percent.min())) - 1.0, *levels, 101.0]
@@ -227,15 +225,15 @@ def _draw_efficiency(axes: Axes, chart: OperatingMap, envelope: Envelope, top: f
     )
     points = envelope.points
     axes.fill_between(
-        points.omega_m * _RPM, points.torque, top, color=PAPER, linewidth=0, zorder=2.5
+        in_rpm(points.omega_m), points.torque, top, color=PAPER, linewidth=0, zorder=2.5
     )
     real = np.ma.masked_invalid(100.0 * chart.efficiency[:, 1:])
     guide = axes.contour(speed, chart.torque, real, levels=levels, linewidths=0.0)
     begin = np.linspace(0.0, float(envelope.weakening_torque[-1]), 60)
     curves = [
-        np.column_stack([points.omega_m * _RPM, points.torque]),
+        np.column_stack([in_rpm(points.omega_m), points.torque]),
         np.column_stack(
-            [np.interp(begin, envelope.weakening_torque, envelope.weakening_speed) * _RPM, begin]
+            [in_rpm(np.interp(begin, envelope.weakening_torque, envelope.weakening_speed)), begin]
         ),
     ]
     places = _label_places(axes, guide, curves)
@@ -264,8 +262,8 @@ def _draw_envelope(axes: Axes, figures: Characteristics, envelope: Envelope) -> 
     holds the torque changes.
     """
     points = envelope.points
-    speed, end = points.omega_m * _RPM, axes.get_xlim()[1]
-    begin = envelope.weakening_speed * _RPM
+    speed, end = in_rpm(points.omega_m), axes.get_xlim()[1]
+    begin = in_rpm(envelope.weakening_speed)
     dashes = (0, (4.0, 2.0))
     label = "field weakening begins"
     if float(np.min(begin)) < end:
@@ -279,7 +277,7 @@ def _draw_envelope(axes: Axes, figures: Characteristics, envelope: Envelope) -> 
             zorder=3,
         )
     axes.plot(speed, points.torque, color=INK, linewidth=1.6, label="most torque", zorder=3)
-    base = figures.base_speed * _RPM
+    base = in_rpm(figures.base_speed)
     if base < end:
         _mark(axes, base, figures.torque_max, f"base speed {base:.4g} rpm")
     touching = np.flatnonzero(points.active == Active.MTPV)
@@ -301,7 +299,7 @@ def plot_operating_map(figures: Characteristics, envelope: Envelope, chart: Oper
         )
         axes = figure.add_axes((0.09, 0.115, 0.87, 0.81))
         axes.set(
-            xlim=(0.0, float(chart.omega_m[-1]) * _RPM), ylim=(0.0, top), xlabel="Speed in rpm"
+            xlim=(0.0, in_rpm(float(chart.omega_m[-1]))), ylim=(0.0, top), xlabel="Speed in rpm"
         )
         _draw_efficiency(axes, chart, envelope, top)
         _draw_envelope(axes, figures, envelope)

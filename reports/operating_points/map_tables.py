@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dqforge.machines.design.design import Design
+from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.operating_points.characteristics import (
     Characteristics,
     DrivePoints,
@@ -23,9 +24,6 @@ from dqforge.optimizer.operating_points.solve import Curves
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import significant
 from dqforge.reports.plain_data import PlainData
-
-_RPM = 30.0 / math.pi
-
 
 _ENVELOPE_ROWS = 13
 
@@ -46,7 +44,7 @@ def _limit_note(limit: VoltageLimit) -> str:
 def _point_row(points: OptimalPoints, losses: DriveLosses, k: int) -> tuple[str, ...]:
     label = Active(int(points.active[k])).label
     return (
-        _number(points.omega_m[k] * _RPM),
+        _number(in_rpm(points.omega_m[k])),
         _number(points.torque_request[k]),
         _number(points.torque[k])
         if points.reached[k]
@@ -99,7 +97,7 @@ def _harmonics_tables(found: DrivePoints) -> list[Table]:
     torque = ("torque p-p N m", "6th N m", "12th N m", "copper W")
     rows = tuple(
         (
-            _number(points.omega_m[k] * _RPM),
+            _number(in_rpm(points.omega_m[k])),
             _number(points.torque[k]),
             _number(100.0 * ripple.index[k]),
             _number(100.0 * ripple.distortion[k]),
@@ -178,7 +176,7 @@ def point_tables(
     short = "" if points.reached[0] else " (no more)"
     current = float(np.hypot(points.i_d[0], points.i_q[0]))
     rows = [
-        ("speed", f"{_number(points.omega_m[0] * _RPM)} rpm"),
+        ("speed", f"{_number(in_rpm(points.omega_m[0]))} rpm"),
         ("torque asked for", f"{_number(points.torque_request[0])} N m"),
         ("torque", f"{_number(torque)} N m{short}"),
         ("held by", _HELD_BY[Active(int(points.active[0]))]),
@@ -218,7 +216,7 @@ def _envelope_rows(envelope: Envelope) -> tuple[tuple[str, ...], ...]:
     changes = np.flatnonzero(np.diff(points.active)) + 1
     return tuple(
         (
-            _number(points.omega_m[k] * _RPM),
+            _number(in_rpm(points.omega_m[k])),
             _number(points.torque[k]),
             _number(envelope.power[k] * 1e-3),
             _number(points.i_d[k]),
@@ -246,13 +244,13 @@ def envelope_tables(
     """Figures of the drive, and the largest torque over speed."""
     current = figures.characteristic_current
     end = figures.speed_max
-    power = f"{figures.power_max * 1e-3:.4g} kW at {_number(figures.power_speed * _RPM)} rpm"
-    last = "any speed" if end is None else f"{_number(end * _RPM)} rpm"
+    power = f"{figures.power_max * 1e-3:.4g} kW at {_number(in_rpm(figures.power_speed))} rpm"
+    last = "any speed" if end is None else f"{_number(in_rpm(end))} rpm"
     rows = (
         ("largest torque", f"{figures.torque_max:.4g} N m{_held_text(figures, 'torque_max')}"),
         (
             "base speed",
-            f"{_number(figures.base_speed * _RPM)} rpm{_held_text(figures, 'base_speed')}",
+            f"{_number(in_rpm(figures.base_speed))} rpm{_held_text(figures, 'base_speed')}",
         ),
         ("largest power", f"{power}{_held_text(figures, 'power_max')}"),
         ("characteristic current", "none" if current is None else f"{current:.4g} A (peak)"),

@@ -26,7 +26,7 @@ from dqforge.reports.operating_system.host_compiler import (
     require_compiler,
 )
 from dqforge.reports.operating_system.system import processors
-from dqforge.reports.pages.templating import render
+from dqforge.reports.pages.templating import resource
 
 # Packages of Python, and what they are for.
 PACKAGES = {
@@ -398,7 +398,7 @@ def try_compiler(language: Language) -> Trial:
         name, path = compiler.name, compiler.command[0]
         with tempfile.TemporaryDirectory(prefix="dqforge-") as place:
             folder = Path(place)
-            source = render("operating_system/trial.c.j2", {})
+            source = resource("operating_system/trial.c")
             (folder / "trial.c").write_text(source, encoding="ascii", newline="\n")
             flags = (f"-std={_STANDARDS[language]}", *_FLAGS)
             _run(

@@ -14,6 +14,7 @@ from dqforge.machines.design.settings import LoadPoint
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Core, NumberFormat
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.current_reference.forms import ReferenceErrors
 from dqforge.reports.c_code.numbers import rounded_up
@@ -214,7 +215,7 @@ def modulation_label(name: str) -> str:
 
 def point_text(point: LoadPoint) -> str:
     """An operating point with its speed in the unit of data sheets."""
-    return f"{point.torque:.4g}{_SPACE}N{_SPACE}m, {point.omega_m * 30.0 / math.pi:.4g}{_SPACE}rpm"
+    return f"{point.torque:.4g}{_SPACE}N{_SPACE}m, {in_rpm(point.omega_m):.4g}{_SPACE}rpm"
 
 
 def watts(value: float) -> str:

@@ -15,6 +15,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import SpeedLoopSettings
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.phase_machines.frame_transforms import thesis_shapes, to_frame
@@ -40,6 +41,7 @@ from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.templating import render
 from dqforge.reports.papers.paper002_bench_currents import BENCH_TORQUE, DESIGN_NAME, bench_machine
 from dqforge.reports.papers.paper002_compensation import TRAPEZOID_FLUX
+from dqforge.reports.papers.transients import RPM
 from dqforge.reports.phase_control.header import (
     Surroundings,
     header_context,
@@ -49,7 +51,6 @@ from dqforge.reports.phase_control.header import (
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import Simulation, Simulator, simulate, simulator
 
-RPM = np.pi / 30.0
 BENCH_SPEED = 750.0 * RPM  # rad/s, section 6.2.
 _STEADY, _TAIL = 1.2, 0.4  # s: until the integrators have settled, and what is judged
 _WORKERS = 2
@@ -353,7 +354,7 @@ def phase_control(case: LoopCase, machine: PhaseMachine, t_s: float) -> PhaseCon
         gains=(_axis(plane), _axis(plane), _axis(zero) if neutral else AxisGains(0.0, 0.0)),
         harmonics=_harmonics(neutral, alike, t_s) if case.harmonics else None,
         t_s=t_s,
-        torque_max=1.5 * machine.pole_pairs * machine.psi_pm * machine.i_max,
+        torque_max=torque_per_ampere(machine.pole_pairs, machine.psi_pm) * machine.i_max,
         # The midpoint is half of a link that does not move: nothing is balanced, nothing fades.
         midpoint=MidpointGains(0.0, 0.0) if TOPOLOGIES[case.firmware].midpoint else None,
     )

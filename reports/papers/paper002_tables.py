@@ -33,7 +33,6 @@ from dqforge.reports.papers.paper002_bench_currents import (
 )
 from dqforge.reports.papers.paper002_closed_loops import (
     BENCH_SPEED,
-    RPM,
     SHIPPED,
     ClosedLoops,
     DiodePath,
@@ -61,6 +60,7 @@ from dqforge.reports.papers.paper002_compensation import (
     table_3_1,
     trapezoid_machine,
 )
+from dqforge.reports.papers.transients import RPM
 from dqforge.reports.plain_data import PlainData
 
 if TYPE_CHECKING:

@@ -13,9 +13,10 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import NumberFormat
 from dqforge.machines.topologies import TOPOLOGIES
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.capability import Capability, Draw, Outcome, ReportPart
+from dqforge.reports.capability import Capability, Draw, Outcome, Passage, ReportPart
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import (
     AXIS_COLOURS,
@@ -249,19 +250,34 @@ def run_key(found: DriveSimulation) -> str:
     return f"at most {away} from the reference"
 
 
-def simulation_part(found: DriveSimulation) -> PlainData:
-    """What the report's template prints of a simulation: tables and file names."""
-    prefix = found.design.export.prefix
-    return {
-        "tables": simulation_html(found),
-        "files": list(found.files()),
-        "controllers": [f"{prefix}_six_step.h"]
-        if found.six_step is not None
-        else [control_header_name(prefix, name) for name in found.formats],
-        "firmware": [each.firmware for each in found.every if each.firmware is not None],
-        "remarks": [remark for each in found.every for remark in each.remarks],
-        "figures": [figure_name(each.label, number) for number, each in enumerate(found.every)],
-    }
+def simulation_passage(found: DriveSimulation) -> Passage:
+    """What the report says of a simulation."""
+    from markupsafe import Markup
+
+    prefix, code = found.design.export.prefix, Markup("<code>{}</code>")
+    controllers = [control_header_name(prefix, name) for name in found.formats]
+    if found.six_step is not None:
+        controllers = [f"{prefix}_six_step.h"]
+    held = Markup(" and that of ").join(code.format(name) for name in controllers)
+    loops = ""
+    for name in (each.firmware for each in found.every if each.firmware is not None):
+        remarks = "".join(f"; {remark}" for each in found.every for remark in each.remarks)
+        loops += (
+            f" The same drive is run by loops with the structure of {name}, at their own sampling "
+            f"and delay{remarks}."
+        )
+    files = Markup(" and ").join(code.format(name) for name in found.files())
+    text = Markup(
+        "The controller of {}, compiled, runs the simulated drive sample by sample; its duty "
+        "cycles act one period later.{} The samples are in {}."
+    ).format(held, loops, files)
+    caption = (
+        "Speed, torque, currents and duty cycles at the sampling instants; dashed: references."
+    )
+    names = [figure_name(each.label, number) for number, each in enumerate(found.every)]
+    captions = [caption, *(f"The same, {name.split('_')[-1]}." for name in names[1:])]
+    drawings = list(zip(names, captions, strict=True))
+    return Passage(text=[text], drawings=drawings, tables=simulation_html(found))
 
 
 def control_header_name(prefix: str, number_format: NumberFormat) -> str:
@@ -397,7 +413,7 @@ def _figures(_: Solution, found: DriveSimulation) -> Mapping[str, Draw]:
 
 def _parts(_: Solution, found: DriveSimulation) -> list[ReportPart]:
     return [
-        ReportPart(CHAPTER, "simulation/report.html.j2", simulation_part(found), run_key(found))
+        simulation_passage(found).of(CHAPTER, run_key(found)),
     ]
 
 
@@ -422,7 +438,6 @@ def _simulation(outcome: Outcome) -> DriveSimulation | None:
 
 # Figure of a simulation: speed, torque, currents and duty cycles over time.
 
-_RPM = 30.0 / math.pi
 _PHASES = (("a", BLUE), ("b", ORANGE), ("c", TEAL))
 
 
@@ -520,13 +535,13 @@ def plot_simulation(found: DriveSimulation) -> Figure:
             _angle(axes[3], time, found)
         if split and run.phases is not None:
             _midpoint(axes[-2], time, run.phases.v_midpoint)
-        _line(speed, time, run.omega_m * _RPM, TEAL, "speed")
+        _line(speed, time, in_rpm(run.omega_m), TEAL, "speed")
         if run.start is not None:
             _states(speed, time, run.start)
         if seen is not None:
-            _line(speed, time, run.omega_m_observed * _RPM, ORANGE, "observed", 0.7)
+            _line(speed, time, in_rpm(run.omega_m_observed), ORANGE, "observed", 0.7)
         elif run.scenario.encoder.speed != "exact" and run.scenario.encoder.lines > 0:
-            _line(speed, time, run.omega_m_measured * _RPM, PALE, "measured", 0.7)
+            _line(speed, time, in_rpm(run.omega_m_measured), PALE, "measured", 0.7)
         speed.set_ylabel("Speed in rpm")
         _line(torque, time, run.torque, ORANGE, "torque")
         _line(torque, time, run.torque_load, MUTED, "load", 0.9)
@@ -534,7 +549,7 @@ def plot_simulation(found: DriveSimulation) -> Figure:
         _currents(currents, time, run)
         _duties(duty, time, run)
         duty.set(xlabel=f"Time in {unit}", xlim=(0.0, float(time[-1])))
-        wanted_of = {"speed": (speed, run.reference * _RPM), "torque": (torque, run.reference)}
+        wanted_of = {"speed": (speed, in_rpm(run.reference)), "torque": (torque, run.reference)}
         if run.scenario.mode in wanted_of:
             _reference(wanted_of[run.scenario.mode][0], time, wanted_of[run.scenario.mode][1])
         for panel in axes:

@@ -11,7 +11,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
-from dqforge.machines.transforms import Reals
+from dqforge.machines.transforms import Reals, in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.curves.single_precision import SingleArray, SinglePolynomial
 from dqforge.optimizer.field_weakening.fit import DomainBorders, SurfaceTrial, WeakeningFit
@@ -30,7 +30,7 @@ from dqforge.reports.c_code.harness import (
     title,
 )
 from dqforge.reports.c_code.numbers import comment_text, float_literal, rounded_up
-from dqforge.reports.capability import Capability, Draw, Quantity, ReportPart, Rows
+from dqforge.reports.capability import Capability, Draw, Passage, Quantity, ReportPart, Rows
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import MAP_INK, MAP_MUTED, label_in_unit, new_figure, style
 from dqforge.reports.pages.html_text import HtmlTable, Row, count, symbols
@@ -222,7 +222,7 @@ def _comment(fit: WeakeningFit) -> list[str]:
 
 
 def _preamble(design: Design, fit: WeakeningFit) -> list[str]:
-    rpm = fit.settings.omega_m * 30.0 / np.pi
+    rpm = in_rpm(fit.settings.omega_m)
     return [
         (
             f"{design.machine.pole_pairs} pole pairs, {design.i_max:.6g} A (peak), up to "
@@ -596,18 +596,36 @@ def weakening_html(fit: WeakeningFit) -> HtmlTable:
     )
 
 
-def weakening_part(fit: WeakeningFit, prefix: str) -> PlainData:
+def weakening_passage(fit: WeakeningFit, prefix: str) -> Passage:
     """The part of the report on field weakening."""
-    return {
-        "domain": domain_text(fit),
-        "errors": errors_text(fit),
-        "nominal": nominal_text(fit),
-        "proven": proof_text(fit),
-        "samples": count(fit.errors.samples + fit.voltage.samples),
-        "least_voltage": least_voltage_text(fit),
-        "table": weakening_html(fit),
-        "prefix": prefix,
-    }
+    proven, samples = proof_text(fit), count(fit.errors.samples + fit.voltage.samples)
+    bounds = "They are sampled, not proven."
+    if proven:
+        bounds = (
+            "Proven for every torque, motoring and generating, voltages from "
+            f"{least_voltage_text(fit)} up and speeds up to the largest, rounding included: "
+            f"{proven}; what is granted of a torque beyond reach, and the copper loss, are sampled."
+        )
+    text = (
+        "Currents over torque, voltage and speed, the resistance drop included, "
+        f"{domain_text(fit)}. Largest errors: {errors_text(fit)}; {nominal_text(fit)}; found in "
+        f"{samples} evaluations with and without fused multiply-add. {bounds}"
+    )
+    caption = (
+        "Errors of the emitted single-precision currents over torque and the flux linkage that "
+        "voltage, speed and resistance drop leave. Lines: flux linkage of the MTPA currents, to "
+        "the left of which the field is weakened, and the largest torque; thick where MTPV limits "
+        "it."
+    )
+    return Passage(
+        text=[text],
+        drawings=[("weakening", caption)],
+        tables=[weakening_html(fit)],
+        declaration=(
+            f"void {prefix}_weakening_reference(float torque_Nm, float v_max_V, "
+            "float omega_e_rad_per_s, float *i_d_A, float *i_q_A);"
+        ),
+    )
 
 
 # The current reference with field weakening, as one record.
@@ -629,8 +647,7 @@ def _figures(_: Solution, fit: WeakeningFit) -> Mapping[str, Draw]:
 
 
 def _parts(solution: Solution, fit: WeakeningFit) -> list[ReportPart]:
-    data = weakening_part(fit, solution.design.export.prefix)
-    return [ReportPart(CHAPTER, "single_headers/field_weakening/report.html.j2", data)]
+    return [weakening_passage(fit, solution.design.export.prefix).of(CHAPTER)]
 
 
 WEAKENING = Capability(

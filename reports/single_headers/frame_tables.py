@@ -34,7 +34,7 @@ from dqforge.reports.c_code.harness import (
 )
 from dqforge.reports.c_code.number_rows import number_rows
 from dqforge.reports.c_code.numbers import float_literal, rounded_up
-from dqforge.reports.capability import Capability, Quantity, ReportPart
+from dqforge.reports.capability import Capability, Passage, Quantity
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, ceiling, share
 from dqforge.reports.pages.templating import WAVEFORMS as CHAPTER
@@ -149,7 +149,7 @@ def frame_table(found: FrameTables) -> Table:
     return Table("Frame tables dqx and dqy: largest errors found", _COLUMNS, rows)
 
 
-def frame_part(found: FrameTables, prefix: str) -> PlainData:
+def frame_passage(found: FrameTables, prefix: str) -> Passage:
     """The part of the report."""
     rows = tuple(
         Row(
@@ -159,13 +159,12 @@ def frame_part(found: FrameTables, prefix: str) -> PlainData:
         for entry in _candidates(found)
     )
     columns = tuple(name.removesuffix(" %") for name in _COLUMNS)
-    return {
-        "text": (
-            f"{prefix}_frames.h holds factors, angles, their derivatives and the coupling of dqy "
-            "over the angle, for those who implement the frames of paper 002 themselves."
-        ),
-        "table": HtmlTable("Tables by size, the emitted one first: largest errors", columns, rows),
-    }
+    text = (
+        f"{prefix}_frames.h holds factors, angles, their derivatives and the coupling of dqy over "
+        "the angle, for those who implement the frames of paper 002 themselves."
+    )
+    table = HtmlTable("Tables by size, the emitted one first: largest errors", columns, rows)
+    return Passage(title="Frames dqx and dqy", text=[text], tables=[table])
 
 
 def plain_frames(found: FrameTables) -> PlainData:
@@ -326,11 +325,7 @@ FRAME_TABLES = Capability(
     summary=lambda _, found: frame_rows(found),
     tables=lambda _, found: [frame_table(found)],
     parts=lambda solution, found: [
-        ReportPart(
-            CHAPTER,
-            "single_headers/frame_tables/report.html.j2",
-            frame_part(found, solution.design.export.prefix),
-        )
+        frame_passage(found, solution.design.export.prefix).of(CHAPTER),
     ],
     headers=(_HEADER,),
     quantities=(Quantity("phase currents", "phi_m", "Wb", ("frame_tables", "phi_m_Wb")),),

@@ -6,17 +6,16 @@ import math
 
 import numpy as np
 
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.operating_points.characteristics import Characteristics
 from dqforge.optimizer.overmodulation import LargestTorque, Overmodulation
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.capability import Capability, Quantity, ReportPart, Rows
+from dqforge.reports.capability import Capability, Passage, Quantity, ReportPart, Rows
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row
 from dqforge.reports.pages.templating import MODULATION
 from dqforge.reports.plain_data import PlainData
-
-_RPM = 30.0 / math.pi
 
 ASSUMED = (
     "At constant speed; the current controllers are taken to leave the harmonics alone. Faster "
@@ -75,7 +74,7 @@ def point_rows(largest: LargestTorque) -> list[tuple[str, ...]]:
     """The points of most torque with what the harmonics do there."""
     points, ripple = largest.points, largest.harmonics
     columns = (
-        _RPM * points.omega_m, points.torque, largest.linear_torque, 100.0 * ripple.index,
+        in_rpm(points.omega_m), points.torque, largest.linear_torque, 100.0 * ripple.index,
         ripple.current, ripple.peak_current, ripple.torque, ripple.torque_6, ripple.torque_12,
         ripple.copper,
     )  # fmt: skip
@@ -108,29 +107,21 @@ def overmodulation_tables(found: Overmodulation) -> list[Table]:
     return tables
 
 
-def overmodulation_part(found: Overmodulation) -> PlainData:
+def overmodulation_passage(found: Overmodulation) -> Passage:
     """What the report prints of overmodulation."""
-    largest = found.largest
-    rows = [Row(row) for row in voltage_rows(found)]
-    return {
-        "reach": reach_text(found),
-        "gain": "" if largest is None else gain_text(largest),
-        "assumed": ASSUMED,
-        "voltage": HtmlTable(
-            "Harmonics of the phase voltage over its fundamental",
-            _voltage_columns(found),
-            tuple(rows),
-            0,
-        ),
-        "points": None
-        if largest is None
-        else HtmlTable(
-            "Largest torque beyond the linear range, and what the harmonics add",
-            POINT_COLUMNS,
-            tuple(Row(row) for row in point_rows(largest)),
-            0,
-        ),
-    }
+    title = "Harmonics of the phase voltage over its fundamental"
+    rows = tuple(Row(row) for row in voltage_rows(found))
+    tables, gain = [HtmlTable(title, _voltage_columns(found), rows, 0)], ""
+    if found.largest is not None:
+        title = "Largest torque beyond the linear range, and what the harmonics add"
+        rows = tuple(Row(row) for row in point_rows(found.largest))
+        tables.append(HtmlTable(title, POINT_COLUMNS, rows, 0))
+        gain = f" That gives {gain_text(found.largest)}."
+    text = (
+        "Voltages beyond the linear range are made with the fundamental that is asked for: "
+        f"{reach_text(found)}.{gain} {ASSUMED}"
+    )
+    return Passage(text=[text], tables=tables)
 
 
 # Plain data of overmodulation.
@@ -190,11 +181,7 @@ def _summary(_: Solution, found: Overmodulation) -> Rows:
 
 
 def _parts(_: Solution, found: Overmodulation) -> list[ReportPart]:
-    return [
-        ReportPart(
-            MODULATION, "single_headers/overmodulation/report.html.j2", overmodulation_part(found)
-        )
-    ]
+    return [overmodulation_passage(found).of(MODULATION)]
 
 
 OVERMODULATION = Capability(

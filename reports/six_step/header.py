@@ -39,7 +39,7 @@ from dqforge.reports.c_code.harness import (
     Programme,
     title,
 )
-from dqforge.reports.capability import Capability, Draw, Outcome, ReportPart
+from dqforge.reports.capability import Capability, Draw, Outcome, Passage, ReportPart
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
 from dqforge.reports.pages.templating import Chapter, render
@@ -640,8 +640,13 @@ def _figures(_: Solution, found: SixStepDesign) -> Mapping[str, Draw]:
 
 
 def _parts(_: Solution, found: SixStepDesign) -> list[ReportPart]:
-    data = {"tables": block_html(found)}
-    return [ReportPart(CHAPTER, "six_step/report.html.j2", data, range_words(found))]
+    text = (
+        "Blocks of 120 degrees: one leg is chopped, one stays at its rail, the third rests, and "
+        "the voltage of its phase tells when the current is to be handed on."
+    )
+    caption = "Error of a commutation over the speed; dotted: the range."
+    shown = Passage(text=[text], drawings=[("six_step", caption)], tables=block_html(found))
+    return [shown.of(CHAPTER, range_words(found))]
 
 
 SIX_STEP = Capability(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.records import dataclass
-from dqforge.reports.pages.templating import render
+from dqforge.reports.pages.templating import render, resource
 from dqforge.reports.verification.cross_tools import build, emulate, target_of
 from dqforge.reports.verification.host import WARNINGS
 from dqforge.reports.verification.measured_cost import cost_on_target
@@ -230,7 +230,7 @@ def _run(
     files: Mapping[str, bytes], prefix: str, part: Programme, target: str, folder: Path
 ) -> TargetRun:
     made = {"harness.c": harness_of(part, prefix), "target_main.c": _MAIN.encode("ascii")}
-    made["stdio.h"] = render("verification/stdio.h.j2", {}).encode("ascii")
+    made["stdio.h"] = resource("verification/stdio.h").encode("ascii")
     (folder / "target.in").write_bytes(part.inputs.tobytes())
     build(
         {**files, **made}, (*WARNINGS, "-Wno-overlength-strings", "-isystem", "."), target, folder

@@ -16,7 +16,7 @@ from pathlib import Path
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.records import dataclass
 from dqforge.reports.operating_system.packages import WAYS
-from dqforge.reports.pages.templating import render
+from dqforge.reports.pages.templating import render, resource
 
 # Exit codes by which a program on a target says something; the emulator's own failures end with 1.
 _COMPILER = "arm-none-eabi-gcc"
@@ -136,8 +136,8 @@ def build(sources: Mapping[str, bytes], strict: tuple[str, ...], target: str, fo
     program(_EMULATOR)  # what is missing is said before anything is compiled
     require_library(target, folder)
     memory = {"flash": board.flash, "ram": board.ram, "ram_size": board.ram_size}
-    for name, template in (("target_start.c", "start.c.j2"), ("target.ld", "target.ld.j2")):
-        text = render(f"verification/{template}", memory)
+    start, script = resource("verification/start.c"), render("verification/target.ld.j2", memory)
+    for name, text in (("target_start.c", start), ("target.ld", script)):
         (folder / name).write_text(text, encoding="ascii", newline="\n")
     for name, content in sources.items():
         (folder / name).write_bytes(content)

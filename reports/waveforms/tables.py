@@ -11,7 +11,7 @@ import numpy as np
 from dqforge.machines.design.design import Design
 from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.machines.topologies import TOPOLOGIES
-from dqforge.machines.transforms import Reals
+from dqforge.machines.transforms import Reals, in_rpm
 from dqforge.optimizer.solution import Solution
 from dqforge.optimizer.steps.step_arithmetic import Abc, Arithmetic
 from dqforge.optimizer.waveforms.comparison import RuleCurrents, WaveformComparison
@@ -33,7 +33,7 @@ from dqforge.reports.c_code.harness import (
 )
 from dqforge.reports.c_code.number_rows import number_rows
 from dqforge.reports.c_code.numbers import comment_text, float_literal, rounded_up
-from dqforge.reports.capability import Capability, Draw, Quantity, ReportPart
+from dqforge.reports.capability import Capability, Draw, Passage, Quantity, ReportPart
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, ceiling, quantity, share, symbols
 from dqforge.reports.pages.templating import WAVEFORMS as CHAPTER
@@ -195,7 +195,7 @@ def waveform_tables(design: Design, comparison: WaveformComparison) -> list[Tabl
         "breaks",
     )
     held = f"held by {', '.join(comparison.binding)}" if comparison.binding else "nothing binds"
-    where = f"{comparison.torque:.4g} N m at {comparison.omega_m * 30.0 / math.pi:.4g} rpm"
+    where = f"{comparison.torque:.4g} N m at {in_rpm(comparison.omega_m):.4g} rpm"
     notes = [
         f"{where}; dc link {limits.v_dc:.4g} V, {limits.topology}, {limits.i_max:.4g} A (peak)",
         f"within all limits: {held}",
@@ -600,23 +600,23 @@ def candidates_table(fit: PhaseFit) -> HtmlTable:
     )
 
 
-def waveform_part(solution: Solution) -> PlainData | None:
-    """The part of the report on phase currents; None without."""
-    if solution.waveforms is None or solution.phases is None:
-        return None
-    return {
-        "text": comparison_text(solution.waveforms),
-        "tables": [
-            rules_table(solution.waveforms),
-            candidates_table(solution.phases),
-            *(
-                [confirmations_table(solution.waveforms)]
-                if solution.waveforms.confirmations
-                else []
-            ),
-        ],
-        "file": f"{solution.design.export.prefix}_waveform.h",
-    }
+def waveform_passage(found: WaveformComparison, phases: PhaseFit, file: str) -> Passage:
+    """The part of the report on phase currents."""
+    from markupsafe import Markup
+
+    caption = (
+        "Top: back-EMF over electrical speed, and the phase currents of each rule over the "
+        "electrical angle. Below: the torque they make, and the harmonics of phase a on a "
+        "logarithmic scale."
+    )
+    tables = [rules_table(found), candidates_table(phases)]
+    emitted = Markup("The currents are emitted per torque into <code>{}</code>.").format(file)
+    return Passage(
+        text=[comparison_text(found)],
+        drawings=[("waveforms", caption)],
+        tables=[*tables, confirmations_table(found)] if found.confirmations else tables,
+        after=[emitted],
+    )
 
 
 # Phase currents of machines whose back-EMF is not sinusoidal, as records.
@@ -632,8 +632,10 @@ def _figures(_: Solution, comparison: WaveformComparison) -> Mapping[str, Draw]:
 
 
 def _parts(solution: Solution, found: WaveformComparison) -> list[ReportPart]:
-    data, key = waveform_part(solution), point_words(found)
-    return [] if data is None else [ReportPart(CHAPTER, "waveforms/report.html.j2", data, key)]
+    if solution.phases is None:
+        return []
+    file = f"{solution.design.export.prefix}_waveform.h"
+    return [waveform_passage(found, solution.phases, file).of(CHAPTER, point_words(found))]
 
 
 WAVEFORMS = Capability(

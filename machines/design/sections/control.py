@@ -69,6 +69,7 @@ from dqforge.machines.names import (
     VendorMethod,
 )
 from dqforge.machines.topologies import largest_phase_voltage
+from dqforge.machines.transforms import linear_voltage
 from dqforge.machines.units.quantities import format_quantity
 
 
@@ -638,7 +639,7 @@ def _base_voltage(inverter: Inverter, any_back_emf: bool) -> tuple[float, str]:
     if any_back_emf:
         needed = largest_phase_voltage(inverter.topology, inverter.v_dc)
         return needed, f"the largest voltage of a phase, {inverter.topology}"
-    return inverter.v_dc / math.sqrt(3.0), "v_dc/sqrt(3)"
+    return linear_voltage(inverter.v_dc), "v_dc/sqrt(3)"
 
 
 def _base_speed(
@@ -654,5 +655,5 @@ def _base_speed(
             "machine: nothing tells the speed range of this machine; write max_speed: 3000 rpm"
         )
         raise reading.document.error(message, ("machine",), key=True)
-    omega_m = inverter.v_dc / math.sqrt(3.0) / (machine.pole_pairs * machine.psi_pm)
+    omega_m = linear_voltage(inverter.v_dc) / (machine.pole_pairs * machine.psi_pm)
     return omega_m, "where the back-EMF reaches v_dc/sqrt(3)"

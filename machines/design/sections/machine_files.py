@@ -22,6 +22,7 @@ from dqforge.machines.design.sections.machine_schema import (
     MachineSection,
 )
 from dqforge.machines.dq_machines.flux_map import FluxMap
+from dqforge.machines.dq_machines.synchronous import torque_from_flux
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import InputError, KeyPath
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine
@@ -262,7 +263,7 @@ def _refuse_far_torque(
         within = found.flux_map.inside(i_d, i_q)
         i_d, i_q = i_d[within], i_q[within]
     psi_d, psi_q = found.flux_map.flux(i_d, i_q)
-    made = 1.5 * float(np.max(np.abs(psi_d * i_q - psi_q * i_d), initial=0.0))
+    made = float(np.max(np.abs(torque_from_flux(1, psi_d, psi_q, i_d, i_q)), initial=0.0))
     most, current = found.most
     if not most > 0.0 or made <= _FAR_TORQUE * most * max(1.0, i_max / current) ** 2:
         return

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.errors import InputError
+from dqforge.machines.transforms import linear_voltage
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     CurrentLoops,
@@ -118,7 +120,7 @@ def _machine(drive: DriveValues) -> dict[str, OwnValue]:
     i_max = _needed(drive.i_max, "machine.max_current", "a largest current")
     v_dc = _needed(drive.v_dc, "inverter.v_dc", "the voltage of the dc link")
     f_sw = _needed(drive.f_sw, "inverter.switching_frequency", "a PWM frequency")
-    available = v_dc / math.sqrt(3.0)
+    available = linear_voltage(v_dc)
     most = drive.omega_m_max * drive.pole_pairs if drive.omega_m_max else available / psi
     rated = min(most, available / psi)
     ratio = 1 if drive.t_s is None else max(round(drive.t_s * f_sw), 1)
@@ -230,7 +232,7 @@ def _speed(
 ) -> dict[str, OwnValue]:
     key = "control.speed_loop"
     inertia = _needed(drive.inertia, "machine.inertia", "an inertia for its speed controller")
-    constant = 1.5 * pole_pairs * psi_pm
+    constant = torque_per_ampere(pole_pairs, psi_pm)
     return {
         "params.ctrl.speed.bw": kept(wished.kp * constant / inertia, key),
         "params.ctrl.speed.kp": kept(wished.kp / pole_pairs, key),

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.dq_machines.synchronous import Machine, torque_per_ampere
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import (
     AntiWindup,
@@ -208,7 +208,7 @@ def _speed_values(asked: Asked, bandwidth: float) -> dict[str, float | int]:
     assert drive.pole_pairs is not None
     assert drive.psi_pm is not None
     assert drive.f_sw is not None
-    turn = 2.0 * math.pi * 1.5 * drive.pole_pairs * drive.psi_pm
+    turn = 2.0 * math.pi * torque_per_ampere(drive.pole_pairs, drive.psi_pm)
     rate = 1.0 / control_period(pwm_rate(drive.f_sw))
     assert drive.i_max is not None
     stiffness = speed.ki * turn
@@ -220,7 +220,7 @@ def _speed_values(asked: Asked, bandwidth: float) -> dict[str, float | int]:
     }
     if stiffness > 0.0:
         # How far the position may lag: what the largest current makes up for.
-        values[SLIP] = 1.5 * drive.pole_pairs * drive.psi_pm * drive.i_max / stiffness
+        values[SLIP] = torque_per_ampere(drive.pole_pairs, drive.psi_pm) * drive.i_max / stiffness
     return {key: as_printed(key, value) for key, value in values.items()}
 
 

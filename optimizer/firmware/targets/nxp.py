@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.transforms import linear_voltage
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     CurrentLoops,
@@ -271,7 +272,7 @@ def _machine(asked: Asked, drive: DriveValues, edition: Edition) -> Values:
     if drive.inertia:
         values["parametersJ"] = drive.inertia
     values["parametersIphNom"] = asked.design.i_max
-    values["parametersUphNom"] = asked.design.inverter.v_dc / math.sqrt(3.0)
+    values["parametersUphNom"] = linear_voltage(asked.design.inverter.v_dc)
     values["parametersNnom"] = _largest_speed(drive)
     return values
 
@@ -515,7 +516,7 @@ def _largest_error(wished: PiGains, has: PiGains) -> float:
 def _limit(asked: Asked, sheet: McatSheet) -> float:
     """Phase amplitude in V that the current loop may ask for."""
     share = (sheet.number("currentLoopOutputLimit") or 90.0) / 100.0
-    return share * asked.design.inverter.v_dc / math.sqrt(3.0)
+    return share * linear_voltage(asked.design.inverter.v_dc)
 
 
 def _voltage(asked: Asked, sheet: McatSheet) -> Iterator[Shortfall]:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.firmware.configuration import (
@@ -162,7 +163,7 @@ def _machine_values(asked: Asked) -> dict[str, float | bool]:
         "motor.config.pole_pairs": drive.pole_pairs,
         "motor.config.phase_resistance": drive.r_s,
         "motor.config.phase_inductance": 0.5 * (drive.l_d + drive.l_q),
-        "motor.config.torque_constant": 1.5 * drive.pole_pairs * drive.psi_pm,
+        "motor.config.torque_constant": torque_per_ampere(drive.pole_pairs, drive.psi_pm),
     }
 
 
@@ -190,7 +191,7 @@ def _speed_values(asked: Asked) -> dict[str, float | bool]:
     assert speed is not None
     assert drive.pole_pairs is not None
     assert drive.psi_pm is not None
-    constant = 1.5 * drive.pole_pairs * drive.psi_pm
+    constant = torque_per_ampere(drive.pole_pairs, drive.psi_pm)
     return {
         "controller.config.vel_gain": 2.0 * math.pi * constant * speed.kp,
         "controller.config.vel_integrator_gain": 2.0 * math.pi * constant * speed.ki,

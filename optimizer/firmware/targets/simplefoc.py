@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import linear_voltage
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     CurrentLoops,
@@ -169,7 +171,7 @@ def _speed(asked: Asked, gains: PiGains) -> dict[str, Number]:
     if not filter_time:
         filter_time = SPEED_FILTER
         if drive.inertia and drive.pole_pairs and drive.psi_pm:
-            constant = 1.5 * drive.pole_pairs * drive.psi_pm
+            constant = torque_per_ampere(drive.pole_pairs, drive.psi_pm)
             filter_time = min(filter_time, _FILTER_SHARE * drive.inertia / (constant * gains.kp))
     ratio = round(drive.t_speed / drive.t_s) if drive.t_speed and drive.t_s else 1
     return {
@@ -201,7 +203,7 @@ def _limits(drive: DriveValues, *, with_speed: bool) -> dict[str, Number]:
 
 def voltage_limit(v_dc: float) -> float:
     """Largest phase voltage in V of space-vector modulation, as it is written."""
-    return as_printed(v_dc / math.sqrt(3.0))
+    return as_printed(linear_voltage(v_dc))
 
 
 def _share(own: Mapping[str, OwnValue]) -> float:
@@ -469,7 +471,9 @@ def _filter(asked: Asked, runs: LoopProfile) -> Iterator[Shortfall]:
         return
     filter_time, drive = runs.speed.feedback.filter_time, asked.drive
     if drive.inertia and drive.pole_pairs and drive.psi_pm and filter_time > 0.0:
-        crossover = 1.5 * drive.pole_pairs * drive.psi_pm * asked.speed.kp / drive.inertia
+        crossover = (
+            torque_per_ampere(drive.pole_pairs, drive.psi_pm) * asked.speed.kp / drive.inertia
+        )
         lag = math.atan(crossover * filter_time)
         yield Shortfall(
             f"the measured speed is filtered over {1e3 * filter_time:.3g} ms (LPF_velocity.Tf), "

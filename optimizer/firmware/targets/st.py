@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.dq_machines.synchronous import LinearMachine, torque_per_ampere
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import in_rpm, linear_voltage
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     CurrentLoops,
@@ -132,7 +133,7 @@ def _machine(asked: Asked) -> dict[str, OwnValue]:
     if ratio != 1.0:
         own["ld_lq_ratio"] = ratio
     if drive.omega_m_max:
-        rpm = round(drive.omega_m_max * 30.0 / math.pi)
+        rpm = round(in_rpm(drive.omega_m_max))
         own |= {"MOTOR_MAX_SPEED_RPM": rpm, "MAX_APPLICATION_SPEED_RPM": rpm}
     if drive.inertia:
         own["inertia"] = printed(drive.inertia * 1e6)
@@ -248,7 +249,7 @@ def _speed_crossover(asked: Asked) -> float:
     drive, speed = asked.drive, asked.speed
     if speed is None or not drive.inertia or not drive.psi_pm or not drive.pole_pairs:
         return 0.0
-    return 1.5 * drive.pole_pairs * drive.psi_pm * speed.kp / drive.inertia
+    return torque_per_ampere(drive.pole_pairs, drive.psi_pm) * speed.kp / drive.inertia
 
 
 def _table_macros(table: MtpaTable) -> dict[str, OwnValue]:
@@ -324,7 +325,7 @@ def _table_points(own: Mapping[str, OwnValue]) -> tuple[tuple[float, float, floa
 
 
 def _current(found: Configuration, q: PiGains, t_s: float, v_dc: float) -> CurrentLoops:
-    d, limit = found.current_d or q, v_dc / math.sqrt(3.0)
+    d, limit = found.current_d or q, linear_voltage(v_dc)
     forward = number(found.own, "CONSTANT2_QD") is not None
     order: LimitOrder = "vector" if found.version == "5" else "d-first"
     return CurrentLoops(
@@ -372,7 +373,7 @@ def _flux_observer(own: Mapping[str, OwnValue]) -> FluxObserver | None:
     if loop is not None:
         pole = loop.poles[0]
         warnings.append(
-            f"at {loop.speed * 30.0 / math.pi:.4g} rpm the phase-locked loop has poles at "
+            f"at {in_rpm(loop.speed):.4g} rpm the phase-locked loop has poles at "
             f"{pole.real:.4g} {'+-' if pole.imag else 'and'} "
             f"{abs(pole.imag) if pole.imag else loop.poles[1].real:.4g}"
             f"{' j' if pole.imag else ''} rad/s; they are faster at higher speed"
@@ -450,7 +451,7 @@ def _rounding(asked: Asked, found: Configuration) -> Iterator[Shortfall]:
 def _lacking_speed(asked: Asked, found: Configuration) -> Iterator[Shortfall]:
     if found.speed is None:
         return
-    unit = SPEED_UNIT * 30.0 / math.pi
+    unit = in_rpm(SPEED_UNIT)
     yield Shortfall(
         f"the speed is controlled in steps of 0.1 Hz, {unit:g} rpm",
         (Price("speed", SPEED_UNIT, "rad/s"),),

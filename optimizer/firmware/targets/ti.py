@@ -6,8 +6,10 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Literal
 
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import linear_voltage
 from dqforge.optimizer.firmware import firmware_method
 from dqforge.optimizer.firmware.configuration import (
     AntiWindup,
@@ -222,7 +224,7 @@ def speed_rule(pole_pairs: int, psi_pm: float, inertia: float, bandwidths: Bandw
         pole_pairs, psi_pm, inertia: Pole pairs, flux linkage in Wb, inertia in kg m^2.
         bandwidths: The constants of the firmware.
     """
-    acceleration = 1.5 * pole_pairs * psi_pm / inertia
+    acceleration = torque_per_ampere(pole_pairs, psi_pm) / inertia
     per_hertz = bandwidths.current / (bandwidths.delta * acceleration)
     kp = per_hertz * pole_pairs / TWO_PI
     return PiGains(kp, kp * bandwidths.current / bandwidths.delta**2)
@@ -436,7 +438,7 @@ def _field_weakening(held: Configuration) -> Iterator[Shortfall]:
     v_dc = held.drive.v_dc
     if not flux or not most or not v_dc:
         return
-    reached = v_dc / math.sqrt(3.0) / flux
+    reached = linear_voltage(v_dc) / flux
     if reached < most:
         yield Shortfall(
             f"the back-EMF at FREQ_MAX_Hz {most:.4g} Hz is above the voltage: without MOTOR1_FWC "
@@ -645,7 +647,7 @@ def _machine(drive: DriveValues) -> dict[str, OwnValue]:
     inertia = _needed(drive.inertia, "machine.inertia", "an inertia for its speed controller")
     i_max = _needed(drive.i_max, "machine.max_current", "a largest current")
     v_dc = _needed(drive.v_dc, "inverter.v_dc", "the voltage of the dc link")
-    most = v_dc / math.sqrt(3.0) / (TWO_PI * psi)
+    most = linear_voltage(v_dc) / (TWO_PI * psi)
     if drive.omega_m_max:
         most = drive.omega_m_max * drive.pole_pairs / TWO_PI
     values: dict[str, float] = {
@@ -659,8 +661,8 @@ def _machine(drive: DriveValues) -> dict[str, OwnValue]:
         "INERTIA_Kgm2": kept(inertia, "machine.inertia"),
         "RATED_VOLTAGE_V": kept(v_dc, "inverter.v_dc"),
         "FREQ_MAX_Hz": kept(most, "machine.max_speed"),
-        "VOLT_MIN_V": kept(0.15 * v_dc / math.sqrt(3.0), "inverter.v_dc"),
-        "VOLT_MAX_V": kept(v_dc / math.sqrt(3.0), "inverter.v_dc"),
+        "VOLT_MIN_V": kept(0.15 * linear_voltage(v_dc), "inverter.v_dc"),
+        "VOLT_MAX_V": kept(linear_voltage(v_dc), "inverter.v_dc"),
         "SPEED_LPF_FC_Hz": SPEED_CORNER,
     }
     values |= {

@@ -23,7 +23,7 @@ from dqforge.reports.simulation.design_run import DriveSimulation, npz_bytes, si
 from dqforge.reports.simulation.recorded_run import Simulator
 from dqforge.reports.simulation.tables import (
     plain_simulation,
-    simulation_part,
+    simulation_passage,
     simulation_tables,
 )
 
@@ -114,10 +114,10 @@ def test_the_json_names_it(found: DriveSimulation) -> None:
 
 
 def test_the_report_names_it(found: DriveSimulation) -> None:
-    part = simulation_part(found)
-    assert part["firmware"] == ["vesc"]
-    assert part["controllers"] == ["scooter_control.h"]
-    assert part["figures"] == ["simulation", "simulation_vesc"]
+    passage = simulation_passage(found)
+    assert "loops with the structure of vesc" in passage.text[0]
+    assert "controller of <code>scooter_control.h</code>" in passage.text[0]
+    assert [name for name, _ in passage.drawings] == ["simulation", "simulation_vesc"]
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -174,7 +175,9 @@ def test_zig_compiles_c_and_says_what_is_wrong(tmp_path: Path) -> None:
 def test_without_compilers_the_command_writes_the_same_bytes(
     command: tuple[str, str], tmp_path: Path
 ) -> None:
-    """Once with the compilers of this machine, once on a PATH that has none."""
+    """Once with the compilers of this machine, once on a PATH that has none; the manifest alone
+    says which compiler it was.
+    """
     if shutil.which("cc") is None or shutil.which("c++") is None:
         pytest.skip("no compilers to hold it against")
     empty = tmp_path / "bin"
@@ -188,5 +191,10 @@ def test_without_compilers_the_command_writes_the_same_bytes(
         )
         assert done.returncode == 0, done.stderr
         files = [path for path in (tmp_path / out).rglob("*") if path.is_file()]
-        written.append({path.relative_to(tmp_path / out): path.read_bytes() for path in files})
+        written.append({path.name: path.read_bytes() for path in files})
+    manifests = [json.loads(files.pop("dqforge-manifest.json")) for files in written]
     assert written[0] == written[1]
+    with_own, without = ([*manifest["parts"].values()] for manifest in manifests)
+    assert without[0]["computed_with"].pop("compiler") == "zig cc"
+    assert with_own[0]["computed_with"].pop("compiler") != "zig cc"
+    assert with_own == without

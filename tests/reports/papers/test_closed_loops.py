@@ -14,7 +14,6 @@ from dqforge.machines.plants.scenario import constant
 from dqforge.reports.papers.paper002_bench_currents import bench_curves, bench_machine
 from dqforge.reports.papers.paper002_closed_loops import (
     CASES,
-    RPM,
     STEADY,
     LoopRun,
     diode_path,
@@ -23,6 +22,7 @@ from dqforge.reports.papers.paper002_closed_loops import (
     run_loops,
 )
 from dqforge.reports.papers.paper002_tables import plot_loops, plot_step
+from dqforge.reports.papers.transients import RPM
 
 # In % of 1 N m: averaged, and means over PWM periods with 1 us of dead time.
 RIPPLES = {

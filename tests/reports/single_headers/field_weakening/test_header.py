@@ -35,7 +35,7 @@ from dqforge.reports.single_headers.field_weakening import (
     weakening_files,
     weakening_from,
     weakening_inputs,
-    weakening_part,
+    weakening_passage,
     weakening_tables,
 )
 from dqforge.reports.verification.host import WARNINGS
@@ -375,9 +375,9 @@ def test_header_json_report_and_terminal_state_the_same_errors_over_the_link() -
         f"at 0.8, 0.9, 1, 1.2, 1.6 and 4 times {volts}",
     ):
         assert phrase in header
-    part = weakening_part(fit, "drive")
+    (said,) = weakening_passage(fit, "drive").text
     notes = weakening_tables(fit)[0].notes
-    for text in (f"{part['errors']} {part['nominal']}", " ".join(notes)):
+    for text in (str(said), " ".join(notes)):
         for number in (
             f"torque {whole}", f"copper loss +{loss}", f"at most {missed}", f"torque {nominal}",
             f"copper loss +{nominal_loss}", f"from {least_voltage_text(fit)} up",
