@@ -125,7 +125,7 @@ def test_json_has_what_check_has(call: Call) -> None:
         (["--kv", "60"], "a design needs more of the data sheet; give --pole-pairs 7 --v-dc"),
         ([*SCOOTER.flags, "--kv", "60 V"], "--kv: "),
         ([*SCOOTER.flags, "--torque-constant", "1 Nm/Arms"], "--torque-constant: "),
-        ([*SCOOTER.flags, "--template"], "--pole-pairs and --template both say what"),
+        ([*SCOOTER.flags, "--template"], "--pole-pairs and --template both define"),
         ([*SCOOTER.flags, "--machine", "thor-pmsyrm-5k"], "--pole-pairs and --machine both say"),
         (["--template", "--machine", "thor-pmsyrm-5k"], "--machine and --template both say"),
         ([*SCOOTER.flags, "--study", "production-yield"], "--pole-pairs and --study both say"),

@@ -81,7 +81,7 @@ def penalty_text(solution: Solution) -> str:
     errors = solution.fit.errors
     least = "the least" if solution.design.strategy == "mtpa" else "that of exact i_d = 0"
     if errors.loss_relative <= ROUNDING:
-        return f"the copper loss is {least} but for rounding"
+        return f"the copper loss is {least} apart from rounding"
     return (
         f"the copper loss lies at most {quantity(ceiling(errors.loss), 'W', 3)} or "
         f"{share(ceiling(errors.loss_relative, 2))} above {least}"
@@ -240,7 +240,7 @@ def alternatives_table(fit: ReferenceFit, alternatives: Sequence[Alternative]) -
         "step at zero",
     )
     return HtmlTable(
-        "The price of each option: largest errors found", heading_cells(*columns), (chosen, *rows)
+        "The cost of each option: largest errors found", heading_cells(*columns), (chosen, *rows)
     )
 
 
@@ -573,7 +573,7 @@ def _sentences(solution: Solution, _: Solution) -> list[str]:
             f"{quantity(fit.torque_max, 'N m')}."
         ),
         (
-            f"The torque errs by at most {quantity(ceiling(fit.errors.torque), 'N m', 3)}, "
+            f"The torque deviates by at most {quantity(ceiling(fit.errors.torque), 'N m', 3)}, "
             f"{penalty_text(solution)}; {reference_proof_text(solution)}."
         ),
     ]
@@ -583,8 +583,8 @@ def _sentences(solution: Solution, _: Solution) -> list[str]:
             "sampled" if half.certificate is None else f"proven: {proven_text(half.certificate, 3)}"
         )
         sentences.append(
-            "Negative torques have a reference of their own, up to "
-            f"{quantity(half.fit.torque_max, 'N m')}; its torque errs by at most "
+            "Negative torques have their own reference, up to "
+            f"{quantity(half.fit.torque_max, 'N m')}; its torque deviates by at most "
             f"{quantity(ceiling(half.fit.errors.torque), 'N m', 3)} ({proof})."
         )
     saving = solution.curves.saving

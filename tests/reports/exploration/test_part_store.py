@@ -95,7 +95,7 @@ def test_flipped_bits_and_halves_are_found_and_computed_again(tmp_path: Path, se
         path.write_bytes(changed)
         assert store.finished() == frozenset(range(11)) - {5}, spot
     path.write_bytes(content[: len(content) // 2])
-    assert store.survey().damaged == {5: "it is cut off, or no part"}
+    assert store.survey().damaged == {5: "it is truncated, or not a part"}
     with pytest.raises(StoreError, match=r"part-000005\.parquet: it is cut off"):
         list(store.read([TOTAL]))
     filled(tmp_path / "out").close()
@@ -113,10 +113,10 @@ def test_a_part_in_the_place_of_another_or_of_another_study_does_not_count(tmp_p
     survey = PartStore.existing(tmp_path / "out").survey()
     assert survey.finished == {0, 1, 3, 5, 7, 8, 9}
     assert survey.damaged == {
-        2: "it stands in the place of another part",
+        2: "it is in the place of another part",
         4: "it is of another study",
-        10: "it stands in the place of another part",
-        11: "it stands in the place of another part",
+        10: "it is in the place of another part",
+        11: "it is in the place of another part",
     }
 
 

@@ -150,7 +150,7 @@ def test_columns(store: PartStore) -> None:
         ({"sort": "lossestotal"}, "--sort: the study has no column 'lossestotal'"),
         (
             {"where": ["losses.total"]},
-            "--where: 'losses.total' is no condition; write e.g. --where",
+            "--where: 'losses.total' is not a condition; write e.g. --where",
         ),
         ({"where": ["losses.total <"]}, "--where: 'losses.total <' is no condition"),
         ({"where": [""]}, "--where: '' is no condition"),
