@@ -96,7 +96,7 @@ def test_flipped_bits_and_halves_are_found_and_computed_again(tmp_path: Path, se
         assert store.finished() == frozenset(range(11)) - {5}, spot
     path.write_bytes(content[: len(content) // 2])
     assert store.survey().damaged == {5: "it is truncated, or not a part"}
-    with pytest.raises(StoreError, match=r"part-000005\.parquet: it is cut off"):
+    with pytest.raises(StoreError, match=r"part-000005\.parquet: it is truncated"):
         list(store.read([TOTAL]))
     filled(tmp_path / "out").close()
     assert digest_of(tmp_path / "out") == before
@@ -199,7 +199,7 @@ def test_restart_takes_away_what_a_study_wrote_and_nothing_else(tmp_path: Path) 
     with filled(folder) as store:
         store.write_beside("front.parquet", b"front")
         store.write_beside("report.html", b"report")
-        with pytest.raises(ValueError, match="no file of a study"):
+        with pytest.raises(ValueError, match="not a file of a study"):
             store.write_beside("notes.txt", b"")
     kept = {
         "notes.txt": b"mine",
