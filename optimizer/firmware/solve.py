@@ -166,8 +166,8 @@ _NO_SPEED = (
 )
 
 _NAME_MACHINE = (
-    "name the design of the machine with --machine DESIGN: what the file does not say is taken "
-    "from it"
+    "name the design of the machine with --machine DESIGN: values missing from the file "
+    "are taken from it"
 )
 
 _COMPLETE_MACHINE = (
