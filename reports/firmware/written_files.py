@@ -517,7 +517,7 @@ def shortfall_table(found: tuple[Shortfall, ...]) -> list[Table]:
     if not found:
         return []
     rows = tuple((shortfall.words, price_text(shortfall)) for shortfall in found)
-    return [Table("what the format cannot hold", ("what is lost", "price"), rows)]
+    return [Table("what the format cannot hold", ("deviation", "cost"), rows)]
 
 
 def price_text(shortfall: Shortfall) -> str:
