@@ -11,7 +11,11 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 LIST = ROOT / "docs" / "project" / "wording.md"
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "docs" / "reference" / "messages.yaml",
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
 # Rooms and modules whose words go into emitted C, which keeps its bytes, or quote a paper.
 EMITTED = re.compile(
     r"(?:optimizer/(?:fixed_|float_control|harmonic_trackers|learned_correction|observers"
