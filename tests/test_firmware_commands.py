@@ -458,7 +458,7 @@ def test_gains_of_ours_have_the_margins_of_tune(call: Call, tmp_path: Path) -> N
     assert speed["phase_margin_rad"] == pytest.approx(gains["speed"]["phase_margin_rad"], rel=1e-3)
     code, out, _ = call("explain", "o/scooter.h")
     assert code == 0
-    assert "the speed loop is not judged" in out
+    assert "the speed loop is not evaluated" in out
 
 
 def test_files_of_ours_without_gains_are_refused(call: Call, tmp_path: Path) -> None:
