@@ -48,7 +48,7 @@ class ChangingAxis:
     Args:
         axis: Which axis.
         inductance: Least and largest along the reference, in H.
-        proven: Whether deviations decay however fast the current changes; with scheduled
+        proven: Whether deviations are forgotten however fast the current changes; with scheduled
             gains small ones, and where the gains are those of the current that flows.
         any_current: Of scheduled gains whether they may be those of another current, such as the
             reference of a current on its way, and deviations of any size; None of constant gains.

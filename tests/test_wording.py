@@ -21,7 +21,7 @@ EMITTED = re.compile(
     r"(?:optimizer/(?:fixed_|float_control|harmonic_trackers|learned_correction|observers"
     r"|saliency|six_step|steps|estimators)"
     r"|reports/(?:c_code|control|fixed_observers|observers|papers|phase_control|simulation/"
-    r"|single_headers|six_step|steps|current_reference/plain|waveforms/tables"
+    r"|single_headers|six_step|steps|current_reference/plain|waveforms/tables|loops/proven_text"
     r"|[a-z_]+/(?:fixed_)?header))"
 )
 

@@ -121,7 +121,7 @@ def changing_text(axis: ChangingAxis) -> str:
     if axis.any_current is None:
         if axis.proven:
             return (
-                f"{axis.axis}, constant gains: deviations decay however fast saturation "
+                f"{axis.axis}, constant gains: deviations are forgotten however fast saturation "
                 f"changes {_range(axis)} (proven by {held} in rational arithmetic)"
             )
         slower = (
@@ -139,7 +139,7 @@ def changing_text(axis: ChangingAxis) -> str:
     )
     return (
         f"{axis.axis}, scheduled gains in parallel form at the measured current: small deviations "
-        f"decay however fast the current changes {_range(axis)} (proven by {held} in "
+        f"are forgotten however fast the current changes {_range(axis)} (proven by {held} in "
         f"rational arithmetic); {other}"
     )
 
