@@ -303,7 +303,7 @@ def scope_text(proof: CurrentLoopProof) -> str:
     box = proof.box
     parts = [f"resistance {_between(box.r_s)} Ohm"]
     if box.dead_time != (0.0, 0.0):
-        parts.append(f"dead time equivalent to {_between(box.dead_time)} Ohm")
+        parts.append(f"dead time worth {_between(box.dead_time)} Ohm")
     parts += [
         f"l_d {_between(box.l_d, 1e3)} mH",
         f"l_q {_between(box.l_q, 1e3)} mH",
