@@ -314,7 +314,7 @@ def explore(  # noqa: PLR0913, PLR0917 - every option of the command is a parame
 ) -> int:
     """Compute many variants of a design.
 
-    In parts that a later run continues; the results can be looked into.
+    In parts that a later run continues; the results can be examined.
     """
     tls = (tls_ca_file, tls_cert, tls_key)
     where_run = answers.explore.Where(workers, scheduler, scheduler_file, tls, mixed, time_limit)
@@ -354,7 +354,7 @@ def schema(
 def doctor(json: given.Json = False) -> int:
     """List compilers, emulators and packages found.
 
-    What each is for, and how to install what is missing.
+    What each is for, and how to install missing ones.
     """
     return respond("doctor", answers.doctor.answer_doctor, json)
 

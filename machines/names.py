@@ -168,7 +168,7 @@ ModulationName = Literal[
     "ddt-gdpwm",
 ]
 
-# Firmware of others whose configuration files are written and read, and whose loops are judged.
+# Firmware of others whose configuration files are written and read, and whose loops are evaluated.
 Firmware = Literal["vesc", "simplefoc", "moteus", "odrive", "nxp", "st", "ti", "infineon"]
 Application = Literal["skeleton"]  # The program that is written around the emitted functions.
 

@@ -266,8 +266,8 @@ def contradiction(key: str, topology: Topology, modulation: ModulationName) -> s
     if TOPOLOGIES[topology].modulated or modulation == _CENTRED:
         return ""
     return (
-        f"{key}: {topology} has a modulator of its own, centred between the rails, so that "
-        f"{modulation} cannot be had; leave it out"
+        f"{key}: {topology} has its own modulator, centred between the rails, so "
+        f"{modulation} is not available; omit it"
     )
 
 

@@ -55,7 +55,7 @@ class FlashComparison:
         torque, omega_m: In N m and rad/s.
         v_dc: Of the design's link in V.
         rows: Every topology with every controller.
-        without_device: Whether nothing is known of the switches, so that the bridge is left out.
+        without_device: Whether the switches are unknown, so that the bridge is left out.
         capacitance: Of the split link in F that its row is computed with.
         without_phase: What constant torque costs on four legs with a phase open, None where it
             cannot be made.

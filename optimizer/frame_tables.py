@@ -248,7 +248,7 @@ def fit_frames(machine: PhaseMachine, tolerance: float) -> FrameTables:
             )
         coarser.append(candidate)
     raise NoSolutionError(
-        f"waveform.error: with {SIZES[-1]} intervals the frame tables err by "
+        f"waveform.error: with {SIZES[-1]} intervals the frame tables deviate by "
         f"{100.0 * coarser[-1].errors.torque:.2g} % of the torque; permit that, or leave "
         "export.frame_tables out"
     )

@@ -64,7 +64,7 @@ def _off_rows(off: OffMap) -> list[tuple[str, str]]:
     where = f"{off.torque:.4g} N m at {format_quantity(off.omega_m, 'rpm', 4)}"
     lack = f"{off.text}: {off.missing:.3g} V are missing for {where}"
     if math.isnan(off.current):
-        return [("references of the map alone", lack), ("with feedback", "it does not suffice")]
+        return [("references of the map alone", lack), ("with feedback", "it is not enough")]
     kept = f"{off.current:.3g} A more, and {100.0 * off.kept:.3g} % of that torque"
     return [("references of the map alone", lack), ("with feedback", kept)]
 

@@ -84,7 +84,7 @@ def verification_text(verification: Verification | None) -> tuple[str, str]:
     for check in verification.checks:
         if check.missing:
             text += (
-                f" {check.standard.upper()} was not tried: it needs the Debian package "
+                f" {check.standard.upper()} was not tested: it needs the Debian package "
                 f"{check.missing}."
             )
     return "bit-exact", text
@@ -321,7 +321,7 @@ def _open_points(design: Design) -> list[str]:
     if inferred:
         listed = ", ".join(inferred[:3]) + (", ..." if len(inferred) > 3 else "")
         verb = "is" if len(inferred) == 1 else "are"
-        texts.append(f"{listed} {verb} inferred, not measured: 'dqforge check' says from what")
+        texts.append(f"{listed} {verb} inferred, not measured: 'dqforge check' shows from what")
     return texts
 
 
@@ -420,10 +420,10 @@ def _inductance_words(design: Design) -> str:
         )
     if isinstance(design.phase_machine, SalientPhaseMachine):
         return (
-            "Inductances vary with the angle of the rotor, not with the current: saturation is no "
+            "Inductances vary with the angle of the rotor, not with the current: saturation is not "
             "part of the model."
         )
-    return "Inductances are constant: saturation is no part of the model."
+    return "Inductances are constant: saturation is not part of the model."
 
 
 def _iron_words(design: Design) -> str:

@@ -889,7 +889,7 @@ _CHOICE: list[Broken] = [
         _choice().replace("  max_speed: 5420 rpm\n", ""),
         41,
         1,
-        "nothing tells the largest speed; write speed: 6000 rpm here",
+        "the largest speed is unknown; write speed: 6000 rpm here",
     ),
     ("choice-questions", _choice("questions: 5"), 45, 14, "at most 2"),
     ("choice-grid", _choice("torques: 1"), 45, 12, "at least 2"),

@@ -297,7 +297,7 @@ def observed_rule() -> Rows:
     yield ("crossover, rad/s", *crossovers)
     yield ("spread", *spreads)
     yield ("every corner holds, rpm", *speeds)
-    yield ("load step in N m that is borne, rpm", *steps)
+    yield ("load step in N m that is withstood, rpm", *steps)
 
 
 # Every table by its name.

@@ -286,7 +286,7 @@ class Named:
 @pytest.mark.parametrize(
     ("words", "stages"),
     [
-        (("check", BENCH), [LOADING, "reading the design", "checking", "judging the start"]),
+        (("check", BENCH), [LOADING, "reading the design", "checking", "evaluating the start"]),
         (("machines",), [LOADING]),
         (("compare", BENCH, BENCH), [LOADING, "reading the files", "comparing"]),
         (("mtpa", IPM, "--torque", "10 N m"), [LOADING, "reading the design", "solving"]),

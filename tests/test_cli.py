@@ -396,7 +396,7 @@ def test_design_without_solution_exits_1_and_leaves_nothing(run: Run, tmp_path: 
     text = catalogue.read_text(IPM).decode()
     path = tmp_path / "design.yaml"
     path.write_text(re.sub(r"max_torque: [^#\n]+", "max_torque: 250 N m ", text))
-    assert "250 N m cannot be had" in one_line(run("run", "design.yaml", "-o", "out"), 1)
+    assert "250 N m is out of reach" in one_line(run("run", "design.yaml", "-o", "out"), 1)
     path.write_text(re.sub(r"bandwidth: 500 Hz", "bandwidth: 40 kHz", text))
     assert "current_loop" in one_line(run("run", "design.yaml", "-o", "out"), 1)
     assert not (tmp_path / "out").exists()
@@ -557,12 +557,12 @@ def test_map_document_holds_envelopes_and_loci(run: Run) -> None:
         (["--map", "4"], "NxM"),
         (["--map", "1x9"], "NxM"),
         (["--map", "9999x9999"], "NxM"),
-        (["--map", "4x4", "--speed", "1 rad/s"], "leave --speed and --torque out"),
+        (["--map", "4x4", "--speed", "1 rad/s"], "omit --speed and --torque"),
         (["--speed", "5 kHz"], "rotational speed"),
         (["--torque", "5 A"], "--torque"),
         (["--speed", "9 rad/s", "--modulation", "svm"], "ddt-gdpwm"),
         (["--speed", "9 rad/s", "--margin", "5"], "such as '5 %'"),
-        (["--torque", "9 N m", "--plot", "x.svg"], "leave --torque out"),
+        (["--torque", "9 N m", "--plot", "x.svg"], "omit --torque"),
     ],
 )
 def test_wrong_operating_point_options(

@@ -186,10 +186,10 @@ def test_a_swing_that_only_the_firmware_has_is_found_in_time(
     ("words", "message"),
     [
         (["--for", "veks"], "--for: no firmware 'veks' is known; write one of vesc"),
-        (["--into", "a.xml"], "--into: say whose file it is"),
+        (["--into", "a.xml"], "--into: its firmware is unknown"),
         (["--for", "vesc", "--for", "moteus", "--into", "a.xml"], "--into: a file is one"),
         (["--for", "vesc", "--into", "a.xml"], "a.xml: there is no such file"),
-        (["--for", "vesc", "--into", "scooter.yaml"], "scooter.yaml:1: is no file of VESC"),
+        (["--for", "vesc", "--into", "scooter.yaml"], "scooter.yaml:1: is not a file of VESC"),
         (["--for", "vesc", "--set", "control.gains=false"], "gains"),
     ],
 )
@@ -355,9 +355,9 @@ def test_a_design_that_is_there_is_kept(call: Call, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--machine", "paper001-pmsm-bench"], "--from and --machine both say what is to be made"),
+        (["--machine", "paper001-pmsm-bench"], "--from and --machine both define the design"),
         (["--set", "inverter.v_dc=48 V", "--set", "nonsense"], "--set: expected key=value"),
-        (["--from", "scooter.yaml"], "scooter.yaml:1: no firmware is known"),
+        (["--from", "scooter.yaml"], "scooter.yaml:1: no known firmware"),
     ],
 )
 def test_wrong_wishes_of_a_new_design_are_refused(
@@ -458,7 +458,7 @@ def test_gains_of_ours_have_the_margins_of_tune(call: Call, tmp_path: Path) -> N
     assert speed["phase_margin_rad"] == pytest.approx(gains["speed"]["phase_margin_rad"], rel=1e-3)
     code, out, _ = call("explain", "o/scooter.h")
     assert code == 0
-    assert "the speed loop is not judged" in out
+    assert "the speed loop is not evaluated" in out
 
 
 def test_files_of_ours_without_gains_are_refused(call: Call, tmp_path: Path) -> None:

@@ -274,7 +274,7 @@ def test_an_exponent_that_makes_the_magnets_vanish_is_refused(old: str, new: str
         ("control.observer: pole", ("control", "observer")),
         ("losses.points[3].torque: x", ("losses", "points", 3, "torque")),
         ("fit: no form", ("fit",)),
-        ("900 N m cannot be had", ()),
+        ("900 N m is out of reach", ()),
         ("--map: too many", ()),
     ],
 )

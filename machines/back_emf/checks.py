@@ -330,7 +330,7 @@ def check_condition(fit: HarmonicFit, origin: Origin) -> None:
     if fit.condition > 1e8:
         raise origin.error(
             f"the samples lie too unevenly to tell {fit.coefficients.shape[1]} harmonics apart; "
-            "ask for fewer harmonics"
+            "request fewer harmonics"
         )
 
 
@@ -500,9 +500,7 @@ def find_axis(
     if kind in ("time", "angle"):
         if interval is not None:
             title = table.names[column]
-            raise origin.error(
-                f"the file has {kind}s of its own ('{title}'); leave the interval out", None
-            )
+            raise origin.error(f"the file has {kind}s already ('{title}'); omit the interval", None)
         found, scale = factor(table, column, time_unit, ("time", "angle"), origin)
         return Axis(
             "angle" if found == "angle" else "time", table.values[:, column] * scale, column

@@ -239,7 +239,7 @@ def _check_together(first: _Part, other: _Part) -> None:
     name = first.table.source
     if here.kind != there.kind or (here.column is None) != (there.column is None):
         raise other.origin.error(
-            f"one of this file and {name} has no times of its own; save both the same way", None
+            f"one of this file and {name} has no time column; save both the same way", None
         )
     if here.values.size != there.values.size:
         count = f"{there.values.size} samples, {name} has {here.values.size}"

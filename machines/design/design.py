@@ -331,7 +331,7 @@ _FACTORS = (
     (2.0 * math.pi, "a value per revolution given per radian?"),
     (30.0 / math.pi, "a value per rpm or krpm given per rad/s? check the unit"),
     (1000.0 * math.pi / 30.0, "a value per krpm given per rad/s? check the unit"),
-    (1000.0, "V/krpm given as V/rpm, or milli left out? check the unit"),
+    (1000.0, "V/krpm given as V/rpm, or milli omitted? check the unit"),
 )
 
 
@@ -352,7 +352,7 @@ def check_pole_counts(pole_pairs: int | None, poles: int | None) -> int:
         raise InputError("needs the number of poles; write poles: 8 (or pole_pairs: 4)")
     if pole_pairs is not None and poles is not None and poles != 2 * pole_pairs:
         raise InputError(
-            f"poles {poles} means {poles // 2} pole pairs, but pole_pairs says {pole_pairs}; "
+            f"poles {poles} means {poles // 2} pole pairs, but pole_pairs is {pole_pairs}; "
             "remove the wrong one"
         )
     return pole_pairs if pole_pairs is not None else (poles or 0) // 2
@@ -381,7 +381,7 @@ def check_rated_frequency(pole_pairs: int, frequency: float, omega_m: float) -> 
         advice = f"they belong to {nearest} pole pairs; write pole_pairs: {nearest}"
     raise InputError(
         f"{pole_pairs} pole pairs at the rated speed {speed} make "
-        f"{format_quantity(expected, 'Hz')}, but rated.frequency says "
+        f"{format_quantity(expected, 'Hz')}, but rated.frequency is "
         f"{format_quantity(frequency, 'Hz')}: {advice}"
     )
 
@@ -395,7 +395,7 @@ def check_rated_power(power: float, torque: float, omega_m: float) -> None:
     if abs(power - expected) <= POWER_AGREEMENT * max(power, expected):
         return
     raise InputError(
-        f"rated.power says {format_quantity(power, 'W')}, but rated.torque "
+        f"rated.power is {format_quantity(power, 'W')}, but rated.torque "
         f"{format_quantity(torque, 'N m')} times rated.speed {format_quantity(omega_m, 'rpm')} is "
         f"{format_quantity(expected, 'W')}; correct one of the three or remove it"
     )

@@ -42,20 +42,18 @@ class DesignFile(Section):
     control: ControlSection = Field(default_factory=ControlSection)
     operation: OperationSection = Field(default_factory=OperationSection)
     fit: FitSection = Field(default_factory=FitSection)
-    losses: LossSection | None = Field(
-        default=None, description="loss comparison, if one is wanted"
-    )
+    losses: LossSection | None = Field(default=None, description="loss comparison, optional")
     waveform: WaveformSection = Field(
         default_factory=WaveformSection, description="phase currents, for machine.model waveform"
     )
     field_weakening: WeakeningSection | None = Field(
-        default=None, description="two-dimensional current references, if they are wanted"
+        default=None, description="two-dimensional current references, optional"
     )
     modulation_choice: ChoiceSection | None = Field(
-        default=None, description="choice of modulator and switching frequency, if it is wanted"
+        default=None, description="choice of modulator and switching frequency, optional"
     )
     simulation: SimulationSection | None = Field(
-        default=None, description="simulation in the time domain, if one is wanted"
+        default=None, description="simulation in the time domain, optional"
     )
     export: ExportSection = Field(default_factory=ExportSection)
 

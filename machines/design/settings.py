@@ -411,7 +411,7 @@ class ControlSettings:
 
     ``tolerances`` is the box in which every loop must hold, None where only the data themselves
     count. ``gains`` are ``optional`` where the design says nothing of control: a machine without
-    them still has its current references. ``firmware`` is that of others whose loops are judged
+    them still has its current references. ``firmware`` is that of others whose loops are evaluated
     beside those of the emitted code, None without one. ``start_up`` is how the drive starts without
     an encoder, None where it does not. ``six_step`` is that of a six-step drive, None for drives in
     rotor coordinates.

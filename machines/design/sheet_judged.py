@@ -188,7 +188,7 @@ _NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?")
 
 _HEAD = """\
 # The design of a drive from its data sheet. A value is a number with a unit and, where data sheets
-# differ, its convention; "# used:" says what became of it.
+# differ, its convention; "# used:" shows the value in use.
 #
 #   dqforge check design.yaml      what was read, converted and assumed
 #   dqforge tune design.yaml       gains and their margins

@@ -123,8 +123,8 @@ SHEET_VALUES = (
         "K_T; N m per ampere of the phase current, or oz-in/A",
         "0.38 Nm/Arms",
         "Torque per ampere of sinusoidal phase current, which servo data sheets count r.m.s.; "
-        "it is held against Kv or Ke. A Kt computed as 9.55/Kv is that of direct current "
-        "through two phases: leave it out.",
+        "it is compared with Kv or Ke. A Kt computed as 9.55/Kv is that of direct current "
+        "through two phases: omit it.",
         use="a second value for the magnet flux, checked against the first",
         kinds=_PER_CURRENT,
         need="magnets",
@@ -206,14 +206,14 @@ SHEET_VALUES = (
         "Switching frequency of the inverter",
         "PWM frequency; the currents are sampled as often",
         "20 kHz",
-        use="assumed where it is left out",
+        use="assumed if omitted",
     ),
     SheetValue(
         "machine.max_speed",
         "Largest speed of the shaft",
         "n_max, maximum mechanical speed",
         "3000 rpm",
-        use="held against what the dc link allows; scale of the speed",
+        use="compared with what the dc link allows; scale of the speed",
     ),
     SheetValue(
         "machine.rated.torque",

@@ -210,7 +210,7 @@ class _Reader:
         left_out = {other for _, other in tables if other != r_g}
         if left_out:
             self.findings.append(
-                f"{entries.path}: read at r_g = {r_g} Ohm, the other gate resistances are left out"
+                f"{entries.path}: read at r_g = {r_g} Ohm, the other gate resistances are ignored"
             )
         kept = {voltage: found for (voltage, other), found in tables.items() if other == r_g}
         voltages = tuple(sorted(kept))
@@ -248,7 +248,7 @@ class _Reader:
                 or abs(here / float(expected.value) - 1.0) > _TOLERANCE
             ):
                 self.findings.append(
-                    f"{node.path} does not agree with the energies over current and is left out"
+                    f"{node.path} does not agree with the energies over current and is ignored"
                 )
                 continue
             found.setdefault(temperature, curve)

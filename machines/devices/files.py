@@ -229,7 +229,7 @@ class _Reader:
         formulas = [part.text.strip() for part in element.children_named("Formula")]
         if method == _METHODS[1] and formulas and formulas[0] not in ("", "E", "v"):
             finding = (
-                f"{element.path}: the formula {shown(formulas[0])[:80]} is left out, the table is "
+                f"{element.path}: the formula {shown(formulas[0])[:80]} is ignored, the table is "
                 "used as it is"
             )
             if finding not in self.findings:

@@ -644,7 +644,7 @@ class KindChoice:
         for words, mark in marks:
             if mark[0] not in ("", place) or mark[1] not in ("", measure):
                 raise InputError(
-                    f"the text says {shown(said[0].text)}, its kind says {shown(words.text)}; "
+                    f"the text states {shown(said[0].text)}, its kind is {shown(words.text)}; "
                     "remove the wrong one"
                 )
         if not place and not measure:

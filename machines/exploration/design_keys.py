@@ -416,7 +416,7 @@ def read_draw(
             raise complaint(
                 document,
                 (_SECTION,),
-                "nothing says how many are drawn; write draw: {count: 100000, seed: 1}",
+                "the number of draws is not given; write draw: {count: 100000, seed: 1}",
                 key=True,
             )
         return None

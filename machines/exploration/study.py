@@ -267,7 +267,7 @@ class DrawSection(Section):
     sampling: Sampling = Field(
         default="random",
         description=(
-            "random: every key by itself; sobol: low-discrepancy points, for sensitivities"
+            "random: every key independently; sobol: low-discrepancy points, for sensitivities"
         ),
     )
     correlations: Annotated[Listing[CorrelationSection], Field(max_length=200)] = Field(
@@ -276,7 +276,7 @@ class DrawSection(Section):
 
 
 class ParetoSection(Section):
-    """Outputs that are traded against each other."""
+    """Outputs in a trade-off."""
 
     minimise: Listing[str] = Field(default=(), description="outputs to be small")
     maximise: Listing[str] = Field(default=(), description="outputs to be large")
@@ -327,7 +327,7 @@ class StudyFile(Section):
     header: FileName | None = Field(
         default=None,
         description=(
-            "a fixed header on all machines that are drawn: the folder beside the study that "
+            "one fixed header on all drawn machines: the folder beside the study that "
             "'dqforge run' wrote, or nominal: that of the design itself"
         ),
     )
@@ -340,7 +340,7 @@ class StudyFile(Section):
     )
     pareto: ParetoSection | None = Field(default=None, description="goals")
     sensitivity: Listing[str] = Field(
-        default=(), description="outputs whose dependence on the drawn keys is told"
+        default=(), description="outputs whose dependence on the drawn keys is reported"
     )
     search: SearchSection | None = Field(default=None, description="a search instead of the grid")
 

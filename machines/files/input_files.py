@@ -79,7 +79,7 @@ def read_regular_file(place: str | Path, most_bytes: int, shown: str | None = No
 def _reason(error: OSError | ValueError, place: str | Path) -> str:
     """Why a file cannot be opened, and what to do."""
     if not isinstance(error, OSError):
-        return "the file cannot be read: this is no file name; check it"
+        return "the file cannot be read: this is not a file name; check it"
     if error.errno == errno.ELOOP:
         return "its links lead in a circle; name the file itself"
     if error.errno in (errno.ENOENT, errno.ENOTDIR):

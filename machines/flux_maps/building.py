@@ -150,9 +150,7 @@ def build_flux_map(
         raise _unequal_halves(plane, turned, treatment, source)
     _check_size(plane.psi[0].size, source)
     if plane.raw is None and symmetry != "average":
-        message = (
-            f"symmetry: {symmetry} needs points of both halves, i_q > 0 and i_q < 0; leave it out"
-        )
+        message = f"symmetry: {symmetry} needs points of both halves, i_q > 0 and i_q < 0; omit it"
         raise InputError(message, source=source)
     peak = converted(points, axes, known)
     noise = _noise_of_repeats(peak) or noise
@@ -338,7 +336,7 @@ def _zero_current(i_d: FloatArray, source: str) -> tuple[str, ...]:
         return ()
     ends = f"i_d (peak, d along the magnets) runs from {i_d[0]:g} to {i_d[-1]:g} A"
     if gap > step * (1.0 + SAME):
-        raise InputError(f"{ends} and leaves out zero current; add points there", source=source)
+        raise InputError(f"{ends} and omits zero current; add points there", source=source)
     return (f"{ends}; the flux linkages at i_d = 0 are extrapolated",)
 
 
@@ -458,7 +456,7 @@ def _contradiction(
     return InputError(
         f"the point {where} of the file is given {count} times, with flux linkages up to "
         f"{format_quantity(away, 'Wb', 3)} from their mean: more than scatter{others}; name what "
-        "tells them apart, columns: {angle: NAME}, {temperature: NAME} or {speed: NAME}, or keep "
+        "distinguishes them, columns: {angle: NAME}, {temperature: NAME} or {speed: NAME}, or keep "
         "one of them",
         source=points.source,
         line=None if points.lines is None else int(points.lines[worst]),

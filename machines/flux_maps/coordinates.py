@@ -308,7 +308,7 @@ def cartesian(parts: Parts, source: str) -> tuple[Parts, tuple[str, ...]]:
             name: part for name, part in every.items() if _passive(np.stack(part, axis=1), fluxes)
         }
     if len(passed) != 1:
-        message = "what the angle of the current counts from cannot be told from the flux linkages"
+        message = "the reference of the current angle cannot be determined from the flux linkages"
         raise InputError(
             f"{message}; save i_d and i_q instead of amplitude and angle, or name them where the "
             "file has both: columns: {i_d: NAME, i_q: NAME}",
@@ -462,7 +462,7 @@ def _resistance(
             source=source,
         )
     if not np.all(np.isfinite(found) & (found >= 0.0)):
-        raise InputError("the resistance of some operating points is no number", source=source)
+        raise InputError("the resistance of some operating points is not a number", source=source)
     low, high = (format_quantity(float(end), "Ohm", 4) for end in (np.min(found), np.max(found)))
     return found, f"the resistance {where}, " + (low if low == high else f"{low} to {high}")
 

@@ -165,7 +165,7 @@ def _fit_sentences(evidence: FluxEvidence) -> tuple[str, ...]:
         noise = (
             ()
             if quiet
-            else (f"a plain spline goes through the points: {_noise_text(fit)}, {share}",)
+            else (f"a plain spline interpolates the points: {_noise_text(fit)}, {share}",)
         )
         if fit.fault_count:
             where = places(fit.faults, fit.fault_count)
@@ -177,7 +177,7 @@ def _fit_sentences(evidence: FluxEvidence) -> tuple[str, ...]:
                 ),
             )
         return noise
-    why = "flux_map.fit asks for it"
+    why = "flux_map.fit requests it"
     if fit.wanted == "auto":
         over = (
             f"{share}, more than {100.0 * NOISE_LIMIT:.0f} %"
@@ -208,7 +208,7 @@ def _fit_sentences(evidence: FluxEvidence) -> tuple[str, ...]:
     return (
         f"the map was smoothed (fit: smooth): {why}",
         (
-            f"price of smoothing against the plain spline: {', '.join(sizes)}; torque {rms} "
+            f"cost of smoothing over the plain spline: {', '.join(sizes)}; torque {rms} "
             f"r.m.s., {most} at most"
         ),
     )

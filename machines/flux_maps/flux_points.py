@@ -404,7 +404,7 @@ class TorqueCheck:
             f"the {kind} of the file ({self.name}) is {self.slope:.5f} times 3/2 p (psi_d i_q - "
             f"psi_q i_d){start}, r.m.s. misfit {100.0 * self.misfit:.2g} % over {self.points} "
             "points"
-        ) + "; per pole pair, it says nothing of the pole pairs" * self.per_pair
+        ) + "; per pole pair, it does not depend on the number of pole pairs" * self.per_pair
 
 
 def check_torque(

@@ -254,7 +254,7 @@ def choose(
         )
     _choose_beside(chosen, candidates, everywhere, torque, source)
     if unused := [key for key in columns if _no_part(key, chosen)]:
-        message = f"columns: {unused[0]} is no part of the map, which is read from"
+        message = f"columns: {unused[0]} is not part of the map, which is read from"
         raise InputError(
             f"{message} {', '.join(wanted_of(chosen))}; remove the key, or name what goes with it",
             source=source,

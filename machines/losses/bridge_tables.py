@@ -505,7 +505,7 @@ def junction_history(
         tables, networks: The device.
         loss: Losses in W of the junctions at the temperatures of the tables, shape (2, J, K, N).
         length: Lengths of the intervals in s, shape (N,).
-        repeated: Whether the mission follows itself without end, so that it ends as warm as it
+        repeated: Whether the mission repeats without end, so that it ends as warm as it
             begins; else it begins at the coolant's temperature.
     """
     coolant = tables.coolant_temperature

@@ -154,7 +154,7 @@ def _read_text(text: str, dimension: str, kinds: bool) -> Reading:
     )
     if words and not kinds:
         raise InputError(
-            f"{shown(text)}: {shown(words)} says of which kind the value is, and this one has no "
+            f"{shown(text)}: {shown(words)} states the kind of the value, and this one has no "
             f"kind; write {shown(plain)}"
         )
     plain = plain if words else text

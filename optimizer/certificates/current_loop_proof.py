@@ -317,7 +317,7 @@ def _confirmed(
     waiting: list[_Cell | None] = [_root(box)]
     for verdict in tree:
         if not waiting:
-            raise _CertificateError("its tree goes on behind its last cell")
+            raise _CertificateError("its tree continues after its last cell")
         cell = waiting.pop()
         inside = None if cell is None else _shrunk(box, cell)
         kind = _kind(verdict)

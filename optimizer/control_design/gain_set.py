@@ -497,7 +497,7 @@ def gains_or_reason(design: Design, *, proofs: bool = True) -> tuple[GainSet | N
     except NoSolutionError as error:
         if design.control.gains == "required":
             raise
-        return None, f"no loop was asked for and none was found: {error.message}"
+        return None, f"no loop was requested and none was found: {error.message}"
 
 
 # Both current loops of a design together, proven stable over its tolerances.

@@ -160,8 +160,8 @@ def _require_range(edges: Edges) -> None:
     own, longest = edges.settings, edges.longest_period
     if edges.period > longest:
         raise NoSolutionError(
-            f"{_WHERE}: a timer of {own.counter_bits} bits runs over after "
-            f"{format_quantity(longest, 's', 3)}, the speed is asked for every "
+            f"{_WHERE}: a timer of {own.counter_bits} bits overflows after "
+            f"{format_quantity(longest, 's', 3)}, the speed is needed every "
             f"{format_quantity(edges.period, 's', 3)}; write a clock of "
             f"{format_quantity(longest * own.clock / edges.period, 'Hz', 2)} or less, or "
             "counter_bits: 32"

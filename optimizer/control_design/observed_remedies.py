@@ -67,7 +67,7 @@ def _refused(design: Design, method: str, found: ObservedLoop) -> str:
     required = f"{np.degrees(found.required):.3g} deg"
     where = f"control.speed_loop: the speed loop by method '{method}' on the {found.observer}"
     if found.stable:
-        reached = f"{where} has a phase margin of {margin} at {at}, required are {required}"
+        reached = f"{where} has a phase margin of {margin} at {at}, required: {required}"
         return f"{reached}; {found.advice or 'no slower loop of this method has them'}"
     parts = [f"{where} is unstable at {at} (margin {margin}, pole {found.radius[worst]:.4g})"]
     parts += [] if found.cycle is None else [found.cycle.words]

@@ -294,7 +294,7 @@ def observer_candidates() -> tuple[Candidate, ...]:
 
 
 def _never(_: Question) -> EstimatorFigures:
-    raise AssertionError("a candidate that is refused is not asked")
+    raise AssertionError("a rejected candidate is not evaluated")
 
 
 def _candidate(name: str) -> Candidate:

@@ -685,12 +685,12 @@ def _loop_numbers(loops: Sequence[LoopGains]) -> Numbers:
 
 
 class GainsLeftOutError(NoSolutionError):
-    """A design that can do without gains has none: no loop was asked for and none was found."""
+    """A design that can do without gains has none: no loop was requested and none was found."""
 
 
 def _left_out(error: NoSolutionError) -> GainsLeftOutError:
-    words = error.message.removeprefix("no loop was asked for and none was found: ")
-    return GainsLeftOutError(f"no loop was asked for and none was found: {words}")
+    words = error.message.removeprefix("no loop was requested and none was found: ")
+    return GainsLeftOutError(f"no loop was requested and none was found: {words}")
 
 
 def _bare(design: Design) -> Design:

@@ -269,7 +269,7 @@ def study_outputs(study: Study, design: Design) -> tuple[Output, ...]:
         output = output_named(name)
         problem = _unknown(name) if output is None else _missing(output, design, header=header)
         if not problem and output is not None and output.choices and section != "outputs":
-            problem = f"{shown(name)} is a word, no number; write it under outputs"
+            problem = f"{shown(name)} is a word, not a number; write it under outputs"
         if problem:
             raise _refusal(study, (section, path), problem)
         if output is not None:
@@ -319,9 +319,11 @@ def _missing(output: Output, design: Design, *, header: bool) -> str:
     if output.step == "yields" and not header:
         return "needs a fixed header; write header: nominal"
     if header and (output.step in ("limit", "fit") or output.quantity in ("kp", "ki")):
-        return "is the same for every machine under a fixed header; leave header out"
+        return "is the same for every machine under a fixed header; omit header"
     if header and output.loop == "speed":
-        return f"a fixed header is judged by its current loops; write gains.i_q.{output.quantity}"
+        return (
+            f"a fixed header is evaluated by its current loops; write gains.i_q.{output.quantity}"
+        )
     if output.step in ("current-loops", "speed-loop"):
         return _missing_loop(output, design)
     if output.step == "losses":
@@ -331,7 +333,7 @@ def _missing(output: Output, design: Design, *, header: bool) -> str:
 
 def _missing_loop(output: Output, design: Design) -> str:
     if not has_loops(design):
-        return "the design has no current loops with gains; leave the output out"
+        return "the design has no current loops with gains; omit the output"
     if output.loop == "speed" and design.control.speed_loop is None:
         quantity = output.quantity
         return f"the design has no speed loop; write gains.i_q.{quantity}"

@@ -159,7 +159,7 @@ class StudyPlan:
             first, end: Range of rows.
         """
         if self.study.search is not None:
-            raise ValueError("rows of a search have inputs of their own: ask rows_of")
+            raise ValueError("rows of a search have their own inputs: use rows_of")
         return row_inputs(self.study, first, end)
 
     def keys(self, first: int, end: int) -> NDArray[np.uint8]:

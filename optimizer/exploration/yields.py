@@ -196,7 +196,7 @@ def check_outputs(header: FixedHeader, wanted: Collection[str]) -> None:
         if name == LOSS_PENALTY:
             raise InputError(
                 f"{name}: the header keeps the voltage limit at {header.speed:.4g} rad/s, its "
-                "currents are not meant to be the least; leave the output out"
+                "currents are not meant to be the least; omit the output"
             )
         raise InputError(
             f"{name}: is not known of a fixed header; write {TORQUE_ERROR}, or leave header out"
@@ -382,10 +382,10 @@ def fixed_loop(header: FixedHeader, loop: str) -> FixedLoop:
     found: FixedLoop | None = getattr(header, loop) if loop in LOOPS else None
     if found is None:
         raise InputError(
-            f"gains.{loop}: a header's gains are judged on drawn machines for the current loops "
+            f"gains.{loop}: a header's gains are evaluated on drawn machines for the current loops "
             "i_d and i_q; write gains.i_d.phase_margin or gains.i_q.phase_margin"
             if loop not in LOOPS
-            else f"gains.{loop}: the header has no loops in rotor coordinates; leave gains out"
+            else f"gains.{loop}: the header has no loops in rotor coordinates; omit gains"
         )
     return found
 

@@ -424,9 +424,9 @@ def _of_observer(profile: LoopProfile, speed: JudgedLoop | None) -> tuple[str, .
 def _left_out(missing: tuple[str, ...], judged_q: JudgedLoop | None) -> tuple[str, ...]:
     found = []
     if judged_q is None:
-        found.append("no current loop is judged: resistance or inductance is not known")
+        found.append("no current loop is evaluated: resistance or inductance is not known")
     if missing:
-        found.append(f"the speed loop is not judged: {', '.join(missing)} not known")
+        found.append(f"the speed loop is not evaluated: {', '.join(missing)} not known")
     return tuple(found)
 
 
@@ -686,7 +686,7 @@ def check_drivable(design: Design, methods: Sequence[FirmwareMethod]) -> None:
     if methods and design.phase_machine is not None:
         raise InputError(
             f"export.firmware: {names} drives machines with a sinusoidal back-EMF, and this one "
-            "has model: waveform; leave it out"
+            "has model: waveform; omit it"
         )
     needed = {key for method in methods for key in method.needs}
     proposals = {

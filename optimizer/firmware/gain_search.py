@@ -309,7 +309,7 @@ class SpeedSearch:
                 first,
                 words=(
                     *first.words,
-                    f"{firmware_text(self.method)} has no such speed controller: none is judged",
+                    f"{firmware_text(self.method)} has no such speed controller: none is evaluated",
                 ),
             )
         fault = self.plants(first).fault(first.profile.speed.pi, self.bounds)
@@ -641,7 +641,7 @@ class BoxedPlants:
         margins = batch_margins(loops) if stable else _radii_only(loops.radius)
         found = first_fault(margins, self.points, bounds.phase_margin)
         if found is not None:
-            text = f"{found}, required are {math.degrees(bounds.phase_margin):.1f} deg"
+            text = f"{found}, required: {math.degrees(bounds.phase_margin):.1f} deg"
             return text if self.points.names else text.replace(f" at {self.points.text(0)}", "")
         row = int(np.argmax(margins.max_sensitivity))
         worst = float(margins.max_sensitivity[row])

@@ -370,7 +370,7 @@ def filter_time(own: Mapping[str, OwnValue]) -> float:
 def _poles(own: Mapping[str, OwnValue]) -> Iterator[str]:
     poles = number(own, "motor.P")
     if poles is not None and (poles % 2 or poles <= 0):
-        yield f"motor.P {poles:g} is no number of poles, which come in pairs"
+        yield f"motor.P {poles:g} is not a number of poles, which come in pairs"
 
 
 def _voltages(own: Mapping[str, OwnValue], drive: DriveValues) -> Iterator[str]:
@@ -461,7 +461,7 @@ def _rule_of_currents(held: Configuration) -> Iterator[Shortfall]:
         return
     yield Shortfall(
         f"the library's own integral gain is bw r = {rule.ki:.4g} V/(A s); the "
-        f"{gains.ki:.4g} V/(A s) asked for hold only where the second function is called after "
+        f"{gains.ki:.4g} V/(A s) requested hold only where the second function is called after "
         f"PARAMS_InitAutoCalc",
         _off("q integral gain of the library's own rule", rule.ki, gains.ki),
     )

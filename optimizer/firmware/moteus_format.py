@@ -638,7 +638,7 @@ def conventions(numbers: Numbers, period: float | None = None) -> Iterator[str]:
     if "motor.poles" in numbers:
         yield "motor.poles counts poles, not pole pairs"
     if "servo.max_current_A" in numbers:
-        yield "servo.max_current_A (peak of phase) limits d and q current each by itself"
+        yield "servo.max_current_A (peak of phase) limits d and q current separately"
     if "servo.pid_position.kd" in numbers:
         yield (
             "servo.pid_position is taken as a controller of the speed: kd as its proportional, kp "
@@ -649,8 +649,8 @@ def conventions(numbers: Numbers, period: float | None = None) -> Iterator[str]:
     if hertz is not None and period is not None and hertz * period > 1.001 / SLOWEST_SHARE:
         yield (
             f"servo.pid_dq_hz {hertz:g} Hz is above 1/{SLOWEST_SHARE:g} of the control's "
-            f"{1.0 / period:g} Hz, the most that moteus_tool sets by itself: the firmware takes "
-            "it, and the margins of the current loops say what becomes of it"
+            f"{1.0 / period:g} Hz, the most that moteus_tool sets: the firmware accepts "
+            "it, and the margins of the current loops show the effect"
         )
 
 
@@ -680,7 +680,7 @@ def contradictions(numbers: Numbers, period: float | None) -> Iterator[str]:
         yield (
             f"servo.pid_position.ki {numbers['servo.pid_position.ki']:g} with ilimit "
             f"{numbers['servo.pid_position.ilimit']:g} N m integrates the position error: that is "
-            "not part of the speed loop judged here"
+            "not part of the speed loop evaluated here"
         )
 
 

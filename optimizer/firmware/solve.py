@@ -162,21 +162,21 @@ def _fit(design: Design, gains: Gains | None, method: FirmwareMethod) -> Firmwar
 OF_MACHINE = ("pole_pairs", "r_s", "l_d", "l_q", "psi_pm", "inertia", "viscous")
 
 _NO_SPEED = (
-    "the speed loop is not judged: a header does not say the inertia; name the design of the "
+    "the speed loop is not evaluated: a header lacks the inertia; name the design of the "
     "machine with --machine DESIGN"
 )
 
 _NAME_MACHINE = (
-    "name the design of the machine with --machine DESIGN: what the file does not say is taken "
-    "from it"
+    "name the design of the machine with --machine DESIGN: values missing from the file "
+    "are taken from it"
 )
 
 _COMPLETE_MACHINE = (
-    "the design of the machine does not say it either: write it there, such as machine.inertia"
+    "the design of the machine does not contain it either: write it there, such as machine.inertia"
 )
 
 _OBSERVED = (
-    "the speed loop is judged with the speed as it is; it runs on an observer, whose lag is in the "
+    "the speed loop is evaluated with the true speed; it runs on an observer, whose lag is in the "
     "margins that 'dqforge tune' shows"
 )
 
@@ -281,7 +281,7 @@ def explain_own(gains: OwnGains, machine: DriveValues | None = None) -> JudgedFi
     drive = on_machine(gains.drive, machine)
     if drive.r_s is None or drive.t_s is None:
         missing = "phase resistance" if drive.r_s is None else "sampling period"
-        return _nothing(f"without the {missing} no loop can be judged")
+        return _nothing(f"without the {missing} no loop can be evaluated")
     d = _own_current(gains.current_d, drive, drive.l_d)
     q = _own_current(gains.current_q, drive, drive.l_q)
     speed = _own_speed(gains, drive)

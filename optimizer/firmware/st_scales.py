@@ -386,7 +386,7 @@ def _table(own: Mapping[str, OwnValue]) -> Iterator[str]:
     yield (
         f"ANGC and OFST step by up to {found.jump} counts from one segment to the next, and are "
         f"off by {found.error:.0f} counts{in_amperes} from the currents of least loss of any "
-        "machine of constant inductances: write the table anew from the machine"
+        "machine of constant inductances: write the table again from the machine"
     )
 
 

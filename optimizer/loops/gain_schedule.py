@@ -339,7 +339,7 @@ def _require(
     remedy = "lower max_sensitivity" if settings.method == "optimised" else "ask for a slower loop"
     raise NoSolutionError(
         f"control.current_loop: with scheduled gains the {axis} loop {fault} at {place}{corner}, "
-        f"required are {np.degrees(settings.min_phase_margin):.1f} deg; {remedy}, or narrow "
+        f"required: {np.degrees(settings.min_phase_margin):.1f} deg; {remedy}, or narrow "
         "control.tolerances"
     )
 

@@ -631,5 +631,5 @@ def _refuse(
     )
     raise NoSolutionError(
         f"{key}: the {gains.loop} loop by method '{gains.method}' {reached}, "
-        f"required are {np.degrees(required):.1f} deg; {hint}"
+        f"required: {np.degrees(required):.1f} deg; {hint}"
     )

@@ -186,7 +186,7 @@ def _kept(
     )
     raise NoSolutionError(
         f"{key}: within control.tolerances the {gains.loop} loop by method '{gains.method}' "
-        f"{fault}, required are {np.degrees(required):.1f} deg; {hint}"
+        f"{fault}, required: {np.degrees(required):.1f} deg; {hint}"
     )
 
 

@@ -361,7 +361,7 @@ class MissionRun:
             junction in K, over the mission; NaN where nothing is known of the switch.
         winding_temperature: Of the mean copper loss of the mission, in degC; NaN where nothing is
             known of the winding's heat.
-        missed: Lines of the file whose torque or voltage cannot be had.
+        missed: Lines of the file whose torque or voltage is out of reach.
         steady, cool_enough: False where the junctions run away, or become hotter than permitted.
         within_tables: False where device tables were carried on beyond their ends.
         time, junction: Course of the hottest junction: s and degC, shape (2 N,), each interval with

@@ -44,7 +44,7 @@ def require_losses(design: Design) -> LossComparison:
     found = solve_losses(design)
     if found is None:
         raise InputError(
-            "the design asks for no comparison; add a section 'losses' with 'points', or ask with "
+            "the design requests no comparison; add a section 'losses' with 'points', or use "
             "--map or --mission"
         )
     return found

@@ -213,7 +213,7 @@ class CurrentChoice:
         """Refuse a torque that the limits do not allow.
 
         Raises:
-            NoSolutionError: Names ``where``, the torque asked for and the largest that can be had.
+            NoSolutionError: Names ``where``, the requested torque and the largest that can be had.
         """
         most = self.largest_torque()
         if torque > most * (1.0 + 1e-12):
@@ -223,7 +223,7 @@ class CurrentChoice:
                 else f" and {self.speed.v_max:.4g} V at {self.speed.omega_m:.4g} rad/s"
             )
             raise NoSolutionError(
-                f"{where}: {torque:.4g} N m cannot be had: {self.i_max:.4g} A (peak){at} give at "
+                f"{where}: {torque:.4g} N m is out of reach: {self.i_max:.4g} A (peak){at} give at "
                 f"most {most:.4g} N m with strategy {self.strategy}{self._remedy(most)}"
             )
 

@@ -368,7 +368,7 @@ def fit_shape(
             return fit
     least = min(fit.error for fit in fits)
     raise NoSolutionError(
-        f"machine.back_emf: no table of up to {SIZES[-1]} nodes follows it, the torque errs by "
+        f"machine.back_emf: no table of up to {SIZES[-1]} nodes follows it, the torque deviates by "
         f"{100.0 * least:.2g} % peak to peak where {100.0 * LARGEST_ERROR:.2g} % are permitted; "
         "smooth the measured waveform, or write control.current_loop.frame: dq"
     )
@@ -625,7 +625,7 @@ def _one_gain(
         return found
     reached = f"a phase margin of {margin:.1f} deg" if found.stable else "no stable loop"
     raise NoSolutionError(
-        f"{KEY}: one set of gains leaves the zero sequence {reached}, required are "
+        f"{KEY}: one set of gains leaves the zero sequence {reached}, required: "
         f"{required:.1f} deg; write own, or lower the gains"
     )
 

@@ -2,7 +2,7 @@
 
 Least-loss waveforms of `dqforge.optimizer.waveforms.solver` on a grid of speed and torque, as
 deviations D from T u(theta). D makes no torque, so that all that lies between the nodes makes the
-torque asked for; at a speed the voltage region is convex, so that what lies between two torques
+requested torque; at a speed the voltage region is convex, so that what lies between two torques
 keeps it too. Between speeds and angles it is checked on a grid of its own.
 """
 

@@ -407,7 +407,7 @@ def _lower_nodes(
         -np.asarray(surface.sum(axis=0)).ravel(), surface, truth.ravel(), bounds=(0.0, np.inf)
     )
     if found is None:  # a torque limit below zero at some point
-        raise NoSolutionError("control: no torque can be had at some speed and link voltage")
+        raise NoSolutionError("control: no torque is reachable at some speed and link voltage")
     return np.asarray(np.maximum(found.reshape(speeds.size, links.size), 0.0) + 0.0)
 
 

@@ -124,7 +124,7 @@ def _refuse_limits(design: Design, plan: StartUpPlan) -> None:
     if plan.trip_current <= most:
         raise InputError(
             f"control.start_up.trip_current: {plan.trip_current:.4g} A trips at currents that the "
-            f"control asks for, up to {limit:.4g} A; write more, such as {1.8 * limit:.3g} A"
+            f"control requests, up to {limit:.4g} A; write more, such as {1.8 * limit:.3g} A"
         )
     if plan.v_dc_min >= design.inverter.v_dc:
         raise InputError(
@@ -173,8 +173,8 @@ def _refuse(design: Design, plan: StartUpPlan, most: float) -> None:
     _refuse_waveforms(design)
     if settings.load == "active" and not settings.brake:
         raise NoSolutionError(
-            "control.start_up: an active load turns the rotor before a current stands; write "
-            "brake: true for a brake that opens once the drive holds, or load: friction"
+            "control.start_up: an active load turns the rotor before a current is established; "
+            "write brake: true for a brake that opens once the drive holds, or load: friction"
         )
     if plan.method == "saliency":
         saliency = plan.l_q / plan.l_d
@@ -204,7 +204,7 @@ def _refuse(design: Design, plan: StartUpPlan, most: float) -> None:
         raise NoSolutionError(
             f"control.start_up.load_torque: {plan.method} starts at most {most:.4g} N m with its "
             f"currents and {accelerating_torque(plan):.4g} N m that accelerate, "
-            f"{plan.load_torque:.4g} N m are asked for; write less, or a larger current"
+            f"{plan.load_torque:.4g} N m are requested; write less, or a larger current"
         )
     if plan.method == "direct":
         found = drift(design, plan)
@@ -589,7 +589,7 @@ def plan_flying_start(
     """
     where, limit = "control.start_up.flying_start", machine.i_max if i_limit is None else i_limit
     if not machine.psi_pm > 0.0:
-        raise NoSolutionError(f"{where}: a rotor without magnets makes no current of its own")
+        raise NoSolutionError(f"{where}: a rotor without magnets makes no current")
     fraction = _fraction(machine, t_s, omega_max, limit)
     if fraction == 0.0 or (fraction < 1.0 and not fractions):
         peak = abs(short_circuit_current(machine, np.array([omega_max]), t_s)[0])
@@ -602,7 +602,7 @@ def plan_flying_start(
         raise NoSolutionError(
             f"{where}: the rotor turns {math.degrees(3.0 * omega_max * t_s):.3g} deg in three "
             f"sampling periods, the least between two pulses; at most "
-            f"{math.degrees(TURN):.3g} deg can be told apart"
+            f"{math.degrees(TURN):.3g} deg can be distinguished"
         )
     peak = float(abs(short_circuit_current(machine, np.array([omega_max]), fraction * t_s)[0]))
     return FlyingStart(

@@ -511,7 +511,7 @@ def _search(
     statistics = solver.stats()
     if not statistics["success"]:
         raise NoSolutionError(
-            f"no phase currents found for {where}: IPOPT says {statistics['return_status']}"
+            f"no phase currents found for {where}: IPOPT returns {statistics['return_status']}"
         )
     return np.asarray(found["x"]).reshape(start.shape, order="F"), int(statistics["iter_count"])
 

@@ -54,7 +54,7 @@ class PhaseErrors:
     not bounds.
 
     ``current`` is that of a phase over the largest current, ``torque`` that of the torque
-    over the torque asked for.
+    over the requested torque.
     """
 
     current: float

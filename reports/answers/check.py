@@ -74,11 +74,11 @@ def _refuse(design: Design) -> tuple[str, ...]:
         from dqforge.optimizer.control_design.observed_remedies import require_observed
         from dqforge.reports.observers.speed_loop_text import beyond_notes, leaving_notes
 
-        stage("judging the speed loop on its observer")
+        stage("evaluating the speed loop on its observer")
         gains = solve_gains(design)
         require_observed(design, gains)
         leaving = (*leaving_notes(gains.speed), *beyond_notes(gains.speed))
-    stage("judging the start")
+    stage("evaluating the start")
     if control.start_up is not None:
         from dqforge.optimizer.start_up.solve import solve_start_up
 

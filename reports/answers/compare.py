@@ -111,8 +111,7 @@ def _own_or_refused(file: TextFile, machine: DriveValues | None) -> Answer:
             source=file.source,
         )
     raise InputError(
-        f"no firmware is known that writes this; known are: {known_files()}; header and "
-        "result.json of dqforge",
+        f"no known firmware writes this; known: {known_files()}; header and result.json of dqforge",
         source=file.source,
     )
 
@@ -137,4 +136,6 @@ def _own(source: str, machine: DriveValues | None) -> Answer:
 
 
 def _no_design(name: str) -> Design:
-    raise InputError("is no file of a firmware, and no header or result of dqforge", source=name)
+    raise InputError(
+        "is neither a file of a firmware nor a header or result of dqforge", source=name
+    )

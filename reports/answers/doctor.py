@@ -24,7 +24,7 @@ def answer_doctor() -> Answer:
     machine = look()
     tables = (_about(machine), _programs(machine), _packages(machine))
     broken = machine.broken
-    notes = broken or ("everything that dqforge run needs is here",)
+    notes = broken or ("everything that dqforge run needs is installed",)
     return Answer("", tables, _plain(machine), notes=notes, exit_code=1 if broken else 0)
 
 

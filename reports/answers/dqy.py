@@ -69,7 +69,7 @@ class WaveformRequest:
     flash: bool = False
 
 
-FLASH_HINT = "dqforge dqy --flash compares topologies and controllers, and says what to flash"
+FLASH_HINT = "dqforge dqy --flash compares topologies and controllers, and recommends what to flash"
 
 
 def answer_dqy(design: Design, request: WaveformRequest) -> Answer:
@@ -250,7 +250,7 @@ def _scenarios(found: FlashComparison, row: FlashRow, pole_pairs: int) -> list[S
 
 
 def _ripples(summary: Summary, torque: float) -> list[float]:
-    """Ripple over the mean torque of each run; NaN where the mean is not the torque asked for."""
+    """Ripple over the mean torque of each run; NaN where the mean is not the requested torque."""
     found = []
     for bounded, mean, ripple in zip(
         summary.bounded, summary.tail_torque, summary.tail_ripple_means, strict=True
@@ -404,9 +404,7 @@ def flash_tables(design: Design, found: FlashComparison, advice: Advice) -> list
     if found.uncounted:
         notes.append(f"no cycles: {found.uncounted}")
     if found.without_device:
-        notes.append(
-            "inverter W: the design has no inverter.device, nothing is known of the switches"
-        )
+        notes.append("inverter W: the design has no inverter.device, the switches are unknown")
     if design.inverter.midpoint_capacitance is None:
         notes.append(
             f"split-capacitor: with {1e3 * found.capacitance:.3g} mF in all, which hold the "
@@ -424,7 +422,7 @@ def flash_tables(design: Design, found: FlashComparison, advice: Advice) -> list
         for row in found.rows
         if row.ripple_known is not None
     )
-    return [main, Table("Torque ripple in % where something is not as assumed", columns, sensitive)]
+    return [main, Table("Torque ripple in % with deviating parameters", columns, sensitive)]
 
 
 def _fault(found: FlashComparison) -> list[str]:
@@ -573,7 +571,7 @@ def _traded(trade: Trade) -> str:
     bridge = _change(-trade.bridge_added, many=many)
     total = f"that {_change(trade.net, many=False)} in all"
     if trade.net > 0.0:
-        total += f", less than the {percent(WORTH)} of the losses that would be worth it"
+        total += f", less than the {percent(WORTH)} of the losses that would justify it"
     return (
         f"{name} {copper} of copper and {bridge} in the inverter{of_leg}: {total}{_voltage(trade)}"
     )

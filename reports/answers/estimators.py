@@ -143,7 +143,7 @@ def pair_files(design: Design, found: EstimatorComparison) -> dict[str, bytes]:
     if figures is not None and figures.tracker is not None:
         return tracker_files(design, figures.tracker)
     raise NoSolutionError(
-        "there is no pair to write: no estimator that has a header of its own holds at speed; "
+        "there is no pair to write: no estimator with its own header holds at speed; "
         "leave -o out to see why"
     )
 
@@ -274,7 +274,7 @@ def with_method(design: Design, method: StartUpMethodName | None) -> Design:
     settings = design.control.start_up
     if settings is None and method is None:
         raise InputError(
-            "the design asks for no start without encoder; write control.start_up: {method: auto}"
+            "the design requests no start without encoder; write control.start_up: {method: auto}"
         )
     if method is None:
         return design

@@ -71,9 +71,9 @@ class Where:
         if self.scheduler and self.scheduler_file is not None:
             raise InputError("--scheduler and --scheduler-file name one cluster: write one of them")
         if there and self.workers is not None:
-            raise InputError("--workers counts processes of this machine: leave it out")
+            raise InputError("--workers counts processes of this machine: omit it")
         if any(self.tls) and not there:
-            raise InputError("TLS is for a cluster that there is: add --scheduler")
+            raise InputError("TLS needs an existing cluster: add --scheduler")
         if any(self.tls) and not (self.tls[0] and self.tls[1]):
             raise InputError("TLS takes --tls-ca-file and --tls-cert")
         return EngineSettings(
@@ -146,7 +146,7 @@ def answer_explore(request: StudyRequest) -> Answer:
         EngineStoppedError: The run could not go on.
     """
     if request.plot and (request.dry_run or request.looked.at_rows or request.looked.export):
-        raise InputError("--plot draws all rows: leave out --dry-run, --table, --csv and --export")
+        raise InputError("--plot draws all rows: omit --dry-run, --table, --csv and --export")
     _require_extra()
     settings = request.where.settings()
     if Path(request.study).is_dir():
@@ -178,7 +178,7 @@ def _searched(study: Study, plan: StudyPlan, request: StudyRequest) -> SearchedS
     from dqforge.optimizer.exploration.study_search import SearchedStudy
 
     if request.reuse:
-        raise InputError("--reuse: a search computes all rows that it chooses; leave it out")
+        raise InputError("--reuse: a search computes all rows that it chooses; omit it")
     return SearchedStudy(plan, study.search)
 
 
@@ -415,7 +415,7 @@ def _listed(
         SENSITIVITY: "on which inputs the outputs depend",
     }
     return [
-        ListedFile(STUDY_JSON, "what the study asks, its columns with units, and its outcome"),
+        ListedFile(STUDY_JSON, "what the study requests, its columns with units, and its outcome"),
         ListedFile(
             f"{PARTS}/",
             f"the rows in {counted(len(parts), 'file')}; each carries its SHA-256",

@@ -67,7 +67,7 @@ def recorded(
     """Files of measurements among the options, the last three members of `NewRequest`.
 
     Raises:
-        InputError: An option says something of a file that is not given.
+        InputError: An option describes a file that is not given.
     """
     for flag, said, needed, other in (
         ("--axes", axes, flux_map, "--map"),
@@ -75,9 +75,7 @@ def recorded(
         ("--line-to-line", line_to_line, files, "--capture"),
     ):
         if said and not needed:
-            raise InputError(
-                f"{flag} says something of a file that is not given; write {other} FILE"
-            )
+            raise InputError(f"{flag} describes a file that is not given; write {other} FILE")
     capture = CapturedFlux(files, line_to_line, scale) if files else None
     return capture, flux_map, axes
 
@@ -138,9 +136,7 @@ def _refuse_two_ways(asked: NewRequest) -> None:
     }
     given += [way for way, is_asked in ways.items() if is_asked]
     if len(given) > 1 and set(given) & set(ways):
-        raise InputError(
-            f"{given[0]} and {given[-1]} both say what is to be made; leave one of them out"
-        )
+        raise InputError(f"{given[0]} and {given[-1]} both define the design; omit one of them")
 
 
 def _answer_new_of(asked: NewRequest, path: Path) -> Answer:

@@ -56,8 +56,8 @@ def answer_losses(design: Design, request: LossRequest, *, choice: bool) -> Answ
     if choice:
         if request != LossRequest():
             raise InputError(
-                "--choice takes what the section 'modulation_choice' says; leave the other options "
-                "out"
+                "--choice takes its settings from the section 'modulation_choice'; omit the "
+                "other options"
             )
         stage("choosing modulator and frequency")
         return answer_choice(design)
@@ -186,7 +186,7 @@ def answer(design: Design, request: LossRequest) -> Answer:
         NoSolutionError: The limits leave no speed at all, or the winding has no steady temperature.
     """
     if request.chart is not None and request.mission is not None:
-        raise InputError("--map and --mission are two questions; ask one at a time")
+        raise InputError("--map and --mission exclude each other; use one at a time")
     alternatives = requested_alternatives(design, request)
     margin = _margin(request.margin)
     if request.mission is not None:
@@ -199,7 +199,7 @@ def _map(
 ) -> Answer:
     count = torques * speeds * int(np.prod(alternatives.shape))
     if count > _MOST_BUDGETS:
-        message = f"--map: {count} budgets are asked for, at most {_MOST_BUDGETS} are computed"
+        message = f"--map: {count} budgets are requested, at most {_MOST_BUDGETS} are computed"
         raise InputError(f"{message}; take fewer points or alternatives")
     found = solve_map(design, alternatives, margin, torques, speeds)
 

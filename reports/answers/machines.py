@@ -29,7 +29,7 @@ def answer_machines(name: str | None, search: str | None = None) -> Answer:
         InputError: There is none of this name, nothing matches, or both are asked for.
     """
     if name is not None and search is not None:
-        raise InputError("--search lists what matches and NAME prints one; leave one of them out")
+        raise InputError("--search lists what matches and NAME prints one; omit one of them")
     if name is not None:
         text = read_design(name).decode("utf-8")
         return Answer(name, (), {"text": text}, notes=(text.removesuffix("\n"),))

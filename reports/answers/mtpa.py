@@ -149,7 +149,7 @@ def answer(design: Design, request: Request) -> Answer:
         raise InputError(f"--objective: expected copper or total, got '{request.objective}'")
     if request.chart is not None:
         if request.speed is not None or request.torque is not None:
-            raise InputError("--map spans all speeds and torques; leave --speed and --torque out")
+            raise InputError("--map spans all speeds and torques; omit --speed and --torque")
         return _map(design, limit, request, *map_size(request.chart))
     return _points(design, limit, request)
 
@@ -184,7 +184,7 @@ def _points(design: Design, limit: VoltageLimit, request: Request) -> Answer:
         from dqforge.reports.operating_points.figures import plot_speed
 
         if asked is not None:
-            raise InputError("--plot draws a speed or a map; leave --torque out")
+            raise InputError("--plot draws a speed or a map; omit --torque")
         fine = points_within(drive, np.linspace(0.0, end, 201), omega, objective)
         return plot_speed(fine.points, limit)
 

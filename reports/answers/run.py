@@ -46,7 +46,7 @@ def answer_run(design: Design, *, verify: bool) -> Answer:
     verified = () if output.verification is None else output.verification.languages
     options = {COMMAND: "run", VERIFIED: ",".join(verified)}
     follow = (
-        "read {out}/report.html, then include the headers; 'dqforge verify {out}' tries them again"
+        "read {out}/report.html, then include the headers; 'dqforge verify {out}' tests them again"
     )
     files = Files(output.files, RUN, design, options=options, follow=follow)
     return Answer(design.name, tables, plain, files=files)
@@ -67,7 +67,7 @@ def answer_export(
     if firmware:
         return answer_export_for(design, firmware, into, verify=verify, elsewhere=elsewhere)
     if into is not None:
-        raise InputError("--into: say whose file it is; write --for NAME with it")
+        raise InputError("--into: its firmware is unknown; add --for NAME")
     from dqforge.reports.output.folder import COMMAND, RUN
     from dqforge.reports.run import export_design
 
@@ -152,5 +152,5 @@ def _check_names(files: dict[str, bytes], made: dict[str, bytes], fit: FirmwareF
     if twice:
         raise InputError(
             f"--for: {fit.name} and another firmware both write {twice[0]}; export them one by "
-            "one, each with an -o of its own"
+            "one, each with its own -o"
         )

@@ -276,8 +276,8 @@ def serve(folder: Path, port: int, *, as_json: bool) -> None:
     try:
         server = Server(folder, port)
     except OSError as error:
-        reason = error.strerror or "it cannot be had"
-        raise InputError(f"--port: {port}: {reason}; leave it out for a free one") from None
+        reason = error.strerror or "it is not available"
+        raise InputError(f"--port: {port}: {reason}; omit it for a free one") from None
     path = str(folder / NEW_DESIGN)
     said = f"{path} in the browser: {server.address}\nCtrl-C ends it"
     if as_json:
@@ -316,7 +316,7 @@ class Work:
             return await asyncio.wrap_future(self._pool.submit(function, *args))
         except BrokenProcessPool:
             self._pool = self._made()
-            return {"error": "the computation broke off; ask once more"}
+            return {"error": "the computation was interrupted; try again"}
 
     def end(self) -> None:
         """Leave the processes to themselves: they end with this one."""
@@ -343,7 +343,7 @@ class _Plain(RequestHandler):
     def write_error(self, status_code: int, **_: Any) -> None:
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         said = {403: "open the address that 'dqforge serve' has printed", 404: "not here"}
-        self.finish(said.get(status_code, "this went wrong; what was saved is kept") + "\n")
+        self.finish(said.get(status_code, "this failed; saved data are kept") + "\n")
 
 
 class _Guarded(_Plain):
@@ -434,7 +434,7 @@ class _State(_Guarded):
                 self.folder.template(str(asked["machine"]), revision)
         except ChangedElsewhereError:
             state = self._state()
-            said = "the design was changed elsewhere; this is what it says now"
+            said = "the design was changed elsewhere; this is its present content"
             self.answer(state | {"error": said, "stale": True})
         except DqforgeError as error:
             self.answer({"error": str(error)})

@@ -384,7 +384,7 @@ def _print(answer: Answer, written: Written | None, out: Path | None) -> None:
             lines.append("written: " + " ".join(str(path) for path in written.paths))
         changed = (
             ("replaced", written.replaced),
-            ("removed, as this run no longer writes it", written.removed),
+            ("removed, as this run does not write it", written.removed),
             ("kept, of the design as it was before", written.kept),
         )
         lines += [f"{what}: {' '.join(names)}" for what, names in changed if names]

@@ -403,14 +403,14 @@ _DRIVE = "Design file, or the name of a library drive."
 _SIDE = "Design, library drive, or what 'dqforge run' wrote."
 _MARGIN = "Share of the voltage kept free for control, e.g. '5 %'; mtpa: or dead-time."
 
-_LIMIT = "Whose linear range limits the voltage: spwm, svpwm, dpwm1, ..."
+_LIMIT = "Modulator whose linear range limits the voltage: spwm, svpwm, dpwm1, ..."
 _LOSS = "What is minimised: copper, or total with iron and inverter."
 
 _CHOICE = "Best modulator and frequency over the map, and the rule: modulation_choice."
 _CAPTURE = "Capture with time, or angle, and three phases; or a file per channel."
 
 
-_CORE = "Emulated core, too: cortex-m0plus, -m3, -m4, -m7 or -m33."
+_CORE = "Also on an emulated core: cortex-m0plus, -m3, -m4, -m7 or -m33."
 
 
 Design = Annotated[str, _argument("DESIGN", _DRIVE, designs)]
@@ -520,7 +520,7 @@ For = Annotated[
 
 
 Into = Annotated[
-    Path | None, _text("--into", "FILE", "With --for: keep what else this file holds.")
+    Path | None, _text("--into", "FILE", "With --for: keep the other contents of this file.")
 ]
 
 
@@ -537,12 +537,12 @@ OutOfExport = Annotated[
 
 Explained = Annotated[
     list[Path],
-    _argument("FILE...", "Configuration of other firmware, or header or result of ours."),
+    _argument("FILE...", "Configuration of other firmware, or a header or result of dqforge."),
 ]
 
 
 OnMachine = Annotated[
-    str | None, _text("--machine", "DESIGN", "Judge it on the machine of this design.")
+    str | None, _text("--machine", "DESIGN", "Evaluate it on the machine of this design.")
 ]
 
 
@@ -552,15 +552,13 @@ Template = Annotated[
 ]
 
 
-Blank = Annotated[bool, Option("--template", help="The commented template, without a question.")]
+Blank = Annotated[bool, Option("--template", help="The commented template, without questions.")]
 
 
 StudyOfNew = Annotated[str | None, _text("--study", "NAME", "A study of the library instead.")]
 
 
-Yes = Annotated[
-    bool, Option("--yes", help="Ask nothing: what may be left out is assumed, and said.")
-]
+Yes = Annotated[bool, Option("--yes", help="Ask nothing: optional values are assumed and listed.")]
 
 
 Core = Annotated[str | None, _text("--target", "CORE", _CORE)]
@@ -682,7 +680,7 @@ Workers = Annotated[
 
 
 Scheduler = Annotated[
-    str, _text("--scheduler", "ADDRESS", "Cluster that there is, e.g. tcp://host:8786.")
+    str, _text("--scheduler", "ADDRESS", "Existing cluster, e.g. tcp://host:8786.")
 ]
 
 
@@ -692,7 +690,7 @@ SchedulerFile = Annotated[
 
 
 DryRun = Annotated[
-    bool, Option("--dry-run", help="Say what it would be: rows, first and last, time, bytes.")
+    bool, Option("--dry-run", help="Show the plan: rows, first and last, time, bytes.")
 ]
 
 
@@ -702,7 +700,7 @@ Limit = Annotated[
 ]
 
 
-Restart = Annotated[bool, Option("--restart", help="Take away what OUT holds, and begin anew.")]
+Restart = Annotated[bool, Option("--restart", help="Delete the contents of OUT and start again.")]
 
 
 Reuse = Annotated[
@@ -722,13 +720,15 @@ TimeLimit = Annotated[
 ]
 
 
-TlsAuthority = Annotated[str, _text("--tls-ca-file", "PEM", "Certificates of a cluster with TLS.")]
+TlsAuthority = Annotated[
+    str, _text("--tls-ca-file", "PEM", "CA certificates of a cluster with TLS.")
+]
 
 
-TlsCertificate = Annotated[str, _text("--tls-cert", "PEM", "The certificate shown to it.")]
+TlsCertificate = Annotated[str, _text("--tls-cert", "PEM", "Client certificate for it.")]
 
 
-TlsKey = Annotated[str, _text("--tls-key", "PEM", "Its key, where that is a file of its own.")]
+TlsKey = Annotated[str, _text("--tls-key", "PEM", "Its key, if in a separate file.")]
 
 
 TableOf = Annotated[
@@ -737,17 +737,18 @@ TableOf = Annotated[
 
 
 Where = Annotated[
-    list[str] | None, _text("--where", "TEST", "Of rows that hold, e.g. 'losses.total < 500 W'.")
+    list[str] | None,
+    _text("--where", "TEST", "Only rows that meet it, e.g. 'losses.total < 500 W'."),
 ]
 
 
-Sort = Annotated[str, _text("--sort", "A,-B", "In this order; -B: the largest first.")]
+Sort = Annotated[str, _text("--sort", "A,-B", "Sort by these; -B: the largest first.")]
 
 
 First = Annotated[int | None, Option("--first", metavar="N", min=1, help="Only so many rows.")]
 
 
-CsvOf = Annotated[Path | None, _text("--csv", "FILE", "All rows that hold, with all digits.")]
+CsvOf = Annotated[Path | None, _text("--csv", "FILE", "All rows that match, with all digits.")]
 
 
 ExportOf = Annotated[

@@ -628,7 +628,7 @@ def own_gains(side: Side) -> OwnGains:
     found = _of_macros(side) if side.header_only else _of_result(side)
     if found.current_q is None and found.current_d is None:
         raise InputError(
-            "holds no gains: the design it was made of has none; tune it, and run it again",
+            "holds no gains: its design has none; tune it, and run it again",
             source=side.source,
         )
     return found

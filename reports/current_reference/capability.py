@@ -83,7 +83,7 @@ def penalty_text(solution: Solution) -> str:
     errors = solution.fit.errors
     least = "the least" if solution.design.strategy == "mtpa" else "that of exact i_d = 0"
     if errors.loss_relative <= ROUNDING:
-        return f"the copper loss is {least} but for rounding"
+        return f"the copper loss is {least} apart from rounding"
     return (
         f"the copper loss lies at most {quantity(ceiling(errors.loss), 'W', 3)} or "
         f"{share(ceiling(errors.loss_relative, 2))} above {least}"
@@ -140,7 +140,7 @@ def errors_passage(solution: Solution) -> Passage:
         f"({share(ceiling(errors.torque_relative, 2))} of the largest torque)"
     )
     text = symbols(
-        f"The torque errs by at most {torque}; {penalty_text(solution)}. These values were found "
+        f"The torque deviates by at most {torque}; {penalty_text(solution)}. These values were found "
         f"by evaluating the arithmetic of the header {count(errors.samples)} times, on both sides "
         "of every breakpoint and, in single precision, with and without fused multiply-add."
     )
@@ -255,7 +255,7 @@ def alternatives_table(fit: ReferenceFit, alternatives: Sequence[Alternative]) -
         "step at zero",
     )
     return HtmlTable(
-        "The price of each option: largest errors found", heading_cells(*columns), (chosen, *rows)
+        "The cost of each option: largest errors found", heading_cells(*columns), (chosen, *rows)
     )
 
 
@@ -588,7 +588,7 @@ def _sentences(solution: Solution, _: Solution) -> list[str]:
             f"{quantity(fit.torque_max, 'N m')}."
         ),
         (
-            f"The torque errs by at most {quantity(ceiling(fit.errors.torque), 'N m', 3)}, "
+            f"The torque deviates by at most {quantity(ceiling(fit.errors.torque), 'N m', 3)}, "
             f"{penalty_text(solution)}; {reference_proof_text(solution)}."
         ),
     ]
@@ -598,8 +598,8 @@ def _sentences(solution: Solution, _: Solution) -> list[str]:
             "sampled" if half.certificate is None else f"proven: {proven_text(half.certificate, 3)}"
         )
         sentences.append(
-            "Negative torques have a reference of their own, up to "
-            f"{quantity(half.fit.torque_max, 'N m')}; its torque errs by at most "
+            "Negative torques have their own reference, up to "
+            f"{quantity(half.fit.torque_max, 'N m')}; its torque deviates by at most "
             f"{quantity(ceiling(half.fit.errors.torque), 'N m', 3)} ({proof})."
         )
     saving = solution.curves.saving

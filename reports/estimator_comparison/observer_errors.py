@@ -105,7 +105,7 @@ def warm_table(warm: WarmErrors) -> Table:
         "Position observer on the warm machine; steady errors in deg (electrical)",
         columns,
         rows,
-        (f"{own}; {changes}", "nothing else is off; JSON has them with the dead time besides"),
+        (f"{own}; {changes}", "all else exact; the JSON also has them with dead time"),
     )
 
 
@@ -303,7 +303,7 @@ def _sensitivities(found: EstimatorComparison) -> Table:
     at = " and ".join(f"{100.0 * share:.0f} %" for share in _SENSITIVE_AT)
     columns = ("estimator", *(label for label, _ in _CAUSES.values()))
     notes = (f"at {at} of the speed, half the largest torque; by the slope at exact data",)
-    return Table("What the angle errs by in deg (electrical)", columns, tuple(rows), notes)
+    return Table("Error of the angle in deg (electrical)", columns, tuple(rows), notes)
 
 
 def _winners(found: EstimatorComparison) -> Table:
@@ -536,7 +536,7 @@ def pair_lines(asked: Question, pair: FlashedPair) -> tuple[str, ...]:
     lines = [first, over, *_loop_lines(asked, pair)]
     if pair.passed:
         lines.append(
-            "passed over, as the speed loop over them is stable at every corner from a higher "
+            "rejected, as the speed loop over them is stable at every corner from a higher "
             f"speed on, or nowhere: {', '.join(pair.passed)}"
         )
     lines += _keys(asked, pair)

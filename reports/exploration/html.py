@@ -156,7 +156,7 @@ def _lead(view: StudyView) -> str:
     states = view.summary.acceptance.states
     fine = states.get("ok", 0)
     text = f"{count(view.summary.rows)} of {count(view.rows)} rows are computed, {count(fine)} of"
-    text += " them without anything to object to."
+    text += " them without objection."
     bad = [f"{count(states[name])} {name}" for name in STATES[1:] if states.get(name)]
     return text + (f" Others: {', '.join(bad)}." if bad else "")
 

@@ -250,7 +250,7 @@ def _connected(settings: EngineSettings) -> Client:
     security = _security(settings.tls)
     if address.startswith("tls://") and not _has_certificates(security):
         raise EngineStoppedError(
-            f"the scheduler at {address} asks for certificates; write --tls-ca-file, --tls-cert "
+            f"the scheduler at {address} requires certificates; write --tls-ca-file, --tls-cert "
             "and --tls-key"
         )
     try:
@@ -378,7 +378,7 @@ def _refuse(address: str, difference: str) -> None:
     if not difference:
         return
     advice = (
-        "use machines of one kind, or --mixed, with which bytes are not promised"
+        "use machines of one kind, or --mixed, with which identical bytes are not guaranteed"
         if CPU in difference
         else "install the same version on all workers"
     )

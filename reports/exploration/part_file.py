@@ -201,7 +201,7 @@ def _text(text: str) -> str | None:
 def _seal_place(data: bytes) -> int:
     """Where the digits of the seal begin."""
     if len(data) < 2 * _TAIL or data[-4:] != _PARQUET:
-        raise PartError("it is cut off, or no part")
+        raise PartError("it is truncated, or not a part")
     footer = int.from_bytes(data[-_TAIL:-4], "little")
     # The metadata of the file lie behind statistics, in which texts of rows stand: the last one.
     place = data.rfind(_MARKER, max(len(data) - _TAIL - footer, 0), len(data) - _TAIL)
@@ -247,7 +247,7 @@ def part_about(data: bytes) -> PartAbout:
     try:
         found = parquet.read_metadata(pa.BufferReader(data))
     except (pa.ArrowException, OSError) as error:
-        raise PartError("it is no part of a study") from error
+        raise PartError("it is not part of a study") from error
     return _about(found.metadata, found.num_rows)
 
 
@@ -257,7 +257,7 @@ def _about(texts: Mapping[bytes, bytes] | None, count: int) -> PartAbout:
         audited = json.loads(found[_AUDITED])
         return PartAbout(found[_STUDY].decode("ascii"), int(found[_FIRST]), count, audited)
     except (KeyError, TypeError, ValueError) as error:
-        raise PartError("it is no part of a study") from error
+        raise PartError("it is not part of a study") from error
 
 
 def part_table(data: bytes, names: Sequence[str]) -> tuple[PartAbout, pa.Table]:
@@ -524,7 +524,7 @@ def _places(array: pa.Array, words: Sequence[str]) -> NDArray[np.int32]:
     found = array.dictionary.to_pylist()
     strange = [word for word in found if word not in known]
     if strange:
-        raise PartError("it holds a word that the study does not know")
+        raise PartError("it holds a word unknown to the study")
     places = np.array([*(known[word] for word in found), -1], dtype=np.int32)
     codes: NDArray[np.int32] = array.indices.fill_null(len(found)).to_numpy(zero_copy_only=False)
     return np.asarray(places[codes])

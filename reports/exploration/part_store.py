@@ -161,7 +161,7 @@ class PartStore:
         if about.digest != header.digest:
             raise PartError("it is of another study")
         if part >= header.parts or about.first != part * header.batch:
-            raise PartError("it stands in the place of another part")
+            raise PartError("it is in the place of another part")
         if about.count != header.rows_of(part):
             raise PartError(f"it has {about.count} rows of {header.rows_of(part)}")
 
@@ -202,7 +202,7 @@ class PartStore:
             self._require(part, found.about)
         except (PartError, OSError) as error:
             raise StoreError(
-                f"{path}: {error}; run the study again, which computes this part anew"
+                f"{path}: {error}; run the study again, which computes this part again"
             ) from error
         return found
 
@@ -215,7 +215,7 @@ class PartStore:
     def write_beside(self, name: str, content: bytes) -> None:
         """Write `FRONT`, `SENSITIVITY` or `REPORT`; raises as `write`."""
         if name not in BESIDE:
-            raise ValueError(f"{name} is no file of a study")
+            raise ValueError(f"{name} is not a file of a study")
         write_whole(self.folder / name, content)
 
     def close(self) -> None:
@@ -443,7 +443,7 @@ def header_from(content: bytes) -> StudyHeader:
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
     if not isinstance(plain, dict) or "dqforge_explored" not in plain:
-        raise ValueError("it is no study of dqforge")
+        raise ValueError("it is not a study of dqforge")
     seal = plain.pop("sha256", None)
     if seal != hashlib.sha256(canonical(plain)).hexdigest():
         raise ValueError("it was changed since it was written")

@@ -329,7 +329,7 @@ class SearchedWay:
                 if not np.array_equal(part.columns[INPUT_COLUMN + name][known], values[known]):
                     raise InputError(
                         f"{self.store.folder}: {name} of generation {self.number} is not what the "
-                        "search asks for here; take another -o, or --restart"
+                        "search expects here; take another -o, or --restart"
                     )
 
 

@@ -228,7 +228,9 @@ def _scale_axes(axes: Axes, across: FloatArray, up: FloatArray) -> None:
 def _spread(view: StudyView) -> Figure:
     accept = view.question.accept[:4]
     with style():
-        figure = new_figure("study-yield", 2.6, "How the judged outputs are spread over the rows")
+        figure = new_figure(
+            "study-yield", 2.6, "How the evaluated outputs are spread over the rows"
+        )
         width = 0.94 / len(accept)
         for place, each in enumerate(accept):
             box = (0.065 + place * width, 0.19, width - 0.075, 0.74)

@@ -340,7 +340,7 @@ def _require_outputs(store: PartStore, columns: Sequence[ColumnSpec]) -> None:
             if old is None or (old.unit, old.kind) != (column.unit, column.kind):
                 name = column.name.removeprefix(OUTPUT_COLUMN)
                 raise InputError(
-                    f"--reuse {store.folder}: it has no output {name}; leave the folder out"
+                    f"--reuse {store.folder}: it has no output {name}; omit the folder"
                 )
 
 

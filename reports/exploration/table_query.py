@@ -220,7 +220,7 @@ def fitting(words: Sequence[str], condition: Condition) -> tuple[bool, ...]:
 def _condition(header: StudyHeader, text: str) -> Condition:
     match = _CONDITION.fullmatch(text)
     if match is None or not match["value"]:
-        raise InputError(f"--where: {shown(text)} is no condition; {_EXAMPLE}")
+        raise InputError(f"--where: {shown(text)} is not a condition; {_EXAMPLE}")
     name = _column(header, match["name"], "--where")
     operator, value = _SAME[match["operator"]], match["value"]
     spec = spec_of(header, name)
@@ -229,7 +229,7 @@ def _condition(header: StudyHeader, text: str) -> Condition:
             raise InputError(f"--where: {match['name']} holds words; write = or != before them")
         words = tuple(_listed(value))
         if not words:
-            raise InputError(f"--where: {shown(text)} is no condition; {_EXAMPLE}")
+            raise InputError(f"--where: {shown(text)} is not a condition; {_EXAMPLE}")
         if spec.kind == "choice":
             _require_words(match["name"], words, spec.choices)
         return Condition(name, operator, words=words)

@@ -99,7 +99,7 @@ def _require_rows(store: PartStore, rows: Sequence[int]) -> None:
         if row >= header.count:
             raise InputError(f"--export row:{row}: the study has {header.count} rows, from 0 on")
         if not list(store.read([], [row // header.batch])):
-            raise InputError(f"--export row:{row}: it is not computed yet; run the study on")
+            raise InputError(f"--export row:{row}: it is not computed yet; continue the study")
 
 
 def _goals(store: PartStore) -> tuple[tuple[str, bool], ...]:
@@ -107,7 +107,7 @@ def _goals(store: PartStore) -> tuple[tuple[str, bool], ...]:
     goals = store.header.study["goals"]
     if not goals:
         raise InputError(
-            "--export: the study asks for no pareto, so that no row is best; write row:INDEX"
+            "--export: the study requests no pareto, so no row is best; write row:INDEX"
         )
     return tuple((OUTPUT_COLUMN + goal["output"], not goal["minimise"]) for goal in goals)
 
@@ -154,7 +154,7 @@ def stored_study(store: PartStore) -> Study:
         contents = {name: read_whole(store.folder / name) for name in input_names(plain)}
     except OSError as error:
         raise StoreError(
-            f"{error.filename}: {error.strerror}; run the study again, which writes it anew"
+            f"{error.filename}: {error.strerror}; run the study again, which writes it again"
         ) from error
     return study_from(plain, contents)
 

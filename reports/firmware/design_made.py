@@ -63,7 +63,7 @@ def target_of_file(file: TextFile, targets: Targets = TARGETS) -> Target:
     """
     found = recognised(file, targets)
     if found is None:
-        message = f"no firmware is known that writes this; known are: {known_files(targets)}"
+        message = f"no known firmware writes this; known: {known_files(targets)}"
         raise InputError(message, source=file.source, line=1)
     return found
 
@@ -223,7 +223,7 @@ def require_settling(design: Design, fit: FirmwareFit, program: Simulator | None
             advice = f"write control.firmware: {fit.name} to have gains chosen within its structure"
         raise NoSolutionError(
             f"export.firmware: {fit.name} does not control this drive, nothing is written: {why}; "
-            f"{advice}, or --no-verify to write the file all the same"
+            f"{advice}, or --no-verify to write the file nevertheless"
         )
     return verdict
 
@@ -313,7 +313,7 @@ def design_from_files(files: Sequence[Path], settings: Sequence[str] = ()) -> De
     if settings and made.missing:
         also = " ".join(f"--set {key}='{example}'" for key, example in made.missing)
         raise InputError(
-            f"the file does not say all that a design needs; give {also} as well",
+            f"the file does not contain all that a design needs; give {also} as well",
             source=str(files[0]),
             line=1,
         )
@@ -424,7 +424,7 @@ _GAIN_UNITS = {
     "speed": (("N m s/rad", "speed-gain"), ("N m/rad", "speed-integral-gain")),
 }
 
-_JUDGED = "# the file's gains are judged, whatever they keep; 30 deg is usual"
+_JUDGED = "# the file's gains are evaluated with any margin; 30 deg is usual"
 
 
 @dataclass(frozen=True, slots=True)
@@ -492,7 +492,7 @@ class _Writer:
         found = self.found
         files = ", ".join(self.sources)
         self._comment(f"Read from {files}: configuration of {found.firmware} {found.version}.")
-        self._comment("Every value says where it stands there; what is missing is marked QUESTION.")
+        self._comment("Every value says where it stands there; missing values are marked QUESTION.")
         for sentence in found.conventions:
             self._comment(f"Convention: {sentence}")
         for sentence in found.contradictions:
@@ -536,7 +536,11 @@ class _Writer:
         self.lines.append("  current_sensing:")
         for key, field, text in said:
             stated = getattr(drive, field) is not None
-            entry = self._entry(field, text) if stated else f"{text}   # the usual one, not said"
+            entry = (
+                self._entry(field, text)
+                if stated
+                else f"{text}   # the usual one, not stated there"
+            )
             self.lines.append(f"    {key}: {entry}")
             if stated:
                 self.origins[f"inverter.current_sensing.{key}"] = field
@@ -550,7 +554,9 @@ class _Writer:
         if value is None:
             if key.key == "inertia" and self.found.speed is not None:
                 self._ask(
-                    key.key, f"{key.what}, which its speed controller is judged with", key.example
+                    key.key,
+                    f"{key.what}, with which its speed controller is evaluated",
+                    key.example,
                 )
                 self.wanted.append((path, key.example))
             else:
@@ -603,7 +609,7 @@ class _Writer:
         found = self.found
         self.lines += ["", "control:"]
         if pll is None:
-            self.lines.append(f"  firmware: {found.firmware}   # whose loops are judged")
+            self.lines.append(f"  firmware: {found.firmware}   # whose loops are evaluated")
         else:
             self.lines.append(
                 f"  firmware: {{name: {found.firmware}, pll_kp: {pll.kp!r}, pll_ki: {pll.ki!r}}}"
@@ -659,7 +665,7 @@ class _Writer:
         per_ampere = torque_per_ampere(drive.pole_pairs, drive.psi_pm)
         margin = "  " if inertia else "  # "
         if not inertia:
-            self.lines.append("  # With machine.inertia the speed controller can be judged:")
+            self.lines.append("  # With machine.inertia the speed controller can be evaluated:")
         ratio = max(1, round((drive.t_speed or drive.t_s) / drive.t_s))
         self.lines += [
             f"{margin}speed_loop:",

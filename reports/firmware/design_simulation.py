@@ -123,7 +123,9 @@ def _as_it_can_run(
         )
     if scenario.encoder.speed in ("observer", "measured"):
         scenario = replace(scenario, encoder=replace(scenario.encoder, speed="exact"))
-        remarks.append(f"{loops.name} made the speed of the angle by itself, without our observer")
+        remarks.append(
+            f"{loops.name} derived the speed from the angle itself, without the observer of dqforge"
+        )
     if scenario.inverter == "switched" and not fits_carrier(drive):
         scenario = replace(scenario, inverter="averaged")
         remarks.append(

@@ -126,7 +126,7 @@ def _members(
         if isinstance(value, str) and KINDS[name] != "word" and _ELSEWHERE.fullmatch(value):
             left.append(
                 f"{definition.name} is {shown(definition.text)}, which this file does not define: "
-                "left out"
+                "omitted"
             )
         elif value is not None:
             own[name] = _as_kind(found, definition, name, value)

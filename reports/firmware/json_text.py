@@ -116,7 +116,7 @@ def parsed_json(text: str, source: str, *, constants: bool = False) -> JsonText:
         if constants:
             return float(name)
         line = _line(text, max(text.find(name), 0))
-        message = f"{name} is no number of JSON; write a finite one"
+        message = f"{name} is not a number of JSON; write a finite one"
         raise InputError(message, source=source, line=line)
 
     try:

@@ -419,7 +419,7 @@ def write(found: Configuration, title: FileTitle, existing_text: str | None) -> 
     if theirs.edition.fixed != file.edition.fixed:
         ours = "fixed point" if file.edition.fixed else "float"
         raise InputError(
-            f"the existing header is not one of a {ours} build, as the design asks for; name one "
+            f"the existing header is not one of a {ours} build, as the design requires; name one "
             f"that is, or give or leave out control.current_loop.q_formats",
             source=_EXISTING,
         )

@@ -232,7 +232,7 @@ def _inductance(value: float, r_s: float | None, description: object) -> tuple[f
     profiler H.
     """
     if isinstance(description, str) and MILLIHENRIES in description:
-        return printed(1e-3 * value), "ls is in mH, as the description says"
+        return printed(1e-3 * value), "ls is in mH, as the description states"
     if value / (r_s or 0.5) > _BETWEEN:
         return printed(1e-3 * value), f"ls {value:g} is taken in mH, as Workbench writes it"
     return value, f"ls {value:g} is taken in H, as exports of the motor profiler have it"

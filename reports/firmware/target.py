@@ -132,7 +132,9 @@ def standard_steps(
         torque = CURRENT_SHARE * i_max * constant
         steps += [_driven(profile, machine, "torque", torque, speed) for speed in speeds]
     else:
-        left_out.append("no step of the torque: the firmware is told of no magnet flux linkage")
+        left_out.append(
+            "no step of the torque: the firmware has no setting for the magnet flux linkage"
+        )
     if profile.speed is None:
         left_out.append("no step of the speed: the configuration has no speed controller")
     elif machine.inertia is None:

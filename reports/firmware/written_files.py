@@ -169,7 +169,7 @@ def target_named(fit: FirmwareFit, targets: Targets = TARGETS) -> Target:
     """The target of what was solved; raises InputError where its files are not written."""
     found = targets.get(fit.name)
     if found is None:
-        raise InputError(f"export.firmware: files of {fit.name} are not written; leave it out")
+        raise InputError(f"export.firmware: files of {fit.name} are not written; omit it")
     return found
 
 
@@ -230,7 +230,7 @@ def check_existing(existing: TextFile, target: Target) -> None:
     """
     if not target.recognise(PurePath(existing.source).name, existing.text):
         raise InputError(
-            f"is no file of {target.title}; name one that it writes",
+            f"is not a file of {target.title}; name one that it writes",
             source=existing.source,
             line=1,
         )
@@ -517,7 +517,7 @@ def shortfall_table(found: tuple[Shortfall, ...]) -> list[Table]:
     if not found:
         return []
     rows = tuple((shortfall.words, price_text(shortfall)) for shortfall in found)
-    return [Table("what the format cannot hold", ("what is lost", "price"), rows)]
+    return [Table("what the format cannot hold", ("deviation", "cost"), rows)]
 
 
 def price_text(shortfall: Shortfall) -> str:
@@ -616,7 +616,7 @@ def _margins(fit: FirmwareFit) -> str:
             crossover = loop.crossover / (2.0 * math.pi)
             margin = math.degrees(loop.phase_margin)
             texts.append(f"{name} {crossover:.4g} Hz, phase margin {margin:.3g} deg")
-    return "; ".join(texts) or "no loop judged"
+    return "; ".join(texts) or "no loop evaluated"
 
 
 def _html(table: Table, text_columns: int) -> HtmlTable:
@@ -636,8 +636,8 @@ def _passage(solution: Solution, fit: FirmwareFit) -> Passage:
 
 def _parts(solution: Solution, fits: Fits) -> list[ReportPart]:
     text = (
-        "The same drive as the firmware of others runs it: what its file holds, the loops that "
-        "this amounts to, and what is lost."
+        "The same drive under third-party firmware: the contents of the file, the resulting loops, "
+        "and the deviations from the design."
     )
     passages = [Passage(text=[text]), *(_passage(solution, fit) for fit in fits)]
     return [passage.of(CHAPTER) for passage in passages]

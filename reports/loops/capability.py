@@ -474,7 +474,7 @@ def _sentences(_: Solution, gains: GainSet) -> list[str]:
     speed = gains.speed
     if speed is not None and speed.observed is not None:
         sentences.append(
-            f"The speed loop is judged with the lag of its observer; {left_words(speed)}."
+            f"The speed loop is evaluated with the lag of its observer; {left_words(speed)}."
         )
     if gains.phases is not None and gains.phases.judged is not None:
         sentences.append(judged_sentence(gains.phases.judged))

@@ -297,7 +297,7 @@ def judged_columns(judged: JudgedLoops) -> tuple[str, ...]:
         "rpm",
         "samples per period",
         "radius per sample",
-        "forgotten to 1/e in ms",
+        "decay to 1/e in ms",
         *(_WORST if judged.corners else ()),
         "harmonic integrators",
         "learnt to 1/e in ms",

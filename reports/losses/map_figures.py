@@ -561,7 +561,7 @@ def _sentences(_: Solution, comparison: LossComparison) -> list[str]:
     best = best_loss(comparison)
     if best is None:
         return []
-    return [f"The alternative that loses least is {best[1]}: {best[0]} {best[2]}."]
+    return [f"The alternative of least loss is {best[1]}: {best[0]} {best[2]}."]
 
 
 def _tiles(_: Solution, comparison: LossComparison) -> list[Tile]:

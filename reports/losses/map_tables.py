@@ -93,7 +93,7 @@ def map_tables(design: Design, found: LossMap) -> list[Table]:
     ]
     notes += _bridge_notes(design) + _dead_time_notes(found.dead_time_share)
     if np.any(~found.comparison.budget.within_tables & found.comparison.usable):
-        notes.append("at some points the device tables are carried on beyond their ends")
+        notes.append("at some points the device tables are extrapolated")
     return [Table(title, columns, tuple(rows), tuple(notes)), _winner_table(found)]
 
 
@@ -107,7 +107,7 @@ def _dead_time_notes(taken: tuple[float, float]) -> list[str]:
     if high == 0.0:
         return []
     share = f"{high:.2g} %" if low == high else f"{low:.2g} to {high:.2g} %"
-    return [f"dead time is made up for, which takes {share} of the linear range"]
+    return [f"dead time is compensated, which takes {share} of the linear range"]
 
 
 def _winner_table(found: LossMap) -> Table:
@@ -128,14 +128,17 @@ def _winner_table(found: LossMap) -> Table:
     seen = np.unique(best[best >= 0])
     alternatives = found.comparison.alternatives
     named = [f"{letter(int(k))} = {alternative_text(alternatives, int(k))}" for k in seen]
-    named.append("of alternatives that lose the same the first in the list is named")
+    named.append("of alternatives with equal losses the first in the list is named")
     notes = (
         (*named, ". = no alternative makes the torque within its limits")
         if np.any(best < 0)
         else tuple(named)
     )
     return Table(
-        "Who loses least, over torque (down) and speed (across)", columns, tuple(rows), notes
+        "Alternative of least loss, over torque (down) and speed (across)",
+        columns,
+        tuple(rows),
+        notes,
     )
 
 
@@ -200,8 +203,8 @@ def _missed_notes(found: MissionComparison) -> list[str]:
             name = f"{run.strategy} {run.modulation}"
             names += [] if name in names else [name]
     return [
-        f"{found.mission.source}:{lines[0]}: torque or voltage cannot be had ({len(lines)} row"
-        f"{'' if len(lines) == 1 else 's'}) with {', '.join(names)}; the most that can is counted"
+        f"{found.mission.source}:{lines[0]}: torque or voltage is out of reach ({len(lines)} row"
+        f"{'' if len(lines) == 1 else 's'}) with {', '.join(names)}; the largest possible is used"
         for lines, names in groups.items()
     ]
 
@@ -232,7 +235,7 @@ def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
     first = found.runs[max(found.best, 0)]
     length = float(mission.time[-1] - mission.time[0])
     notes = [
-        f"{mission.length.size} intervals, {length:.6g} s; the mission follows itself",
+        f"{mission.length.size} intervals, {length:.6g} s; the mission repeats",
         (
             f"at the shaft {_energy(first.driving)} Wh go out and {_energy(-first.braking)} Wh "
             "come back"
@@ -244,7 +247,7 @@ def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
     if math.isfinite(first.winding_temperature):
         notes.append(f"winding at {first.winding_temperature:.1f} degC by the mean copper loss")
     if not all(run.within_tables for run in found.runs):
-        notes.append("in some alternatives the device tables are carried on beyond their ends")
+        notes.append("in some alternatives the device tables are extrapolated")
     notes += _missed_notes(found)
     title = f"{design.name}: losses over the mission {mission.source}"
     return [Table(title, columns, tuple(rows), (*notes, *mission.findings))]
@@ -340,7 +343,7 @@ def _rule_text(found: PhaseBudget, index: Index) -> str:
         text += f"; neutral {through}{three_decimals(ripple)} A r.m.s. of the switching"
     volts = float(found.budget.voltage_error[index])
     if volts > 0.0:
-        text += f"; dead time takes {three_decimals(volts)} V where nothing compensates it"
+        text += f"; dead time takes {three_decimals(volts)} V without compensation"
     return text
 
 

@@ -512,7 +512,8 @@ def _text(choice: ModulationChoice) -> str:
 def _left_out(choice: ModulationChoice) -> str:
     idle = choice.idle_share
     return (
-        f"At {share(idle)} of the map nothing keeps all limits; rule and means leave that out."
+        f"At {share(idle)} of the map nothing keeps all limits; rule and means exclude these "
+        "points."
         if idle > 0.0
         else ""
     )

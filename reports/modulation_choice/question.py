@@ -23,7 +23,7 @@ def answer_choice(design: Design) -> Answer:
     found = solve_choice(design)
     if found is None:
         message = (
-            "the design asks for no choice; add a section 'modulation_choice' with min_frequency, "
+            "the design requests no choice; add a section 'modulation_choice' with min_frequency, "
             "max_frequency"
         )
         raise InputError(message)

@@ -207,7 +207,8 @@ def choice_notes(choice: ModulationChoice) -> list[str]:
         notes.append(f"{unreached:.0f} % of the map lies beyond what current and voltage allow")
     if idle > 0.0:
         notes.append(
-            f"at {idle:.1f} % of the map nothing keeps all limits; rule and means leave it out"
+            f"at {idle:.1f} % of the map nothing keeps all limits; rule and means exclude these "
+            "points"
         )
     return notes
 
@@ -239,7 +240,7 @@ def _map(choice: ModulationChoice) -> Table:
         rows.append((f"{choice.torque[i]:.4g}", *cells))
     seen = np.unique(best[best >= 0])
     notes = [f"{letter(int(k))} = {choice.best.modulations[int(k)]}" for k in seen]
-    notes.append("of modulators that lose the same the first in the list is named")
+    notes.append("of modulators with equal losses the first in the list is named")
     columns = ("N m \\ rpm", *(f"{choice.omega_m[j] * _RPM:.0f}" for j in places[1]))
     return Table(
         "Best modulator with its frequency in kHz, over torque and speed",

@@ -69,7 +69,7 @@ def points_tables(
     """
     columns = (
         "speed rpm",
-        "asked N m",
+        "T_ref N m",
         "torque N m",
         "i_d A",
         "i_q A",
@@ -177,7 +177,7 @@ def point_tables(
     current = float(np.hypot(points.i_d[0], points.i_q[0]))
     rows = [
         ("speed", f"{_number(in_rpm(points.omega_m[0]))} rpm"),
-        ("torque asked for", f"{_number(points.torque_request[0])} N m"),
+        ("requested torque", f"{_number(points.torque_request[0])} N m"),
         ("torque", f"{_number(torque)} N m{short}"),
         ("held by", _HELD_BY[Active(int(points.active[0]))]),
         ("i_d, i_q", f"{_number(points.i_d[0])} A, {_number(points.i_q[0])} A"),
@@ -270,7 +270,7 @@ def envelope_tables(
     worst = float(np.max(chart.points.kkt_residual, initial=0.0))
     reached = int(np.count_nonzero(chart.points.reached))
     note = (
-        f"map: {reached} of {chart.points.reached.size} points can be had; largest violation "
+        f"map: {reached} of {chart.points.reached.size} points can be reached; largest violation "
         f"{worst:.1e}"
     )
     iron = ["iron"] if np.any(chart.losses.iron > 0.0) else []
@@ -494,7 +494,7 @@ def mtpa_tables(design: Design, curves: Curves, negative: Curves | None = None) 
             notes.append(f"i_d = 0 reaches {curves.id0.torque[-1]:.4g} N m within the limit")
     if np.any(curves.chosen.held):
         notes.append(
-            "held by the data: the flux map ends there, currents of less loss may lie beyond it"
+            "limited by the data: the flux map ends there, currents of less loss may lie beyond it"
         )
     base = curves.base
     per_unit_columns = () if base is None else ("torque p.u.", "i_d p.u.", "i_q p.u.")

@@ -301,7 +301,7 @@ def read_listed(folder: Path) -> tuple[Manifest, dict[str, bytes]]:
     """
     if (folder / PENDING).exists():
         raise InputError(
-            f"a run was cut off while it put its files in place; {_AGAIN}", source=str(folder)
+            f"a run was interrupted while it put its files in place; {_AGAIN}", source=str(folder)
         )
     manifest = read_manifest(folder)
     wanted = f"the folder that 'dqforge run' or 'dqforge export' wrote, or {_AGAIN}"
@@ -646,17 +646,17 @@ def recomputation_text(found: Recomputation) -> str:
     lines = []
     if found.listed:
         lines.append(
-            "not computed again, and held by the SHA-256 of the manifest alone: "
+            "not computed again, and checked by the SHA-256 of the manifest alone: "
             f"{_names(found.listed)}"
         )
     if found.foreign:
-        lines.append(f"not written by dqforge and not looked at: {_names(found.foreign)}")
+        lines.append(f"not written by dqforge and not checked: {_names(found.foreign)}")
     lines += [
         f"differs by the last digits of another library or processor, within {BOUND}: {each}"
         for each in found.digits
     ]
     if found.stale:
-        lines.append(f"of the design in another state than the headers: {_names(found.stale)}")
+        lines.append(f"of the design in another version than the headers: {_names(found.stale)}")
     if found.line_ends:
         lines.append(f"with other line endings than dqforge writes: {_names(found.line_ends)}")
     count = found.tally

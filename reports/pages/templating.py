@@ -469,18 +469,18 @@ ERRORS = Chapter("errors", "Torque error and loss", folded=True)
 LOOPS = Chapter(
     "loops",
     "Control loops",
-    "The loops are judged as they are sampled: one period of computation delay, held voltage, "
+    "The loops are evaluated as sampled systems: one period of computation delay, zero-order hold, "
     "exact discretisation. The axes are taken as decoupled and the inverter as linear.",
 )
 LOSSES = Chapter(
     "losses",
     "Loss comparison",
     "Every loss of the drive in the steady state, by kind: copper and what the current ripple adds "
-    "to it, iron (and what switching adds) and magnets where the design tells of them, conduction, "
+    "to it, iron (and what switching adds) and magnets where the design specifies them, conduction, "
     "dead time and switching of the inverter, DC link. Kinds below 0.01 % are not shown, but "
     "counted. Junction temperatures are solved together with the losses that depend on them; the "
-    "field is weakened as far as each modulator asks for it. Friction, which no alternative "
-    "changes, is no part of the total.",
+    "field is weakened as far as each modulator needs it. Friction, which no alternative "
+    "changes, is not part of the total.",
 )
 MODULATION = Chapter("modulation", "Modulator and frequency")
 CURRENT_FEEDBACK = Chapter("current-feedback", "Current-feedback PWM")
@@ -506,7 +506,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _constant(name: str) -> Any:
-    raise ValueError(f"{name} is no number of JSON")
+    raise ValueError(f"{name} is not a number of JSON")
 
 
 def strict_json(content: str | bytes) -> Any:

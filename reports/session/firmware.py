@@ -99,7 +99,7 @@ def design_from_firmware(files: Places, changes: Mapping[str, str] | None = None
     if made.missing:
         keys = ", ".join(f"{key!r}: {example!r}" for key, example in made.missing)
         raise InputError(
-            f"changes: the file does not say all that a design needs; give {{{keys}}}",
+            f"changes: the file does not contain all that a design needs; give {{{keys}}}",
             source=str(paths[0]),
         )
     return load_text(made.text.encode("utf-8"), "design made of a firmware's file")

@@ -343,8 +343,8 @@ def loss_map(
     count = int(np.prod((*sizes, *asked.shape)))
     if count > _MOST_BUDGETS:
         raise InputError(
-            f"loss_map: {count} budgets are asked for, at most {_MOST_BUDGETS} are computed; ask "
-            "for fewer"
+            f"loss_map: {count} budgets are requested, at most {_MOST_BUDGETS} are computed; "
+            "request fewer"
         )
     with asked_of(design, "losses"):
         return LossMap(solve_map(design, asked, _margin(margin), *sizes))

@@ -128,7 +128,7 @@ def _start_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
         ("... change of the current vector", _value(start.current_step, "A", 3)),
         ("within 10 % of the last reference after", _value(start.reached, "s", 3)),
         ("largest turn backwards", _degrees(start.back)),
-        ("times the observer took over or was left", str(start.crossings)),
+        ("times the observer took over or handed back", str(start.crossings)),
     ]
     return tuple(rows)
 

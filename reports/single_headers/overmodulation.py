@@ -118,7 +118,7 @@ def overmodulation_passage(found: Overmodulation) -> Passage:
         tables.append(HtmlTable(title, POINT_COLUMNS, rows, 0))
         gain = f" That gives {gain_text(found.largest)}."
     text = (
-        "Voltages beyond the linear range are made with the fundamental that is asked for: "
+        "Voltages beyond the linear range are made with the requested fundamental: "
         f"{reach_text(found)}.{gain} {ASSUMED}"
     )
     return Passage(text=[text], tables=tables)

@@ -642,7 +642,7 @@ def _figures(_: Solution, found: SixStepDesign) -> Mapping[str, Draw]:
 def _parts(_: Solution, found: SixStepDesign) -> list[ReportPart]:
     text = (
         "Blocks of 120 degrees: one leg is chopped, one stays at its rail, the third rests, and "
-        "the voltage of its phase tells when the current is to be handed on."
+        "the voltage of its phase determines the instant of commutation."
     )
     caption = "Error of a commutation over the speed; dotted: the range."
     shown = Passage(text=[text], drawings=[("six_step", caption)], tables=block_html(found))

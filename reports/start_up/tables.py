@@ -60,7 +60,7 @@ def _first_rows(found: StartUp) -> list[tuple[str, str]]:
         low = "" if found.low is None else f" by {found.low.tracker.title}"
         rows.append(("axis", f"in {_seconds(plan.search_time)}{low}"))
         held = _amperes(plan.held_current)
-        rows.append(("d current until the observer rules", held))
+        rows.append(("d current until the observer takes over", held))
     elif plan.method == "direct":
         held = _amperes(plan.held_current)
         rows.append(("d current that fades", f"{held} in {_seconds(plan.fade_time)}"))
@@ -81,12 +81,12 @@ def start_rows(found: StartUp) -> list[tuple[str, str]]:
     """
     plan = found.plan
     band = f"back below {_rpm(found, plan.back_below)}"
-    lifted = f"{found.largest_load:.4g} N m; {plan.load_torque:.4g} N m are asked for"
+    lifted = f"{found.largest_load:.4g} N m; {plan.load_torque:.4g} N m are requested"
     retries = f"{plan.retries} more, {_seconds(plan.retry_pause)} apart"
     return [
         ("method", method_words(found)),
         *_first_rows(found),
-        ("the observer rules from", f"{_rpm(found, plan.hand_over)}, {band}"),
+        ("the observer takes over from", f"{_rpm(found, plan.hand_over)}, {band}"),
         ("largest load torque", lifted),
         *(
             (f"... by {name} at the current limit", f"{torque:.4g} N m")
@@ -105,7 +105,7 @@ def start_summary(found: StartUp) -> list[tuple[str, str]]:
     """
     plan = found.plan
     text = (
-        f"{plan.method}, up to {found.largest_load:.4g} N m; the observer rules from "
+        f"{plan.method}, up to {found.largest_load:.4g} N m; the observer takes over from "
         f"{_rpm(found, plan.hand_over)}"
     )
     return [("start", text)]

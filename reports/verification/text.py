@@ -30,7 +30,7 @@ def verification_text(verification: Verification | None) -> str:
         check.standard.upper() for check in verification.checks if not check.missing
     )
     missing = [
-        f"; {check.standard.upper()} was not tried: install the Debian package {check.missing}"
+        f"; {check.standard.upper()} was not tested: install the Debian package {check.missing}"
         for check in verification.checks
         if check.missing
     ]

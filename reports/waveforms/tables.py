@@ -118,7 +118,7 @@ def _front_table(comparison: WaveformComparison) -> Table:
         for ripple, loss in comparison.front
     )
     columns = ("permitted deviation of the torque %", "least copper loss W", "above the last %")
-    return Table("The price of smooth torque within all limits", columns, rows)
+    return Table("The cost of smooth torque within all limits", columns, rows)
 
 
 def _residual(value: float) -> str:

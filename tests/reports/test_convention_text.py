@@ -12,7 +12,7 @@ from dqforge.machines.losses.machine_budget import MachineLoss
 from dqforge.optimizer.solution import solve
 from dqforge.reports.report import convention_lines, machine_lines
 
-CONSTANT = "Inductances are constant: saturation is no part of the model."
+CONSTANT = "Inductances are constant: saturation is not part of the model."
 
 
 def said(name: str) -> str:

@@ -214,7 +214,7 @@ def test_the_outcome_of_the_verification_is_plain(solution: Solution, report: st
     assert "Not verified." in skipped
     assert "Verified.</strong>" not in skipped.replace("Not verified.", "")
     partly = replace(VERIFIED, checks=(Check("c99", 20_256), Check("c++11", 0, "g++")))
-    assert "C++11 was not tried: it needs the Debian package g++." in render_report(
+    assert "C++11 was not tested: it needs the Debian package g++." in render_report(
         solution, partly
     )
 

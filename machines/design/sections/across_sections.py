@@ -56,7 +56,7 @@ def check_topology(
         raise document.error(found, ("operation", "modulation"))
     if choice is not None:
         message = (
-            f"modulation_choice: {inverter.topology} has a modulator of its own, so that there is "
+            f"modulation_choice: {inverter.topology} has its own modulator, so there is "
             "none to choose; remove the section"
         )
         raise document.error(message, ("modulation_choice",), key=True)
@@ -66,7 +66,7 @@ def _check_neutral(inverter: InverterSection, used_by: str, document: YamlDocume
     """Check that the neutral's parts are there where they are needed, and nowhere else."""
     rule, name = TOPOLOGIES[inverter.topology], inverter.topology
     if inverter.neutral_inductance is not None and "n" not in rule.legs:
-        raise _misplaced("neutral_inductance", "neutral on a leg of its own", name, document)
+        raise _misplaced("neutral_inductance", "neutral on a fourth leg", name, document)
     conducting = "n" in rule.legs or rule.midpoint or rule.diodes
     if inverter.neutral_resistance is not None and not conducting:
         raise document.error(
@@ -150,14 +150,14 @@ def _refusals(file: BlockSections) -> list[tuple[KeyPath, str]]:
     control, inverter = file.control, file.inverter
     loop, speed = control.current_loop, control.speed_loop
     found: list[tuple[bool, KeyPath, str]] = [
-        (bool(file.export.control), ("export", "control"), "it has control functions of its own"),
+        (bool(file.export.control), ("export", "control"), "it has its own control functions"),
         (bool(file.export.firmware), ("export", "firmware"), "that firmware runs vector control"),
         ("field_weakening" in file.named, ("field_weakening",), "blocks weaken no field"),
         ("losses" in file.named, ("losses",), "the loss budget is that of sinusoidal currents"),
         ("modulation_choice" in file.named, ("modulation_choice",), "it has one modulator"),
         (control.references is not None, ("control", "references"), "it has no dq references"),
         (control.firmware is not None, ("control", "firmware"), "that firmware has no blocks"),
-        (control.tolerances is not None, ("control", "tolerances"), "they are not judged here"),
+        (control.tolerances is not None, ("control", "tolerances"), "they are not evaluated here"),
         (not control.gains, ("control", "gains"), "its loops are tuned"),
         (loop.schedule, ("control", "current_loop", "schedule"), "its gains are constant"),
         (inverter.topology != "three-wire", ("inverter", "topology"), "the star point floats"),
@@ -208,7 +208,7 @@ def check_six_step(file: BlockSections, document: YamlDocument) -> bool:
         if control.six_step is not None:
             raise document.error(
                 "control.six_step is for the observers that make a six-step drive; write "
-                "control.observer: {method: zero-crossing} or emf-integration, or leave it out",
+                "control.observer: {method: zero-crossing} or emf-integration, or omit it",
                 path,
                 key=True,
             )
@@ -216,7 +216,7 @@ def check_six_step(file: BlockSections, document: YamlDocument) -> bool:
     for where, why in (*_refusals(file), *_simulated(file)):
         raise document.error(
             f"{'.'.join(map(str, where))}: a six-step drive (control.observer: {method}) does not "
-            f"use it: {why}; leave it out, or write another observer",
+            f"use it: {why}; omit it, or write another observer",
             where,
             key=True,
         )
@@ -224,7 +224,7 @@ def check_six_step(file: BlockSections, document: YamlDocument) -> bool:
     if sampling is not None and abs(sampling.si / switching.si - 1.0) > 1e-9:
         raise document.error(
             f"control.sampling_frequency: {sampling.text}: a six-step drive samples once per "
-            f"carrier period, in its middle; write {switching.text}, or leave it out",
+            f"carrier period, in its middle; write {switching.text}, or omit it",
             ("control", "sampling_frequency"),
         )
     return True
@@ -379,8 +379,8 @@ _MODULATORS: dict[Topology, str] = {
     "three-wire": "duty cycles centred between the highest and the lowest phase voltage",
     "four-leg": "duty cycles centred between the highest and the lowest of all phase voltages and "
     "zero, the neutral's leg with them",
-    "six-leg": "each phase on a full bridge of its own, half its voltage on either leg",
-    "six-leg-isolated": "full bridges on links of their own, voltages centred between the highest "
+    "six-leg": "each phase on its own full bridge, half its voltage on either leg",
+    "six-leg-isolated": "full bridges on separate links, voltages centred between the highest "
     "and the lowest",
     "split-capacitor": "each leg against the midpoint, whose measured voltage enters",
     "diode-neutral": "duty cycles as without a neutral, whose diodes carry no wanted current",
@@ -470,7 +470,7 @@ def phase_control_remarks(
             if uses_zero_sequence(choice.frame, topology)
             else "is held at zero"
         )
-        gains = "gains of its own" if loop.axis_gains == "own" else "the gains of the q axis"
+        gains = "its own gains" if loop.axis_gains == "own" else "the gains of the q axis"
         remarks.append(f"the zero-sequence current {current}, by a PI controller with {gains}")
     if TOPOLOGIES[topology].midpoint and inverter.midpoint_capacitance is None:
         remarks.append(

@@ -129,13 +129,13 @@ class CurrentLoopSection(Section):
     )
     schedule: bool = Field(
         default=_CURRENT.schedule,
-        description="gains over the current, for machines that saturate: a header of its own",
+        description="gains over the current, for machines that saturate: in a separate header",
     )
     frame: CurrentFrame | None = Field(
         default=_CURRENT.frame,
         description=(
             "for machines of model: waveform: dq (sinusoidal references), dqx, dqy, or table "
-            "(references over the angle); default: what the machine asks for"
+            "(references over the angle); default: what the machine needs"
         ),
     )
     feedforward: Feedforward = Field(
@@ -277,24 +277,22 @@ class ControlSection(Section):
         default_factory=CurrentLoopSection, description="current controllers"
     )
     speed_loop: SpeedLoopSection | None = Field(
-        default=None, description="speed controller, if one is wanted"
+        default=None, description="speed controller, optional"
     )
-    observer: ObserverSection | None = Field(
-        default=None, description="speed observer, if one is wanted"
-    )
+    observer: ObserverSection | None = Field(default=None, description="speed observer, optional")
     per_unit: PerUnitSection = Field(
         default_factory=PerUnitSection, description="bases of the per-unit gains"
     )
     tolerances: TolerancesSection | None = Field(
         default=None,
-        description="how far the drive may be from its data; every loop must hold throughout",
+        description="tolerances of the drive data; every loop must hold throughout",
     )
     references: ReferencesSection | None = Field(
         default=None, description="slopes of the references, and what corrects them"
     )
     firmware: AnyFirmware | None = Field(
         default=None,
-        description="firmware of others whose loops run the drive: vesc, simplefoc, ...",
+        description="third-party firmware whose loops run the drive: vesc, simplefoc, ...",
     )
     six_step: SixStepSection | None = Field(
         default=None,
@@ -651,9 +649,7 @@ def _base_speed(
     if rated_speed is not None:
         return rated_speed, "machine.rated.speed"
     if machine.psi_pm == 0.0:
-        message = (
-            "machine: nothing tells the speed range of this machine; write max_speed: 3000 rpm"
-        )
+        message = "machine: the speed range of this machine is unknown; write max_speed: 3000 rpm"
         raise reading.document.error(message, ("machine",), key=True)
     omega_m = linear_voltage(inverter.v_dc) / (machine.pole_pairs * machine.psi_pm)
     return omega_m, "where the back-EMF reaches v_dc/sqrt(3)"

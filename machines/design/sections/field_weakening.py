@@ -67,9 +67,7 @@ def read_weakening(
     omega_m = si_of(section.speed)
     if omega_m is None:
         if machine.omega_m_max is None:
-            message = (
-                "field_weakening: nothing tells the largest speed; write {speed: 6000 rpm} here"
-            )
+            message = "field_weakening: the largest speed is unknown; write {speed: 6000 rpm} here"
             raise document.error(message, ("field_weakening",), key=True)
         omega_m = machine.omega_m_max
         reading.remarks.append(

@@ -19,9 +19,9 @@ from dqforge.machines.names import Firmware
 
 
 class FirmwareSection(Section):
-    """Firmware of others: its name, or a mapping with what is not to be chosen."""
+    """Third-party firmware: its name, or a mapping with settings that are not to be chosen."""
 
-    name: Firmware = Field(description="whose loops are judged, and gains chosen for")
+    name: Firmware = Field(description="whose loops are evaluated, and for which gains are chosen")
     pll_kp: Positive | None = Field(
         default=None,
         description="of the phase-locked loop that makes the speed (1/s); default: chosen",

@@ -207,7 +207,7 @@ def read_fit(
     if open_form and not isinstance(machine, LinearMachine):
         form = "polynomial"
         reading.remarks.append(
-            "fit.form is polynomial: the machine saturates, so that no other form holds"
+            "fit.form is polynomial: the machine saturates, so no other form holds"
         )
     elif open_form and section.format in ("q15", "q31"):
         form = "polynomial"

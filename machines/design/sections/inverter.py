@@ -63,8 +63,8 @@ class InverterSection(Section):
         default="three-wire",
         description=(
             "three-wire: two-level bridge, star point not connected; four-leg: the neutral on a "
-            "leg of its own; six-leg: a full bridge per phase on a common link; "
-            "six-leg-isolated: both ends on links of their own, no zero-sequence current; "
+            "fourth leg; six-leg: a full bridge per phase on a common link; "
+            "six-leg-isolated: both ends on separate links, no zero-sequence current; "
             "split-capacitor, diode-neutral: the neutral between two capacitors or two diodes"
         ),
     )

@@ -341,7 +341,7 @@ def check_connection(section: MachineSection, reading: Reading) -> None:
             key=True,
         )
     reading.remarks.append(
-        "machine.connection is delta: its data are converted to the star that acts alike at the "
+        "machine.connection is delta: its data are converted to the equivalent star at the "
         "terminals; the angle counts from phase a of that star, 30 deg (electrical) behind the "
         "winding between terminals a and b"
     )

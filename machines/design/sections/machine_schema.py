@@ -98,7 +98,7 @@ class BackEmfSection(Section):
     )
     interval: SampleInterval | None = Field(
         default=None,
-        description="time between two samples (s; write us), for captures that do not say it",
+        description="time between two samples (s; write us), for captures that do not state it",
     )
     connection: ChannelPlace = Field(
         default="phase", description="what the channels measured: phase or line-to-line"
@@ -173,7 +173,7 @@ class ColumnsSection(Section):
 
 
 class FluxMapPointsSection(Section):
-    """Which points of a file are wanted that holds several temperatures or speeds."""
+    """Selection from a file that holds several temperatures or speeds."""
 
     temperature: Temperature | None = Field(default=None, description="their temperature (degC)")
     speed: PointSpeed | None = Field(default=None, description="their speed (rad/s; write rpm)")
@@ -205,7 +205,9 @@ class FluxMapSection(Section):
         default=None,
         description="matrix of psi_q (i_d across, i_q down), where file holds that of psi_d alone",
     )
-    torque_file: FileName | None = Field(default=None, description="matrix of the torque, likewise")
+    torque_file: FileName | None = Field(
+        default=None, description="matrix of the torque, in the same layout"
+    )
     axes: FluxAxes = Field(
         default="magnet-d",
         description=(
@@ -222,10 +224,10 @@ class FluxMapSection(Section):
         ),
     )
     current_unit: Literal["A", "mA", "kA"] | None = Field(
-        default=None, description="where the file does not say it"
+        default=None, description="where the file does not state it"
     )
     flux_unit: Literal["Wb", "mWb", "V s", "mV s"] | None = Field(
-        default=None, description="where the file does not say it"
+        default=None, description="where the file does not state it"
     )
     resistance: Resistance | None = Field(
         default=None,
@@ -235,7 +237,8 @@ class FluxMapSection(Section):
         ),
     )
     columns: ColumnsSection = Field(
-        default_factory=ColumnsSection, description="names in the file, where they are unusual"
+        default_factory=ColumnsSection,
+        description="names in the file, where they are not recognised",
     )
     at: FluxMapPointsSection = Field(
         default_factory=FluxMapPointsSection,
@@ -244,7 +247,7 @@ class FluxMapSection(Section):
     torque: FluxTorque = Field(
         default="air-gap",
         description=(
-            "what the torque in the file is: air-gap; shaft: measured behind friction and iron "
+            "kind of torque in the file: air-gap; shaft: measured after friction and iron "
             "loss; per-pole-pair; ignore"
         ),
     )
@@ -405,7 +408,7 @@ class AcResistanceSection(Section):
 
 
 class MapScaleSection(Section):
-    """How a machine differs from its flux map: factors of the map, 1 each without an entry."""
+    """Deviation of a machine from its flux map: factors of the map, 1 each by default."""
 
     magnet: MapFactor | None = Field(
         default=None, description="open-circuit flux linkage over that of the map"
@@ -456,7 +459,7 @@ class MachineSection(Section):
         default="star",
         description=(
             "of the windings, star (Y, wye) or delta (D); the data of a delta are converted to the "
-            "star that acts alike at the terminals"
+            "equivalent star"
         ),
     )
     pole_pairs: PolePairs | None = Field(
@@ -471,7 +474,7 @@ class MachineSection(Section):
     inductance: Inductance | None = Field(
         default=None,
         description=(
-            "inductance where a data sheet has but one, for both axes (H); kind phase (default) or "
+            "single inductance of a data sheet, for both axes (H); kind phase (default) or "
             "line-to-line"
         ),
     )
@@ -536,12 +539,12 @@ class MachineSection(Section):
         default=None,
         description="for models flux-map and saturation: factors of the map, for tolerances",
     )
-    iron_loss: IronLossSection | None = Field(default=None, description="iron loss, if it is known")
+    iron_loss: IronLossSection | None = Field(default=None, description="iron loss, optional")
     ac_resistance: AcResistanceSection | None = Field(
-        default=None, description="AC resistance, if it is known"
+        default=None, description="AC resistance, optional"
     )
     magnet_loss: MagnetLossSection | None = Field(
-        default=None, description="loss in the magnets, if it is known"
+        default=None, description="loss in the magnets, optional"
     )
     temperature: TemperatureSection = Field(
         default_factory=TemperatureSection, description="operating temperatures"

@@ -44,7 +44,7 @@ class BandSection(Section):
 
 
 class ChoiceSection(Section):
-    """Modulator and switching frequency that lose least over torque and speed, and a rule
+    """Modulator and switching frequency of least loss over torque and speed, and a rule
     for the firmware.
     """
 
@@ -199,7 +199,7 @@ def _speed(section: ChoiceSection, machine: Machine, reading: Reading) -> float:
     given, most, document = si_of(section.speed), machine.omega_m_max, reading.document
     if given is None:
         if most is None:
-            message = f"{_SECTION}: nothing tells the largest speed; write speed: 6000 rpm here"
+            message = f"{_SECTION}: the largest speed is unknown; write speed: 6000 rpm here"
             raise document.error(message, (_SECTION,), key=True)
         reading.remarks.append(
             f"{_SECTION}.speed is {format_quantity(most, 'rpm')}: machine.max_speed"

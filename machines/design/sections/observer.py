@@ -113,7 +113,7 @@ class ObserverSection(Section):
         ),
     )
     voltage: InjectedVoltage | None = Field(
-        default=None, description=f"for {_users('voltage')}: amplitude of what is injected (V)"
+        default=None, description=f"for {_users('voltage')}: amplitude of the injected voltage (V)"
     )
     samples: Annotated[int, Field(ge=2, le=16)] | None = Field(
         default=None, description="for injection: samples per injected period; default 2 or 10"
@@ -131,7 +131,7 @@ class ObserverSection(Section):
     )
     tuning: ObserverTuningName = Field(
         default="named",
-        description="named: what is left open has its usual value; optimised: it is searched for",
+        description="named: unset values take their defaults; optimised: they are searched for",
     )
 
 

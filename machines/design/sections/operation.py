@@ -58,13 +58,13 @@ class OperationSection(Section):
         default=_OPERATION.overmodulation,
         description=(
             "none; least-phase-error, least-magnitude-error: voltages beyond the linear range, "
-            "with the fundamental asked for"
+            "with the requested fundamental"
         ),
     )
     overmodulation_limit: SixStepShare | None = Field(
         default=None,
         description=(
-            "largest fundamental then, as a share of that of six-step operation; default 95.14 %, "
+            "largest fundamental there, as a share of that of six-step operation; default 95.14 %, "
             "where a vector follows the hexagon"
         ),
     )
@@ -129,9 +129,9 @@ def check_overmodulation(
     fixed = [name for name in formats if name != "float32"]
     found = ""
     if any_back_emf:
-        found = "a machine with any back-EMF asks for voltages of any shape; remove the key"
+        found = "a machine with any back-EMF needs voltages of any shape; remove the key"
     elif not TOPOLOGIES[inverter.topology].modulated:
-        found = f"{inverter.topology} has a modulator of its own; remove the key"
+        found = f"{inverter.topology} has its own modulator; remove the key"
     elif not follows_hexagon(operation.modulation):
         found = (
             f"the duty cycles of {operation.modulation} leave the rails at the corners of the "

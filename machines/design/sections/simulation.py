@@ -600,11 +600,11 @@ class PhaseOpeningSection(Section):
 
     phase: OpenPhase = Field(description="a, b or c")
     time: Instant = Field(
-        description="from which its switches rest (s); open for good once its current is gone"
+        description="from which its switches stay off (s); open for good once its current is zero"
     )
     detected_after: Instant | None = Field(
         default=None,
-        description="time until the controller is told (s); default: never",
+        description="delay until the controller is notified (s); default: never",
     )
 
 

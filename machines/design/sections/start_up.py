@@ -66,7 +66,7 @@ class StartUpSection(Section):
     )
     load: StartLoadName = Field(
         default=_USUAL.load,
-        description="friction: it resists motion; active: it turns the shaft by itself (a hoist)",
+        description="friction: it resists motion; active: it drives the shaft (a hoist)",
     )
     load_torque: LoadTorque | None = Field(
         default=None, description="largest load torque to start (N m); default 30 % of the largest"
@@ -152,7 +152,7 @@ class _Control(Protocol):
 
     @property
     def firmware(self) -> Any:
-        """The firmware of others whose loops run the drive."""
+        """The third-party firmware whose loops run the drive."""
 
     @property
     def start_up(self) -> Any:
@@ -193,7 +193,7 @@ def check_start_up(
     if control.observer.method in SIX_STEP_METHODS:
         message = (
             f"control.start_up: a six-step drive (control.observer: {control.observer.method}) "
-            "has a start of its own; leave it out, or write another observer"
+            "has its own start; omit it, or write another observer"
         )
         raise document.error(message, _PATH, key=True)
     if control.observer.method in TRACKER_NAMES and not any_back_emf:
@@ -232,7 +232,7 @@ def check_start_up(
     if control.firmware is not None:
         message = (
             "control.start_up calls the control functions of this tool, but control.firmware has "
-            "loops of its own; remove one of them"
+            "its own loops; remove one of them"
         )
         raise document.error(message, _PATH, key=True)
     if machine.inertia is None:

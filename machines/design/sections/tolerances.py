@@ -24,7 +24,7 @@ LowCurrent = Annotated[Quantity, QuantityRule("current", 1e-3, 1e5, ("peak", "rm
 
 
 class TolerancesSection(Section):
-    """How far the drive may be from its data: both ways by one value, or {from: -10 %, to:
+    """Tolerances of the drive data: one value for both directions, or {from: -10 %, to:
     30 %}.
     """
 
@@ -57,7 +57,7 @@ class TolerancesSection(Section):
     low_current: LowCurrent | None = Field(
         default=None,
         description=(
-            "smallest phase current at which the loops must hold in spite of it; default 10 %"
+            "smallest phase current at which the loops must hold despite it; default 10 %"
         ),
     )
     thorough: bool = Field(

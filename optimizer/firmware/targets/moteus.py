@@ -140,7 +140,7 @@ def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
     """
     judged = judge(profile(replace(held, speed=None)), asked.drive)
     key = "servo.pid_dq_hz"
-    words = f"{key} {held.own[key]:g} Hz is all that the current loops are told"
+    words = f"{key} {held.own[key]:g} Hz is the only setting of the current loops"
     return (
         *gains_changed(asked, held, judged, words),
         *rates_changed(asked, held),
@@ -149,7 +149,7 @@ def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
         *_torque_error(asked, held),
         *field_weakening_missing(
             asked,
-            "beyond base speed moteus works out the d current by itself (servo.fw.enable, from Kv "
+            "beyond base speed moteus computes the d current itself (servo.fw.enable, from Kv "
             "and inductance_d_H), not from the map of the design",
         ),
     )

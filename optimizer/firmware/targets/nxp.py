@@ -466,7 +466,7 @@ def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
 
 
 def _currents(asked: Asked) -> Iterator[Shortfall]:
-    lead = "MCAT's control asks for no d current"
+    lead = "MCAT's control requests no d current"
     tail = (
         "; i_d from the header of current references has to be written to sIDQReq.fltD by the "
         "application"
@@ -503,7 +503,7 @@ def _integers(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
         if wished is not None and has is not None and worst > NOTICED:
             yield Shortfall(
                 f"gains of the {of}: {has.kp:.5g} and {has.ki:.5g} run for {wished.kp:.5g} and "
-                f"{wished.ki:.5g} that were asked for: the integers of the format are that coarse",
+                f"{wished.ki:.5g} that were requested, the closest in this format",
                 (Price(f"gain of the {of}", worst, ""),),
             )
 

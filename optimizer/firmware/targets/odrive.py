@@ -131,7 +131,7 @@ def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
     loops = profile(replace(held, speed=None))
     judged = judge(loops, asked.drive)
     bandwidth = held.own["motor.config.current_control_bandwidth"]
-    lead = f"current_control_bandwidth {bandwidth:g} rad/s is all that the current loops are told"
+    lead = f"current_control_bandwidth {bandwidth:g} rad/s is the only setting of the current loops"
     return (
         *_one_inductance(asked, held, judged),
         *gains_changed(asked, held, judged, lead),
@@ -255,7 +255,7 @@ def _one_inductance(
 
 def _voltage_missing() -> tuple[Shortfall, ...]:
     words = (
-        f"the phase voltage ends at {VOLTAGE_SHARE:.0%} of v_dc/sqrt(3): so much lower is the base "
+        f"the phase voltage ends at {VOLTAGE_SHARE:.0%} of v_dc/sqrt(3), which lowers the base "
         "speed"
     )
     return (Shortfall(words, (Price("voltage", 1.0 - VOLTAGE_SHARE, ""),)),)

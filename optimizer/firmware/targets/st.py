@@ -287,7 +287,7 @@ def profile(found: Configuration) -> LoopProfile:
     own, drive = found.own, found.drive
     if found.current_q is None or drive.t_s is None or drive.v_dc is None:
         raise InputError(
-            "the configuration of the MCSDK says too little of its current loops: they need "
+            "the configuration of the MCSDK does not describe its current loops fully: they need "
             "drive_parameters.h, and of power_stage_parameters.h RSHUNT, AMPLIFICATION_GAIN and "
             "NOMINAL_BUS_VOLTAGE_V"
         )
@@ -406,7 +406,7 @@ def _inductances(asked: Asked) -> Iterator[Shortfall]:
     yield Shortfall(
         f"the headers hold one inductance, LS = L_q = {l_q:.4g} H: the observer takes it for both "
         f"axes, L_d = {l_d:.4g} H stands in the motor file alone; both current controllers have "
-        "gains of their own",
+        "their own gains",
         (Price("inductance of the observer", l_q / l_d - 1.0, ""),),
     )
 

@@ -93,7 +93,7 @@ def test_agreement_within_five_percent() -> None:
         (1.5, "without the 3/2"),
         (2.0 * math.pi, "per revolution given per radian"),
         (30.0 / math.pi, "per rpm or krpm given per rad/s"),
-        (1000.0, "milli left out"),
+        (1000.0, "milli omitted"),
         (1.13, "check both keys, their units and their kinds"),
         (7.0, "electrical speed given per mechanical speed"),
     ],
@@ -123,7 +123,7 @@ def test_pole_counts() -> None:
         (None, None, "write poles: 8"),
         (None, 7, "write pole_pairs: 7"),
         (3, 7, "write poles: 6"),
-        (8, 8, "poles 8 means 4 pole pairs, but pole_pairs says 8"),
+        (8, 8, "poles 8 means 4 pole pairs, but pole_pairs is 8"),
     ):
         with pytest.raises(InputError, match=phrase.replace("(", r"\(")):
             datasheet.check_pole_counts(pairs, poles)

@@ -360,7 +360,7 @@ def test_plecs_formula_beside_a_table_is_said_to_be_left_out() -> None:
         "<Current", "<Formula>E*Rg/5</Formula><Current", 1
     )
     assert any(
-        "the formula 'E*Rg/5' is left out" in finding
+        "the formula 'E*Rg/5' is ignored" in finding
         for finding in read_device(text.encode(), "x.xml").findings
     )
 

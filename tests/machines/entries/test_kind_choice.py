@@ -62,7 +62,7 @@ def test_what_is_meant(own: QuantityRule, value: object, kind: str) -> None:
             RESISTANCE,
             {"value": "0.1 Ohm line-to-line", "kind": "phase"},
             "kind",
-            "the text says 'line-to-line', its kind says 'phase'; remove the wrong one",
+            "the text states 'line-to-line', its kind is 'phase'; remove the wrong one",
         ),
         (EMF, {"value": "12 Vpk/krpm", "kind": "line-to-line rms"}, "kind", "remove the wrong one"),
         (EMF, "12 Vrms/krpm", "value", "leaves open phase rms or line-to-line rms; write one"),

@@ -129,7 +129,7 @@ def test_what_the_interval_contradicts_is_refused(
         tmp_path,
         scope_files.keysight() | scope_files.rigol_mso5000() | scope_files.tektronix_single(),
     )
-    assert "has times of its own" in refusal(capsys, "scope_0.csv", "--interval", "20 us")
+    assert "has times already" in refusal(capsys, "scope_0.csv", "--interval", "20 us")
     assert "states 20 us" in refusal(capsys, "RigolDS1.csv", "--interval", "2 us")
     assert "--interval" in refusal(capsys, "RigolDS1.csv", "--interval", "20")
     assert "above 0" in refusal(capsys, "RigolDS1.csv", "--interval", "0 us")

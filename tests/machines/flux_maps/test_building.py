@@ -294,9 +294,9 @@ def test_zero_current_may_lie_one_step_outside() -> None:
     [
         (
             grid_of(np.linspace(-150.0, -20.0, 14), HALF_Q),
-            r"-150 to -20 A and leaves out zero current",
+            r"-150 to -20 A and omits zero current",
         ),
-        (grid_of(np.linspace(30.0, 150.0, 14), HALF_Q), r"30 to 150 A and leaves out zero current"),
+        (grid_of(np.linspace(30.0, 150.0, 14), HALF_Q), r"30 to 150 A and omits zero current"),
         (grid_of(AXIS_D, np.linspace(30.0, 130.0, 11)), r"half plane begins at \|i_q\| = 30 A"),
         (
             grid_of(np.array([-100.0, -50.0, 0.0]), HALF_Q),

@@ -767,7 +767,7 @@ def test_a_point_repeated_for_drift_is_averaged_and_its_scatter_told(times: int)
 def test_the_same_points_over_an_unknown_column_are_no_scatter() -> None:
     with pytest.raises(
         InputError,
-        match=r"more than scatter.*columns of the file beside: state.*name what tells them",
+        match=r"more than scatter.*columns of the file beside: state.*name what distinguishes them",
     ):
         build_flux_map(read_flux_points(at_several("state", tuple(range(9))), "map.csv"))
 

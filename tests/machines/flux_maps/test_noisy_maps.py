@@ -181,7 +181,7 @@ def test_a_reference_needs_no_loops(tmp_path: Path) -> None:
     unasked = mapped_design(tmp_path, SATURATED, dented_points(), keys=plain, control=NO_CONTROL)
     loops, reason = gains_or_reason(load_design(unasked))
     assert loops is None
-    assert reason.startswith("no loop was asked for and none was found: control.current_loop")
+    assert reason.startswith("no loop was requested and none was found: control.current_loop")
 
 
 @pytest.mark.slow
@@ -241,7 +241,7 @@ def test_the_price_of_smoothing_is_told_everywhere_alike(
     path = mapped_design(tmp_path, SATURATED, noisy(grid_points(SATURATED), 7))
     design = load_design(path)
     (evidence,) = design.flux_evidence
-    price = next(s for s in evidence.sentences() if s.startswith("price of smoothing"))
+    price = next(s for s in evidence.sentences() if s.startswith("cost of smoothing"))
     with pytest.raises(SystemExit):
         cli.main(["check", str(path)])
     assert price in " ".join(capsys.readouterr().out.split())
@@ -259,7 +259,7 @@ def test_the_price_of_smoothing_is_told_everywhere_alike(
         row
         for table in run_tables(solution, None)
         for row in table.rows
-        if "price of smoothing" in row[1]
+        if "cost of smoothing" in row[1]
     )
     assert price in row[1]
     assert any(price in sentence for sentence in other_assumptions(design))

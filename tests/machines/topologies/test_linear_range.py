@@ -89,7 +89,7 @@ def test_a_modulator_that_the_topology_has_not_is_refused(topology: Topology) ->
         assert limited_drive(fed_by(topology), "dpwm1").limit.made_by == "dpwm1"
         return
     assert limited_drive(fed_by(topology)).limit.made_by == topology
-    with pytest.raises(InputError, match=f"modulation: {topology} has a modulator of its own"):
+    with pytest.raises(InputError, match=f"modulation: {topology} has its own modulator"):
         limited_drive(fed_by(topology), "dpwm1")
 
 

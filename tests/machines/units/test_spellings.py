@@ -362,7 +362,7 @@ TWO_WAYS = [
     ("12 A rms", "current", "write '12 A'"),
     ("230 V AC", "voltage", "write '230 V'"),
     ("48 Vdc", "voltage", "write '48 V'"),
-    ("12 V line-to-line", "voltage", "'line-to-line' says of which kind"),
+    ("12 V line-to-line", "voltage", "'line-to-line' states the kind"),
     ("0 P\u200b", "voltage", "is not a unit"),
     ("5 100 V", "voltage", "not complete"),
     ("5 1 V", "voltage", "not complete"),

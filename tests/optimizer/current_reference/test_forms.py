@@ -136,7 +136,7 @@ def test_reluctance_machine_has_an_exact_square_root_and_refuses_a_division_by_z
 
 def test_domain_beyond_the_current_limit_is_refused() -> None:
     with pytest.raises(
-        NoSolutionError, match=r"fit.max_torque: 250 N m cannot be had.*at most 206"
+        NoSolutionError, match=r"fit.max_torque: 250 N m is out of reach.*at most 206"
     ):
         fitted(IPM, torque_max=250.0)
     with pytest.raises(InputError, match="below the largest torque"):

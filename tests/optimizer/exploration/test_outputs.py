@@ -73,11 +73,11 @@ def test_default_outputs_exist_and_stand_once() -> None:
         ("pareto: {minimise: [reference.torque_error]}\n", r"needs a fixed header"),
         (
             "pareto: {minimise: [fit.path]}\n",
-            r"study\.yaml:4:\d+: .* is a word, no number; write it",
+            r"study\.yaml:4:\d+: .* is a word, not a number; write it",
         ),
         (
             "limits: {fit.path: 3}\n",
-            r"study\.yaml:4:10: limits\.fit\.path: .* is a word, no number",
+            r"study\.yaml:4:10: limits\.fit\.path: .* is a word, not a number",
         ),
     ],
 )

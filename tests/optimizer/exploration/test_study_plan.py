@@ -220,7 +220,7 @@ def test_a_row_never_stops_a_study() -> None:
     )
     rows = Rows.of(plan_of(body))
     assert rows.states == ["limit", "no-solution", "ok", "ok"]
-    assert "200 N m cannot be had" in rows.messages[1]
+    assert "200 N m is out of reach" in rows.messages[1]
     assert rows.messages[0].startswith("study.yaml:7:10: limits.reference.torque_max: 1")
     assert rows.messages[0].endswith("N m is below 140 N m")
     assert not any(rows.messages[2:])
@@ -247,7 +247,7 @@ def test_limits_leave_room_for_rounding() -> None:
 def test_gains_that_nobody_asked_for_leave_a_row_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     def none(_: object, *, proofs: bool) -> tuple[None, str]:
         assert not proofs
-        return None, "no loop was asked for and none was found: too slow"
+        return None, "no loop was requested and none was found: too slow"
 
     monkeypatch.setattr(block_rows, "gains_or_reason", none)
     rows = Rows.of(plan_of("", "thor-pmsyrm-5k"))
@@ -255,7 +255,7 @@ def test_gains_that_nobody_asked_for_leave_a_row_as_it_is(monkeypatch: pytest.Mo
     assert np.isnan(rows["out.gains.phase_margin"][0])
     rows = Rows.of(plan_of(outputs("gains.phase_margin"), "thor-pmsyrm-5k"))
     assert rows.states == ["no-solution"]
-    assert rows.messages[0].endswith("no loop was asked for and none was found: too slow")
+    assert rows.messages[0].endswith("no loop was requested and none was found: too slow")
 
 
 def test_kinds_of_studies_have_their_batches() -> None:

@@ -17,10 +17,12 @@ def test_a_speed_loop_of_unknown_inertia_says_what_to_give() -> None:
     alone = explain(held)
     assert alone.judged.speed is None
     missing, advice = alone.judged.remarks[-2:]
-    assert missing == "the speed loop is not judged: inertia not known"
+    assert missing == "the speed loop is not evaluated: inertia not known"
     assert advice.startswith("name the design of the machine with --machine DESIGN: ")
     without = explain(held, replace(asked.drive, inertia=None))
-    assert without.judged.remarks[-1].startswith("the design of the machine does not say it either")
+    assert without.judged.remarks[-1].startswith(
+        "the design of the machine does not contain it either"
+    )
     whole = explain(held, asked.drive)
     assert whole.judged.speed is not None
     assert not any("machine" in remark for remark in whole.judged.remarks)

@@ -216,7 +216,7 @@ def test_a_firmware_without_a_speed_controller_says_so() -> None:
     silent = replace(method, profile=lambda found: replace(method.profile(found), speed=None))
     _, found = solve(design(THOUSAND, THIRTY), silent)
     assert [loop.loop for loop in found.loops] == ["i_d", "i_q"]
-    assert found.changes == ("vesc toy has no such speed controller: none is judged",)
+    assert found.changes == ("vesc toy has no such speed controller: none is evaluated",)
 
 
 def test_an_unknown_firmware_and_gains_out_of_range_are_refused() -> None:

@@ -255,8 +255,8 @@ def test_what_a_profile_or_a_machine_does_not_say_is_said() -> None:
     assert nothing.current_q is None
     assert nothing.speed is None
     assert nothing.remarks == (
-        "no current loop is judged: resistance or inductance is not known",
-        "the speed loop is not judged: resistance, inertia not known",
+        "no current loop is evaluated: resistance or inductance is not known",
+        "the speed loop is not evaluated: resistance, inertia not known",
     )
     observed = replace(STRUCTURES["pll"], observer=FluxObserver("its observer"))
     assert "own lag is not in the margins" in judge(observed, SCOOTER).remarks[0]

@@ -130,7 +130,7 @@ def test_the_smallest_table_that_holds_is_taken() -> None:
     sizes = [entry.table.size for entry in (*found.coarser, found.chosen)]
     assert sizes == [16 * 2**k for k in range(len(sizes))]
     assert found.chosen.table.flash == 4 * 18 * (found.chosen.table.size + 1)
-    with pytest.raises(NoSolutionError, match="with 1536 intervals the frame tables err by"):
+    with pytest.raises(NoSolutionError, match="with 1536 intervals the frame tables deviate by"):
         fit_frames(ODD, 1e-9)
 
 

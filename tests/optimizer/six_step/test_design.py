@@ -62,13 +62,13 @@ def test_what_physics_forbids_is_refused_with_the_number(
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ("export.control=float32", "control functions of its own"),
+        ("export.control=float32", "its own control functions"),
         ("export.firmware=vesc", "that firmware runs vector control"),
         ("control.sampling_frequency=10 kHz", "samples once per carrier period"),
         ("control.speed_loop.filter_time=1 ms", "six times per turn"),
         ("control.speed_loop.method=ti", "write symmetrical-optimum or given"),
         ("simulation.encoder={lines: 100}", "it never has an encoder"),
-        ("control.tolerances={r_s: 20 %}", "they are not judged here"),
+        ("control.tolerances={r_s: 20 %}", "they are not evaluated here"),
     ],
 )
 def test_keys_without_meaning_are_refused(setting: str, message: str) -> None:

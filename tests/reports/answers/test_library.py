@@ -133,7 +133,7 @@ def test_a_flux_map_is_copied_beside_the_design(tmp_path: Path) -> None:
     for bad, words in (
         (replace(asked, axes="q"), "--axes: expected one of magnet-d, reluctance"),
         (replace(asked, flux_map=tmp_path / "none.csv"), "--map: there is no file 'none.csv'"),
-        (replace(asked, machine="vdyno-trampa-6340"), "both say what is to be made"),
+        (replace(asked, machine="vdyno-trampa-6340"), "both define the design"),
     ):
         with pytest.raises(InputError, match=words):
             answer_new(tmp_path / "other", bad)

@@ -82,10 +82,10 @@ def test_map_names_the_winner_everywhere(run: Run) -> None:
     assert "least" in drawn
     code, out, _ = run(IPM, "--map", "6x8", *options)
     assert code == 0
-    assert "Who loses least" in out
+    assert "Alternative of least loss" in out
     assert "least at %" in out
     # 200 ns at 20 and 100 kHz: once where a phase rests, twice otherwise.
-    assert "dead time is made up for, which takes 0.4 to 4 % of the linear range" in out
+    assert "dead time is compensated, which takes 0.4 to 4 % of the linear range" in out
 
 
 def test_mission_counts_energy_and_follows_the_junction(run: Run) -> None:
@@ -137,7 +137,7 @@ def test_every_kind_of_loss_has_a_heading_and_a_colour() -> None:
         (("--map", "6x8", "--strategies", "mtpa,mtpa"), "--strategies: write each name once"),
         (("--map", "6x8", "--frequencies", "20 V"), "--frequencies: expected a frequency"),
         (("--map", "6x8", "--margin", "95 %"), "--margin: expected a share"),
-        (("--map", "2000x2000"), "budgets are asked for"),
+        (("--map", "2000x2000"), "budgets are requested"),
         (("--modulations", "spwm"), "write --set losses.modulations='[spwm, svpwm]'"),
         (("--strategies", "id0"), "write --set losses.strategies='[mtpa, id0]'"),
         (("--frequencies", "8 kHz,16 kHz"), "write --set inverter.switching_frequency='8 kHz'"),
@@ -190,7 +190,7 @@ def test_torque_that_cannot_be_had_is_named_by_line(run: Run) -> None:
     code, out, _ = run(IPM, "--mission", "m.csv", "--modulations", "svpwm")
     assert code == 0
     assert (
-        "m.csv:3: torque or voltage cannot be had (1 row) with id0 svpwm, mtpa svpwm"
+        "m.csv:3: torque or voltage is out of reach (1 row) with id0 svpwm, mtpa svpwm"
         in " ".join(out.split())
     )
 

@@ -103,7 +103,7 @@ def test_folders_without_an_output_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         EarlierRows.of([tmp_path / "old"], more)
     assert str(caught.value) == (
-        f"--reuse {tmp_path / 'old'}: it has no output reference.torque_max; leave the folder out"
+        f"--reuse {tmp_path / 'old'}: it has no output reference.torque_max; omit the folder"
     )
     with pytest.raises(InputError, match=r"holds no study\.json"):
         EarlierRows.of([tmp_path], COLUMNS)

@@ -57,7 +57,7 @@ def test_what_may_be_an_address_is_taken(address: str) -> None:
 
 def test_certificates_are_asked_for_before_anybody_is_asked(tmp_path: Path) -> None:
     settings = EngineSettings(scheduler=f"tls://127.0.0.1:{free_port()}")
-    with pytest.raises(EngineStoppedError, match="asks for certificates; write --tls-ca-file"):
+    with pytest.raises(EngineStoppedError, match="requires certificates; write --tls-ca-file"):
         run_in(tmp_path / "a", StudyRows(), settings)
 
 

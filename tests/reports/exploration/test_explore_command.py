@@ -81,7 +81,7 @@ def test_a_dry_run_estimates_and_writes_nothing(call: Call) -> None:
 def test_a_figure_is_of_all_rows(call: Call, other: tuple[str, ...]) -> None:
     code, _, err = call("small.yaml", "--plot", "front.svg", *other)
     assert code == 2
-    assert "--plot draws all rows: leave out --dry-run, --table, --csv and --export" in err
+    assert "--plot draws all rows: omit --dry-run, --table, --csv and --export" in err
     assert not Path("front.svg").exists()
     assert not Path("out").exists()
 
@@ -113,7 +113,7 @@ def test_broken_limits_are_results_and_failures_alone_end_with_1(call: Call) -> 
     [
         (["--scheduler", "tcp://a:1", "--scheduler-file", "f"], "name one cluster"),
         (["--scheduler", "tcp://a:1", "--workers", "2"], "--workers counts processes of this"),
-        (["--tls-ca-file", "a"], "TLS is for a cluster that there is"),
+        (["--tls-ca-file", "a"], "TLS needs an existing cluster"),
         (
             ["--scheduler", "tcp://a:1", "--tls-ca-file", "a"],
             "TLS takes --tls-ca-file and --tls-cert",

@@ -184,5 +184,5 @@ def test_a_word_that_the_study_does_not_know_is_refused() -> None:
         replace(column, choices=DEVICES[:2]) if column.kind == "choice" else column
         for column in COLUMNS
     )
-    with pytest.raises(PartError, match="a word that the study does not know"):
+    with pytest.raises(PartError, match="a word unknown to the study"):
         part_columns(PART, ["in.inverter.device"], others)

@@ -95,8 +95,8 @@ def test_flipped_bits_and_halves_are_found_and_computed_again(tmp_path: Path, se
         path.write_bytes(changed)
         assert store.finished() == frozenset(range(11)) - {5}, spot
     path.write_bytes(content[: len(content) // 2])
-    assert store.survey().damaged == {5: "it is cut off, or no part"}
-    with pytest.raises(StoreError, match=r"part-000005\.parquet: it is cut off"):
+    assert store.survey().damaged == {5: "it is truncated, or not a part"}
+    with pytest.raises(StoreError, match=r"part-000005\.parquet: it is truncated"):
         list(store.read([TOTAL]))
     filled(tmp_path / "out").close()
     assert digest_of(tmp_path / "out") == before
@@ -113,10 +113,10 @@ def test_a_part_in_the_place_of_another_or_of_another_study_does_not_count(tmp_p
     survey = PartStore.existing(tmp_path / "out").survey()
     assert survey.finished == {0, 1, 3, 5, 7, 8, 9}
     assert survey.damaged == {
-        2: "it stands in the place of another part",
+        2: "it is in the place of another part",
         4: "it is of another study",
-        10: "it stands in the place of another part",
-        11: "it stands in the place of another part",
+        10: "it is in the place of another part",
+        11: "it is in the place of another part",
     }
 
 
@@ -199,7 +199,7 @@ def test_restart_takes_away_what_a_study_wrote_and_nothing_else(tmp_path: Path) 
     with filled(folder) as store:
         store.write_beside("front.parquet", b"front")
         store.write_beside("report.html", b"report")
-        with pytest.raises(ValueError, match="no file of a study"):
+        with pytest.raises(ValueError, match="not a file of a study"):
             store.write_beside("notes.txt", b"")
     kept = {
         "notes.txt": b"mine",

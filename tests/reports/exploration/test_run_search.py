@@ -143,5 +143,5 @@ def test_a_range_that_is_spaced_otherwise_is_another_study(whole: Path) -> None:
 
 
 def test_the_plan_of_a_search_has_no_rows_of_a_grid() -> None:
-    with pytest.raises(ValueError, match="inputs of their own"):
+    with pytest.raises(ValueError, match="their own inputs"):
         plan_of().rows(0, 2)

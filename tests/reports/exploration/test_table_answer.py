@@ -132,7 +132,7 @@ def test_a_damaged_part_and_a_study_that_is_not_done(tmp_path: Path) -> None:
             answer_table(tmp_path / "out", request)
         assert str(caught.value) == (
             f"{path}: it was changed since it was written; run the study again, which computes "
-            "this part anew"
+            "this part again"
         )
     assert not [entry for entry in tmp_path.iterdir() if entry.name != "out"]
     path.unlink()

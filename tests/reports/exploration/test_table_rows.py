@@ -150,10 +150,10 @@ def test_columns(store: PartStore) -> None:
         ({"sort": "lossestotal"}, "--sort: the study has no column 'lossestotal'"),
         (
             {"where": ["losses.total"]},
-            "--where: 'losses.total' is no condition; write e.g. --where",
+            "--where: 'losses.total' is not a condition; write e.g. --where",
         ),
-        ({"where": ["losses.total <"]}, "--where: 'losses.total <' is no condition"),
-        ({"where": [""]}, "--where: '' is no condition"),
+        ({"where": ["losses.total <"]}, "--where: 'losses.total <' is not a condition"),
+        ({"where": [""]}, "--where: '' is not a condition"),
         ({"where": ["state = ok and"]}, "--where: state is never 'ok and'"),
         (
             {"where": ["losses.total < 5 A"]},
@@ -166,7 +166,7 @@ def test_columns(store: PartStore) -> None:
         ({"where": ["inverter.device = abb*"]}, "--where: inverter.device is never 'abb*'; write"),
         ({"first": 0}, "--first 0: write a number of rows from 1 on"),
         ({"where": ["__import__('os') = 1"]}, "--where: the study has no column"),
-        ({"where": ["message = ,"]}, "--where: 'message = ,' is no condition"),
+        ({"where": ["message = ,"]}, "--where: 'message = ,' is not a condition"),
     ],
 )
 def test_what_is_not_understood(store: PartStore, options: dict[str, Any], message: str) -> None:

@@ -122,7 +122,7 @@ def test_rows_that_are_not_there(folder: Path) -> None:
     with pytest.raises(InputError, match="has no row in state ok"):
         chosen_rows(store, "3")
     none = replace(store.header, study=store.header.study | {"goals": []})
-    with pytest.raises(InputError, match="asks for no pareto, so that no row is best"):
+    with pytest.raises(InputError, match="requests no pareto, so no row is best"):
         chosen_rows(replace(store, header=none), "3")
     (folder / "study-input" / "design.yaml").unlink()
     with pytest.raises(StoreError, match=r"design\.yaml: No such file or directory; run"):

@@ -151,7 +151,7 @@ def test_what_is_not_modelled_is_left_out_and_said(
     )
     mine = simulate_loops(design, loops, scenario, program=program)
     assert "angle of the encoder" in mine.remarks[0]
-    assert "without our observer" in mine.remarks[1]
+    assert "without the observer of dqforge" in mine.remarks[1]
     both = replace(found, others=(mine,))
     assert any("angle of the encoder" in note for note in simulation_tables(both)[0].notes)
     assert plain_simulation(both)["others"][-1]["remarks"] == list(mine.remarks)

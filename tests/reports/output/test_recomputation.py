@@ -128,7 +128,7 @@ def test_a_folder_of_a_run_is_vouched_for_in_numbers(tmp_path: Path) -> None:
     first, second, third = recomputation_text(recompute(written.folder)).split("\n")
     assert first.startswith("not computed again")
     assert first.endswith(": figure.svg")
-    assert second.endswith("not looked at: notes.txt")
+    assert second.endswith("not checked: notes.txt")
     assert f"{found.tally.macros} macros" in third
 
 
@@ -351,7 +351,8 @@ def test_what_is_missing_or_of_another_version_is_said(
         written.restore()
     (written.folder / PENDING).mkdir()
     with pytest.raises(
-        InputError, match="a run was cut off while it put its files in place; run the design again"
+        InputError,
+        match="a run was interrupted while it put its files in place; run the design again",
     ):
         recompute(written.folder)
     (written.folder / PENDING).rmdir()

@@ -210,5 +210,5 @@ def test_a_simulation_has_the_numbers_of_the_command(
     assert found.t.shape == found.omega_m.shape == found.i_q.shape
     assert found.omega_m[-1] == pytest.approx(50.0, abs=1.0)
     assert 0.9 < shares[-1] <= 1.0
-    with pytest.raises(dqforge.InputError, match="asks for no simulation"):
+    with pytest.raises(dqforge.InputError, match="requests no simulation"):
         dqforge.simulate(dqforge.make_design(MACHINE, v_dc=180.0, f_sw=10e3))

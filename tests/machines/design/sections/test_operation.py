@@ -75,7 +75,7 @@ def test_integers_other_topologies_and_phase_machines_are_refused() -> None:
     method = "operation.overmodulation=least-phase-error"
     cases = (
         (DRIVE, "export.control=q15", "there is no q15 of it"),
-        (DRIVE, "inverter.topology=six-leg", "six-leg has a modulator of its own"),
+        (DRIVE, "inverter.topology=six-leg", "six-leg has its own modulator"),
         ("salient-phase-waveforms", "export.prefix=machine", "any back-EMF"),
     )
     for name, other, message in cases:

@@ -24,7 +24,7 @@ CASES = [
         "  topology: six-leg\n  neutral_inductance: 1 mH\n",
         "",
         (
-            "neutral_inductance: six-leg has no neutral on a leg of its own; remove the key, or "
+            "neutral_inductance: six-leg has no neutral on a fourth leg; remove the key, or "
             "write topology: four-leg"
         ),
         "neutral_inductance",
@@ -32,7 +32,7 @@ CASES = [
     (
         "  topology: split-capacitor\n  neutral_inductance: 1 mH\n",
         "",
-        "neutral_inductance: split-capacitor has no neutral on a leg",
+        "neutral_inductance: split-capacitor has no neutral on a fourth leg",
         "neutral_inductance",
     ),
     (
@@ -62,7 +62,7 @@ CASES = [
     (
         "  topology: six-leg-isolated\n",
         "operation: {strategy: mtpa, speed: 900 rpm, modulation: dpwm1}\n",
-        "operation.modulation: six-leg-isolated has a modulator of its own",
+        "operation.modulation: six-leg-isolated has its own modulator",
         "dpwm1",
     ),
     (
@@ -116,5 +116,5 @@ def test_the_centred_modulator_is_no_contradiction() -> None:
 
 def test_there_is_no_modulator_to_choose() -> None:
     text = TEXT + "modulation_choice: {min_frequency: 8 kHz, max_frequency: 16 kHz}\n"
-    with pytest.raises(InputError, match="four-leg has a modulator of its own, so that there is"):
+    with pytest.raises(InputError, match="four-leg has its own modulator, so there is"):
         load_text(text.encode(), "d.yaml")

@@ -62,7 +62,7 @@ def test_too_fast_a_wish_is_lowered_to_what_8_khz_hold() -> None:
     # pi/2 - 1.5 T w is 61 deg there.
     assert float(held.own[BANDWIDTH]) == pytest.approx(2710.0, rel=0.02)
     words = " ".join(entry.words for entry in shortfalls(asked, held))
-    assert f"current_control_bandwidth {held.own[BANDWIDTH]:g} rad/s is all that" in words
+    assert f"current_control_bandwidth {held.own[BANDWIDTH]:g} rad/s is the only" in words
 
 
 def test_the_pll_never_comes_where_the_firmware_refuses_it() -> None:

@@ -209,7 +209,7 @@ def test_what_is_missing_or_does_not_fit_is_told_with_its_key() -> None:
     huge = Asked(base, drive_values(base), PiGains(1e6, 1.0), PiGains(1e6, 1.0))
     with pytest.raises(InputError, match=r"^control.current_loop: a gain .* choose a slower loop"):
         ST.configure(huge)
-    with pytest.raises(InputError, match="says too little of its current loops"):
+    with pytest.raises(InputError, match="does not describe its current loops fully"):
         ST.profile(st_configuration("", {"POLE_PAIR_NUM": 2}))
 
 

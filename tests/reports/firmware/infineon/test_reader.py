@@ -112,7 +112,7 @@ def test_constants_of_another_header_are_left_out_in_words() -> None:
     assert "params.sys.analog.shunt.res" not in found.own
     assert found.drive.r_s == 0.011
     assert found.conventions[-1] == (
-        "params.sys.analog.shunt.res is 'CS_SHUNT_RES', which this file does not define: left out"
+        "params.sys.analog.shunt.res is 'CS_SHUNT_RES', which this file does not define: omitted"
     )
 
 

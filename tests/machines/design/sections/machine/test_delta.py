@@ -1,4 +1,4 @@
-"""Windings in delta: converted to the star that acts alike at the terminals, against branch
+"""Windings in delta: converted to the equivalent star, against branch
 equations of the delta.
 """
 
@@ -258,7 +258,7 @@ def test_what_was_converted_is_told() -> None:
     assert "a third of the winding's value" in notes["machine.resistance"]
     assert "a third of the winding's value" in notes["machine.inductance_q"]
     assert "over sqrt(3)" in notes["machine.magnet_flux"]
-    assert any("converted to the star" in text for text in design.assumptions)
+    assert any("converted to the equivalent star" in text for text in design.assumptions)
     assert any("orders 3, 9, 15" in text for text in design.assumptions)
     star = changed(("  connection: delta\n", ""), ("{value: 12 A, kind: line peak}", "12 A"))
     assert not any("delta" in text for text in star.assumptions)
