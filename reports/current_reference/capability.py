@@ -140,9 +140,9 @@ def errors_passage(solution: Solution) -> Passage:
         f"({share(ceiling(errors.torque_relative, 2))} of the largest torque)"
     )
     text = symbols(
-        f"The torque deviates by at most {torque}; {penalty_text(solution)}. These values were found "
-        f"by evaluating the arithmetic of the header {count(errors.samples)} times, on both sides "
-        "of every breakpoint and, in single precision, with and without fused multiply-add."
+        f"The torque deviates by at most {torque}; {penalty_text(solution)}. These values were "
+        f"found by evaluating the arithmetic of the header {count(errors.samples)} times, on both "
+        "sides of every breakpoint and, in single precision, with and without fused multiply-add."
     )
     bounds = "They are sampled, not proven bounds."
     if proof is not None:
