@@ -61,8 +61,7 @@ from dqforge.reports.pages.html_text import (
     symbols,
 )
 from dqforge.reports.pages.templating import LOOPS, render
-from dqforge.reports.steps.observer_text import step_text
-from dqforge.reports.steps.tracker_text import tracker_text
+from dqforge.reports.steps.observer_text import step_text, tracker_text
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design

@@ -40,8 +40,7 @@ from dqforge.optimizer.observers.sampled_machine import CurrentSensor, Trial, si
 from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic, cast
 from dqforge.reports.operating_system.host_compiler import find_compiler
 from dqforge.reports.steps.control_types import control_types
-from dqforge.reports.steps.observer_text import observer_text
-from dqforge.reports.steps.tracker_text import tracker_text
+from dqforge.reports.steps.observer_text import observer_text, tracker_text
 from dqforge.reports.verification.host import COMPILERS, WARNINGS, Compiler
 
 T_S = 1e-4
