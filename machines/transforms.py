@@ -40,7 +40,7 @@ _Value = TypeVar("_Value", float, NDArray[np.float64])
 
 
 def in_rpm(omega: _Value) -> _Value:
-    """A speed in rpm, of one in rad/s."""
+    """A speed in rpm, of ``omega`` in rad/s."""
     return omega * 30.0 / math.pi
 
 

@@ -50,7 +50,7 @@ from dqforge.machines.transforms import Reals
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.estimators import Tracker, TrackerLoop
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT
-from dqforge.optimizer.observers.models.matsui_model import ObserverRun
+from dqforge.optimizer.observers.methods.matsui_model import ObserverRun
 from dqforge.optimizer.observers.parts import ObserverState, StateMembers
 from dqforge.optimizer.observers.sampled_machine import wrapped
 from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Member, Pair, limited

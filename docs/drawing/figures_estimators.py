@@ -16,8 +16,7 @@ from dqforge.optimizer.observers.methods.ekf import (
     noisy_trial,
     tuned_ekf,
 )
-from dqforge.optimizer.observers.models.matsui_errors import closed_form_error, with_errors
-from dqforge.optimizer.observers.models.matsui_model import matsui
+from dqforge.optimizer.observers.methods.matsui_model import closed_form_error, matsui, with_errors
 from dqforge.optimizer.observers.sampled_machine import CurrentSensor
 from dqforge.optimizer.saliency.inform import track
 from dqforge.optimizer.saliency.sampled_injection import cross_saturation_error, injection

@@ -34,7 +34,7 @@ from dqforge.optimizer.curves.single_precision import (
     SingleArray,
     power_of_series,
 )
-from dqforge.optimizer.exploration.local_series import (
+from dqforge.optimizer.exploration.sensitivities import (
     SeriesSpace,
     lobatto_nodes,
     minimax_fit,

@@ -35,7 +35,6 @@ from dqforge.optimizer.exploration.batch_currents import (
     largest_torques,
     why_not_in_batch,
 )
-from dqforge.optimizer.exploration.local_series import scaled_loci
 from dqforge.optimizer.exploration.machine_axis import (
     STRATEGIES,
     AxisBudgets,
@@ -52,6 +51,7 @@ from dqforge.optimizer.exploration.row_outputs import (
     loss_columns,
     mapped,
 )
+from dqforge.optimizer.exploration.sensitivities import scaled_loci
 from dqforge.optimizer.loops.loop_axes import (
     BY_SEARCH,
     CurrentLoopAxis,

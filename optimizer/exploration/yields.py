@@ -22,7 +22,7 @@ from dqforge.optimizer.current_reference.fit import signed_designs, signed_refer
 from dqforge.optimizer.current_reference.forms import Emitted, FixedReference
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.exploration.batch_currents import strategy_currents
-from dqforge.optimizer.exploration.local_series import currents_on_loci, scaled_loci
+from dqforge.optimizer.exploration.sensitivities import currents_on_loci, scaled_loci
 from dqforge.optimizer.loops.loop_axes import given_current_loops
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, DriveBudget, drive_budget

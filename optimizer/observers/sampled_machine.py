@@ -329,7 +329,7 @@ def wandering_speed(
 # predict with, over numpy arrays of shape (N,) or what else an `Arithmetic` counts with.
 #
 # In double precision they are compared with a filter in matrices (tests) and
-# `dqforge.optimizer.observers.models.matsui_model`.
+# `dqforge.optimizer.observers.methods.matsui_model`.
 
 EVEN = 5
 

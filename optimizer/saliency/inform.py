@@ -30,7 +30,7 @@ from dqforge.optimizer.estimators import (
     TrackerLoop,
     TrackerSteps,
 )
-from dqforge.optimizer.observers.models.matsui_model import ObserverRun
+from dqforge.optimizer.observers.methods.matsui_model import ObserverRun
 from dqforge.optimizer.observers.sampled_machine import (
     CurrentSensor,
     Trial,

@@ -31,7 +31,6 @@ from dqforge.machines.topologies import TOPOLOGIES, sine_share
 from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.operating_points.characteristics import limit_speed
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
-from dqforge.optimizer.waveforms.confirmation import Confirmation, confirm_waveforms
 from dqforge.optimizer.waveforms.constraint_rows import (
     LIMITS,
     CurrentRule,
@@ -43,7 +42,13 @@ from dqforge.optimizer.waveforms.constraint_rows import (
     spectrum,
     unit_currents,
 )
-from dqforge.optimizer.waveforms.solver import WaveformSolutions, require_solution, solve_waveforms
+from dqforge.optimizer.waveforms.solver import (
+    Confirmation,
+    WaveformSolutions,
+    confirm_waveforms,
+    require_solution,
+    solve_waveforms,
+)
 
 Rule = Literal["dq", "dqx", "dqy", "limited"]
 _EXACT = 1e-6

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from dqforge.optimizer.control_design.gain_set import GainSet
     from dqforge.optimizer.estimator_comparison.candidate import ObserverEvidence
     from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
-    from dqforge.optimizer.observers.proof import ObserverProof
+    from dqforge.optimizer.observers.tuning import ObserverProof
     from dqforge.optimizer.six_step.design import SixStepDesign
     from dqforge.reports.pages.answer import Table
     from dqforge.reports.plain_data import PlainData
@@ -88,7 +88,7 @@ def _observer(
     if gains.position is None:
         return None, None, []
     from dqforge.optimizer.estimator_comparison.candidate import observer_evidence
-    from dqforge.optimizer.observers.proof import prove
+    from dqforge.optimizer.observers.tuning import prove
     from dqforge.reports.estimator_comparison.observer_errors import capture_table, warm_table
 
     proof = prove(gains.position)

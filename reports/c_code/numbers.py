@@ -9,6 +9,7 @@ import re
 from decimal import ROUND_UP, Context
 
 import numpy as np
+from numpy.typing import NDArray
 
 _UNPRINTABLE = re.compile(r"[^\x20-\x7e]")
 
@@ -86,3 +87,16 @@ def int32_addend(value: int) -> str:
 def int64_literal(value: int) -> str:
     """An integer of 64 bits as the constant macro of <stdint.h> makes it."""
     return f"INT64_C({int(value)})" if value != -(2**63) else "(-INT64_C(9223372036854775807) - 1)"
+
+
+# Rows of numbers in C: the inside of an initialiser.
+
+
+def number_rows(values: NDArray[np.float32], count: int) -> list[str]:
+    """Lines of a table, shape (N, M), with so many numbers to a line."""
+    lines = []
+    for row in values:
+        texts = [float_literal(float(value)) for value in row]
+        parts = (texts[at : at + count] for at in range(0, len(texts), count))
+        lines += ["    {", *(f"        {', '.join(part)}," for part in parts), "    },"]
+    return lines

@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     from dqforge.optimizer.control_design.gain_set import GainSet
     from dqforge.optimizer.loops.integer_gains import PerUnitGains
     from dqforge.optimizer.loops.loop_gains import LoopGains
-    from dqforge.optimizer.observers.proof import ObserverProof
     from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad
+    from dqforge.optimizer.observers.tuning import ObserverProof
     from dqforge.optimizer.phase_control.design import PhaseLoops
     from dqforge.optimizer.phase_control.judged_box import JudgedLoops, JudgedSpeed
     from dqforge.optimizer.speed_box import SpeedProof

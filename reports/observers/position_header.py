@@ -40,9 +40,8 @@ if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray
     from dqforge.machines.design.design import Design
     from dqforge.optimizer.observers.parts import Disturbances, ObserverMethod
-    from dqforge.optimizer.observers.proof import ObserverProof
     from dqforge.optimizer.observers.reduced_order import Limits, Training
-    from dqforge.optimizer.observers.tuning import PositionObserver
+    from dqforge.optimizer.observers.tuning import ObserverProof, PositionObserver
     from dqforge.reports.plain_data import PlainData
 
 

@@ -478,8 +478,8 @@ LOSSES = Chapter(
     "Every loss of the drive in the steady state, by kind: copper and what the current ripple adds "
     "to it, iron (and what switching adds) and magnets where the design specifies them, "
     "conduction, dead time and switching of the inverter, DC link. Kinds below 0.01 % are not "
-    "shown, but counted. Junction temperatures are solved together with the losses that depend on them; the "
-    "field is weakened as far as each modulator needs it. Friction, which no alternative "
+    "shown, but counted. Junction temperatures are solved together with the losses that depend on "
+    "them; the field is weakened as far as each modulator needs it. Friction, which no alternative "
     "changes, is not part of the total.",
 )
 MODULATION = Chapter("modulation", "Modulator and frequency")

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
     from dqforge.optimizer.estimator_comparison.candidate import ObserverEvidence
     from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
-    from dqforge.optimizer.observers.proof import ObserverProof
+    from dqforge.optimizer.observers.tuning import ObserverProof
     from dqforge.reports.simulation.design_run import DriveSimulation, StepFigures
 
 
@@ -287,7 +287,7 @@ def tune(design: Design) -> Tuning:
     require_observed(design, gains)
     from dqforge.optimizer.estimator_comparison.candidate import observer_evidence
     from dqforge.optimizer.fixed_phase_control.solve import solve_integers
-    from dqforge.optimizer.observers.proof import prove
+    from dqforge.optimizer.observers.tuning import prove
 
     fixed, proof = solve_integers(design, gains), prove(gains.position)
     return Tuning(design, gains, fixed, proof, observer_evidence(design, gains.position))

@@ -32,8 +32,7 @@ from dqforge.reports.c_code.harness import (
     singles_from,
     title,
 )
-from dqforge.reports.c_code.number_rows import number_rows
-from dqforge.reports.c_code.numbers import float_literal, rounded_up
+from dqforge.reports.c_code.numbers import float_literal, number_rows, rounded_up
 from dqforge.reports.capability import Capability, Passage, Quantity
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, ceiling, share

@@ -15,7 +15,6 @@ from dqforge.machines.transforms import Reals, in_rpm
 from dqforge.optimizer.solution import Solution
 from dqforge.optimizer.steps.step_arithmetic import Abc, Arithmetic
 from dqforge.optimizer.waveforms.comparison import RuleCurrents, WaveformComparison
-from dqforge.optimizer.waveforms.confirmation import Confirmation
 from dqforge.optimizer.waveforms.firmware_fit import (
     PhaseCandidate,
     PhaseFit,
@@ -23,6 +22,7 @@ from dqforge.optimizer.waveforms.firmware_fit import (
     PhaseReference,
     PhaseTable,
 )
+from dqforge.optimizer.waveforms.solver import Confirmation
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,
@@ -31,8 +31,7 @@ from dqforge.reports.c_code.harness import (
     Programme,
     title,
 )
-from dqforge.reports.c_code.number_rows import number_rows
-from dqforge.reports.c_code.numbers import comment_text, float_literal, rounded_up
+from dqforge.reports.c_code.numbers import comment_text, float_literal, number_rows, rounded_up
 from dqforge.reports.capability import Capability, Draw, Passage, Quantity, ReportPart
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, ceiling, quantity, share, symbols

@@ -7,7 +7,7 @@ from typing import Annotated, NamedTuple
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.observers.models.matsui_model import Matsui
+from dqforge.optimizer.observers.methods.matsui_model import Matsui
 from dqforge.optimizer.observers.parts import USUAL_WIDTH, ObserverState, ObserverTuning
 from dqforge.optimizer.observers.sampled_machine import SampledGains, matrix_entries, next_currents
 from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Dq, Member, Pair, limited

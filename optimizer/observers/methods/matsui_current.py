@@ -17,7 +17,7 @@ from dqforge.optimizer.observers.methods.matsui import (
     shown_gap,
     usual_matsui,
 )
-from dqforge.optimizer.observers.models.matsui_model import Matsui, matsui
+from dqforge.optimizer.observers.methods.matsui_model import Matsui, matsui
 from dqforge.optimizer.observers.parts import (
     ObserverMethod,
     ObserverState,

@@ -10,8 +10,8 @@ import pytest
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.dq_machines.flux_map import SaturatedMachine, ScaledMachines
-from dqforge.optimizer.exploration import local_series as module
-from dqforge.optimizer.exploration.local_series import ScaledLoci, currents_on_loci, scaled_loci
+from dqforge.optimizer.exploration import sensitivities as module
+from dqforge.optimizer.exploration.sensitivities import ScaledLoci, currents_on_loci, scaled_loci
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 DRIVES = ("baldor-pmsyrm-5k6", "abb-syrm-6k7-saturated")

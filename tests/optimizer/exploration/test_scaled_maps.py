@@ -10,7 +10,7 @@ from study_trials import Rows, outputs, plan_of
 
 from dqforge.machines.dq_machines.flux_map import ScaledMachines
 from dqforge.optimizer.exploration import variation as batch_steps
-from dqforge.optimizer.exploration.local_series import ScaledLoci, scaled_loci
+from dqforge.optimizer.exploration.sensitivities import ScaledLoci, scaled_loci
 from dqforge.optimizer.exploration.study_plan import SINGLE_BATCH, TOGETHER_BATCH, YIELD_BATCH
 
 SCALES = """tolerances:

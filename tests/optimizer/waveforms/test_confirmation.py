@@ -14,9 +14,8 @@ import pytest
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.waveforms.confirmation import AGREEMENT, confirm_waveforms
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits, make_problem
-from dqforge.optimizer.waveforms.solver import solve_waveforms
+from dqforge.optimizer.waveforms.solver import AGREEMENT, confirm_waveforms, solve_waveforms
 
 MACHINE = PhaseMachine.from_harmonics(
     [1, 3, 5, 7],

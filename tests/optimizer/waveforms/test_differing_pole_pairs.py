@@ -14,7 +14,6 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, SalientPhaseMachine
 from dqforge.optimizer.harmonic_trackers import other_harmonics, third_flux
 from dqforge.optimizer.waveforms.comparison import compare_waveforms
-from dqforge.optimizer.waveforms.confirmation import confirm_waveforms
 from dqforge.optimizer.waveforms.constraint_rows import (
     WaveformLimits,
     dq_waveform,
@@ -23,7 +22,7 @@ from dqforge.optimizer.waveforms.constraint_rows import (
 )
 from dqforge.optimizer.waveforms.firmware_fit import PhaseTable, fit_phases
 from dqforge.optimizer.waveforms.salient_reference import fit_salient_phases
-from dqforge.optimizer.waveforms.solver import solve_waveforms
+from dqforge.optimizer.waveforms.solver import confirm_waveforms, solve_waveforms
 
 MACHINE = PhaseMachine.from_harmonics(
     [1.0, 3.0, 0.5, 1.5],

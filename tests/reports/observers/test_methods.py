@@ -21,9 +21,8 @@ from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.plants.scenario import plants
 from dqforge.optimizer.observers.methods import ekf as ekf_method
 from dqforge.optimizer.observers.methods.ekf import ekf, ekf_gains
+from dqforge.optimizer.observers.methods.matsui_model import matsui, steady_error
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.optimizer.observers.models.matsui_errors import steady_error
-from dqforge.optimizer.observers.models.matsui_model import matsui
 from dqforge.optimizer.observers.parts import steady_observer
 from dqforge.reports.observers.position_header import emitted, observer_from, plain_observer
 from dqforge.reports.run import export_design, verify_folder

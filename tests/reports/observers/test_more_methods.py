@@ -23,6 +23,7 @@ from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer import harmonic_trackers as third
 from dqforge.optimizer.curves.single_precision import SINGLE, SingleArray
 from dqforge.optimizer.harmonic_trackers import third_harmonic_gains
+from dqforge.optimizer.observers.methods import matsui_model as matsui_models
 from dqforge.optimizer.observers.methods.ekf import ekf, ekf_gains, ekf_start, ekf_step
 from dqforge.optimizer.observers.methods.matsui_current import (
     current_gains,
@@ -35,7 +36,6 @@ from dqforge.optimizer.observers.methods.matsui_voltage import (
     voltage_gains,
 )
 from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.optimizer.observers.models import matsui_model as matsui_models
 from dqforge.optimizer.observers.sampled_machine import CurrentSensor, Trial, simulate, wrapped
 from dqforge.optimizer.steps.step_arithmetic import EXACT, Arithmetic, cast
 from dqforge.reports.operating_system.host_compiler import find_compiler

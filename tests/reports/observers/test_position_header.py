@@ -22,12 +22,11 @@ from dqforge.machines.names import LEARNED_OBSERVERS
 from dqforge.machines.plants.scenario import drive_motion
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.curves.single_precision import SINGLE
-from dqforge.optimizer.observers import proof as observer_proof
+from dqforge.optimizer.observers import tuning as observer_proof
 from dqforge.optimizer.observers.judgement import judge_at
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import observe
-from dqforge.optimizer.observers.proof import prove
-from dqforge.optimizer.observers.tuning import PositionObserver
+from dqforge.optimizer.observers.tuning import PositionObserver, prove
 from dqforge.optimizer.steps.step_arithmetic import EXACT, cast
 from dqforge.reports.observers.float32_model import observer_inputs, observer_outputs
 from dqforge.reports.observers.position_header import (

@@ -12,13 +12,16 @@ from drives import IPM
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.optimizer.observers.models.matsui_errors import (
+from dqforge.optimizer.observers.methods.matsui_model import (
+    Matsui,
+    MatsuiModel,
     closed_form_error,
     least_speed,
+    matsui,
+    run,
     steady_error,
     with_errors,
 )
-from dqforge.optimizer.observers.models.matsui_model import Matsui, MatsuiModel, matsui, run
 from dqforge.optimizer.observers.sampled_machine import simulate
 
 T_S = 200e-6

@@ -1,1 +1,0 @@
-"""Machines and errors as the methods of observing the position take them."""
