@@ -205,7 +205,7 @@ def _header(study: Study) -> FixedHeader | None:
 def _seen(folder: Path, looked: Looked) -> Answer | None:
     """Rows of a folder, or what is exported of them; None where neither is asked for."""
     if looked.export is not None:
-        from dqforge.reports.exploration.study_view import answer_export
+        from dqforge.reports.exploration.winners import answer_export
 
         return answer_export(folder, looked.export)
     if not looked.at_rows:
@@ -263,7 +263,7 @@ def _answer_folder(folder: Path) -> Answer:
     """A folder that holds a study, as it is."""
     from dqforge.reports.exploration.contained_rows import study_outcome
     from dqforge.reports.exploration.part_store import PartStore
-    from dqforge.reports.exploration.study_view import stored_study
+    from dqforge.reports.exploration.winners import stored_study
 
     store = PartStore.existing(folder)
     outcome = study_outcome(store, computed=0, seconds=0.0, workers=0)

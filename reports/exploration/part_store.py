@@ -585,7 +585,7 @@ def _take_away(folder: Path, header: StudyHeader) -> None:
 
 
 def _take_winner(folder: Path) -> None:
-    """Remove what `dqforge.reports.exploration.study_view` wrote, as far as nobody changed it."""
+    """Remove what `dqforge.reports.exploration.winners` wrote, as far as nobody changed it."""
     manifest = None if folder.is_symlink() else find_manifest(folder)
     if manifest is None:
         return

@@ -48,7 +48,7 @@ def test_what_is_no_regular_file_is_refused_at_once(tmp_path: Path) -> None:
         tmp_path / "none" / "below": "there is no such file",
         Path("/dev/zero"): "a device",
         tmp_path / ("x" * 5000): "cannot be read",
-        tmp_path / "nul\0": "no file name",
+        tmp_path / "nul\0": "not a file name",
     }
     for place, phrase in refused.items():
         with pytest.raises(InputError, match=phrase) as caught:

@@ -84,7 +84,7 @@ def test_nothing_found_is_one_line_that_says_what_there_is(words: str, phrase: s
 
 
 def test_one_asks_for_a_name_or_for_words() -> None:
-    with pytest.raises(InputError, match="leave one of them out"):
+    with pytest.raises(InputError, match="omit one of them"):
         answer_machines("hoverboard-hub", "hub")
 
 

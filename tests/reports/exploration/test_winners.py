@@ -17,7 +17,8 @@ from dqforge.machines.exploration.study_checks import study_of_text
 from dqforge.optimizer.exploration.study_plan import StudyPlan
 from dqforge.reports.exploration.part_file import FRONT, StoreError, encode_part
 from dqforge.reports.exploration.part_store import PartStore, study_header, study_inputs
-from dqforge.reports.exploration.study_view import (
+from dqforge.reports.exploration.summary_files import front_file
+from dqforge.reports.exploration.winners import (
     answer_export,
     chosen_rows,
     export_row,
@@ -25,7 +26,6 @@ from dqforge.reports.exploration.study_view import (
     row_text,
     stored_study,
 )
-from dqforge.reports.exploration.summary_files import front_file
 from dqforge.reports.output.recomputation import recompute
 
 STUDY = b"""dqforge_study: 1
