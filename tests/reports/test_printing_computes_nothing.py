@@ -49,7 +49,7 @@ MODELS = {
     "control.header": "the control functions in single precision, by the steps that are emitted",
     "control.fixed_model": "the control functions in integers, step by step, and proven again",
     "firmware.loop_code": "the loops of other firmware in C, by the rules they are judged by",
-    "fixed_observers.fixed_observer_model": "the observers in integers, step by step",
+    "fixed_observers.fixed_observer_header": "the observers in integers, step by step",
     "single_headers.fixed_mesh_reading": "proves again what is read back",
     "single_headers.speed_measurement": "the measured speed by its steps, in words and in C",
     "single_headers.frame_tables": "the frames dqx and dqy by their steps, in floats and in C",
