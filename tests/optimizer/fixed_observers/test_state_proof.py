@@ -13,7 +13,7 @@ from dqforge.optimizer.fixed_control.arithmetic import Integers, Range
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import FIXED_METHODS, observer_reaches
 from dqforge.optimizer.fixed_observers.kit import TOP
 from dqforge.optimizer.loops.integer_gains import FixedGain
-from dqforge.reports.fixed_observers.fixed_observer_model import row_inputs, row_results
+from dqforge.reports.fixed_observers.fixed_observer_header import row_inputs, row_results
 
 EVERY = pytest.mark.parametrize(
     "name",

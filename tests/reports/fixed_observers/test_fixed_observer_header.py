@@ -25,14 +25,12 @@ from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
 )
 from dqforge.reports.fixed_observers.fixed_observer_header import (
     fixed_observer_files,
-    fixed_observer_harness,
-    plain_fixed_observer,
-    plain_observer_evidence,
-)
-from dqforge.reports.fixed_observers.fixed_observer_model import (
     fixed_observer_from,
+    fixed_observer_harness,
     input_names,
     output_names,
+    plain_fixed_observer,
+    plain_observer_evidence,
     row_inputs,
     row_results,
 )

@@ -49,8 +49,9 @@ from dqforge.optimizer.steps.step_arithmetic import Member
 from dqforge.reports.fixed_observers.fixed_observer_header import (
     fixed_observer_files,
     fixed_observer_harness,
+    row_inputs,
+    row_results,
 )
-from dqforge.reports.fixed_observers.fixed_observer_model import row_inputs, row_results
 from dqforge.reports.steps.integer_text import integer_observer_text
 from dqforge.reports.verification.host import WARNINGS
 
