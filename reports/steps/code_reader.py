@@ -652,9 +652,9 @@ class CodeReader(StepReader):
         declared = self.array is not None and self.array.name == name
         return filled(self, name, count, of, declared=declared)
 
-    def at(self, table: Sequence[Any], place: Any, column: int | None = None) -> Any:
-        """An item of an array."""
-        assert column is None
+    def at(self, table: Sequence[Any], place: Any, *inner: Any) -> Any:
+        """An item of an array; there are no arrays of arrays."""
+        assert not inner
         first = table[0]
         if hasattr(first, "_fields"):
             array = first[0].whole.rpartition("[")[0]

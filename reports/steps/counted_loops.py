@@ -218,17 +218,27 @@ def _loop(
     of: Callable[[Any], Any],
     assigned: Callable[[str, Expression], tuple[str, str]],
 ) -> None:
+    def body(at: Index, inner: Any) -> None:
+        value = expression(of(at))
+        reader.take([value])
+        inner.work(folded(*assigned(at.text, value), ";", inner.indent))
+
+    _turns(reader, f"{count}U", of, body)
+
+
+def _turns(
+    reader: Writer, end: str, of: Callable[[Any], Any], body: Callable[[Index, Any], None]
+) -> None:
+    """A loop that counts by the name of the argument of ``of``; ``body`` writes into its block."""
     outer, (name,) = reader.block, inspect.signature(of).parameters
     if f"{outer.indent}unsigned int {name};" not in outer.lines:
         outer.take(name)
         outer.variable("unsigned int", name)
     reader.block = inner = outer.inner()
-    value = expression(of(place(name)))
-    reader.take([value])
-    inner.work(folded(*assigned(name, value), ";", inner.indent))
+    body(place(name), inner)
     reader.block = outer
     outer.inside |= inner.names - outer.names
-    head = f"{outer.indent}for ({name} = 0U; {name} < {count}U; {name}++) {{"
+    head = f"{outer.indent}for ({name} = 0U; {name} < {end}; {name}++) {{"
     outer.work([head, *inner.lines, f"{outer.indent}}}"])
 
 
@@ -257,7 +267,7 @@ def repeated(
     before; ``known`` are the members of states that the reader follows.
     """
     reader.write_state()
-    outer, (name,) = reader.block, inspect.signature(of).parameters
+    outer = reader.block
     own = [
         Kept(state, member.name, member.name, expression(getattr(state, member.name)))
         for member in (() if state is None else fields(state))
@@ -271,22 +281,17 @@ def repeated(
         kept.value = reader.number_of(kept.place, _counted(reader))
         kept.renewed()
     known += own
-    if f"{outer.indent}unsigned int {name};" not in outer.lines:
-        outer.take(name)
-        outer.variable("unsigned int", name)
-    reader.block = inner = outer.inner()
-    of(place(name))
-    reader.write_state()
-    if until is not None:
-        ends = until()
-        reader.take(ends.terms)
-        head = folded("if (", ends.text(), ") {", inner.indent)
-        inner.work([*head, f"{inner.indent}    break;", f"{inner.indent}}}"])
-    reader.block = outer
-    outer.inside |= inner.names - outer.names
-    end = count.operand() if isinstance(count, Index) else f"{count}U"
-    head = [f"{outer.indent}for ({name} = 0U; {name} < {end}; {name}++) {{"]
-    outer.work([*head, *inner.lines, f"{outer.indent}}}"])
+
+    def body(at: Index, inner: Any) -> None:
+        of(at)
+        reader.write_state()
+        if until is not None:
+            ends = until()
+            reader.take(ends.terms)
+            head = folded("if (", ends.text(), ") {", inner.indent)
+            inner.work([*head, f"{inner.indent}    break;", f"{inner.indent}}}"])
+
+    _turns(reader, count.operand() if isinstance(count, Index) else f"{count}U", of, body)
     del known[len(known) - len(own) :]
     for kept in own:
         setattr(state, kept.member, reader.number_of(kept.place, _counted(reader)))
