@@ -6,7 +6,7 @@ sums (-ffp-contract=off).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
@@ -105,15 +105,18 @@ class PhaseControlModel:
         theta_e, omega_m, v_dc = columns[3:6]
         return Measured(Abc(*columns[:3]), theta_e, omega_m, v_dc, v_m)
 
+    def _run(
+        self, step: Callable[..., Any], state: Control, measured: SingleArray, *asked: Any
+    ) -> Singles:
+        """Duty cycles that a step makes of samples as of `measured`."""
+        with np.errstate(all="ignore"):
+            return tuple(step(SINGLE, self.numbers, state, self.measured(measured), *asked))
+
     def control_step(
         self, state: Control, measured: SingleArray, reference: Singles, torque: SingleArray
     ) -> Singles:
         """Duty cycles from samples as of `measured`."""
-        with np.errstate(all="ignore"):
-            found = self.steps.control_step(
-                SINGLE, self.numbers, state, self.measured(measured), Dq(*reference), torque
-            )
-        return tuple(found)
+        return self._run(self.steps.control_step, state, measured, Dq(*reference), torque)
 
     def duties(
         self, v: Pair[SingleArray], v_dc: SingleArray, current: Pair[SingleArray]
@@ -154,19 +157,17 @@ class PhaseControlModel:
 
     def current_control(self, state: Control, measured: SingleArray, reference: Singles) -> Singles:
         """Duty cycles for references (d, q) in A."""
-        return self.control_step(state, measured, *self.of_currents(measured, reference))
+        return self._run(self.steps.current_control, state, measured, Dq(*reference))
 
     def torque_control(self, state: Control, measured: SingleArray, torque: SingleArray) -> Singles:
         """Duty cycles for a torque in N m."""
-        state.torque = torque
-        return self.control_step(state, measured, *self.of_torque(state, measured, torque))
+        return self._run(self.steps.torque_control, state, measured, torque)
 
     def speed_control(
         self, state: Control, measured: SingleArray, reference: SingleArray
     ) -> Singles:
         """Duty cycles for a speed in rad/s."""
-        torque = self.speed_loop(state, measured, reference)
-        return self.torque_control(state, measured, torque)
+        return self._run(self.steps.speed_control, state, measured, reference)
 
 
 def opened(state: Control, phase: NDArray[np.uint32], chosen: NDArray[np.bool_]) -> None:
