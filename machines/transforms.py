@@ -4,7 +4,8 @@ Phases to stationary and to rotor coordinates, amplitude-invariant: a balanced s
 vector of length 1. Each function takes its operations from `Numbers`. `Floats` evaluates it on
 numpy arrays, in double precision or, in single, as the emitted C does to the last bit; codes of
 fixed point (`dqforge.optimizer.fixed_control.transforms.Codes`) make it the model of the
-emitted integers and, on ranges, the proof that no word overflows.
+emitted integers and, on ranges, the proof that no word overflows. With them stand the scales that
+belong to no machine: rpm, the linear range of a bridge, the delay of a voltage.
 """
 
 from __future__ import annotations

@@ -35,6 +35,7 @@ from dqforge.machines.plants.regulator_schemes import (
     optimal_pattern,
 )
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import linear_voltage
 from dqforge.optimizer.loops.loop_gains import LoopGains, analyse_current_loop, tune_speed_loop
 from dqforge.optimizer.losses.drive_budget import (
     BudgetOptions,
@@ -277,7 +278,7 @@ def working_points(design: Design, torque: FloatArray, omega_m: FloatArray) -> W
     Raises:
         InputError: No point is within reach.
     """
-    v_max = VOLTAGE_SHARE * design.inverter.v_dc / math.sqrt(3.0)
+    v_max = VOLTAGE_SHARE * linear_voltage(design.inverter.v_dc)
     i_d, i_q, made = strategy_currents(
         design.machine,
         design.strategy,

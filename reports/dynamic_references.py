@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.reports.capability import Capability, Outcome, ReportPart
+from dqforge.reports.capability import Capability, Outcome, Passage, ReportPart
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
 from dqforge.reports.pages.templating import LOOPS
@@ -123,8 +123,7 @@ def _of(outcome: Outcome) -> DynamicReferences | None:
 
 
 def _parts(_: Solution, found: DynamicReferences) -> list[ReportPart]:
-    data = {"tables": reference_html(found), "kind": "loops"}
-    return [ReportPart(LOOPS, "pages/tables.html.j2", data)]
+    return [Passage(tables=reference_html(found), kind="loops").of(LOOPS)]
 
 
 DYNAMIC_REFERENCES = Capability(

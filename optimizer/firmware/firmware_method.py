@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Firmware, LoadedByName
 from dqforge.machines.records import dataclass
@@ -731,7 +732,7 @@ def _speed_text(design: Design) -> str:
 def _inertia_text(design: Design) -> str:
     machine = design.machine
     flux = max(machine.psi_pm, abs(machine.l_q - machine.l_d) * design.i_max)
-    torque = 1.5 * machine.pole_pairs * flux * design.i_max
+    torque = torque_per_ampere(machine.pole_pairs, flux) * design.i_max
     speed = machine.omega_m_max or _base_speed(design)
     return f"{torque * _RUN_UP / speed:.2g} kg m^2"
 

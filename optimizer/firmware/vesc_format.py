@@ -14,7 +14,7 @@ from typing import Literal
 from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import linear_voltage
+from dqforge.machines.transforms import in_rpm, linear_voltage
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     DriveValues,
@@ -250,7 +250,7 @@ def _doubt(own: Mapping[str, OwnValue], version: str) -> Iterator[str]:
 
 def erpm_per_speed(pole_pairs: float) -> float:
     """Electrical revolutions per minute of a mechanical speed of 1 rad/s."""
-    return 30.0 / math.pi * pole_pairs
+    return in_rpm(1.0) * pole_pairs
 
 
 def speed_scale(pole_pairs: float, i_max: float) -> float:

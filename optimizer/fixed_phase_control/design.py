@@ -8,6 +8,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import largest_phase_voltage
@@ -232,7 +233,7 @@ def _integers(
     dc_base = voltage * 2.0**dc_scale
     # An open phase or unequal ones reach down to a part of the square of equal ones.
     least = 0.2 * _least_square(control, flux)
-    unit = torque / (1.5 * control.pole_pairs * flux * current)
+    unit = torque / (torque_per_ampere(control.pole_pairs, flux) * current)
     largest = unit * control.torque_max / torque / max(least, 1e-3)
     unit_bits = max(0, math.ceil(math.log2(max(largest, 1e-9))))
     samples = 2.0 * math.pi / (omega_e * control.t_s)  # per electrical period at the base speed
@@ -285,7 +286,7 @@ def _integers(
 
 def _current_per_torque(control: PhaseControl, bases: float, width: int) -> FixedGain:
     """From the torque to the q current of sinusoids; ``bases`` in N m/A."""
-    flux = 1.5 * control.pole_pairs * control.psi_pm
+    flux = torque_per_ampere(control.pole_pairs, control.psi_pm)
     return precise_gain("current per torque", bases / flux, width, 2 ** (width - 1))
 
 

@@ -16,7 +16,7 @@ from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import TOPOLOGIES
-from dqforge.machines.transforms import clarke_matrix
+from dqforge.machines.transforms import CURRENT_DELAY, clarke_matrix
 from dqforge.optimizer.phase_control.phase_controller import (
     PHASES,
     LimitedShapes,
@@ -285,7 +285,7 @@ def _between_nodes(
     inductance = np.array([0.5 * (l_d + l_q), 0.5 * (l_d + l_q), l_0]).reshape(3, 1, 1, 1)
     voltage = 0.5 * control.r_s * (currents[1] + currents[2])
     voltage = voltage + inductance / control.t_s * (currents[2] - currents[1])
-    voltage += omega * flux_at(control.shape, angle + 1.5 * omega * control.t_s)
+    voltage += omega * flux_at(control.shape, angle + CURRENT_DELAY * omega * control.t_s)
     if not TOPOLOGIES[control.topology].neutral:
         voltage[2] = 0.0
     low, high, rows = link_region(control, v_dc, margin)

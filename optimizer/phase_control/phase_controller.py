@@ -17,7 +17,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import TOPOLOGIES, VOLTAGE_ROWS, uses_zero_sequence, voltage_bounds
-from dqforge.machines.transforms import clarke_matrix
+from dqforge.machines.transforms import CURRENT_DELAY, clarke_matrix
 from dqforge.optimizer.linear_programme import least_cost
 
 
@@ -210,7 +210,7 @@ def steady_voltages(control: PhaseControl, omega_e: FloatArray) -> tuple[FloatAr
     inductance = np.array([0.5 * (l_d + l_q), 0.5 * (l_d + l_q), l_0])[:, np.newaxis, np.newaxis]
     first, second = (reference_currents(control, angle + j * step, omega) for j in (1.0, 2.0))
     by_torque = 0.5 * control.r_s * (first + second) + inductance / control.t_s * (second - first)
-    emf = omega * flux_at(control.shape, angle + 1.5 * step)
+    emf = omega * flux_at(control.shape, angle + CURRENT_DELAY * step)
     if not TOPOLOGIES[control.topology].neutral:
         by_torque[2], emf[2] = 0.0, 0.0
     by_torque, emf = (np.moveaxis(np.tensordot(PHASES, v, 1), 0, -1) for v in (by_torque, emf))

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import Reals
+from dqforge.machines.transforms import CURRENT_DELAY, Reals
 from dqforge.optimizer.float_control.duties import Duties
 from dqforge.optimizer.float_control.records import UNKNOWN
 from dqforge.optimizer.float_control.speed_loop import speed_loop
@@ -414,7 +415,9 @@ class PhaseSteps:
             sample = replace(sample, place=o.let("place", theta * self.made.per_rad))
         if made.acts:
             step = o.let("step", (omega_e * gains.t_s) * self.made.per_rad)
-            found = o.call(self.shape.shape_at, gains.shape, sample.place + (1.5 * step), *opened)
+            found = o.call(
+                self.shape.shape_at, gains.shape, sample.place + (CURRENT_DELAY * step), *opened
+            )
             sample = replace(sample, step=step, acting_f=o.let("acting_f", found))
         if made.follows:
             found = o.call(self.shape.shape_at, gains.shape, sample.place, *opened)
@@ -659,7 +662,7 @@ class PhaseSteps:
         """The torque in N m that `control_step` takes beside references in A."""
         if not (self.made.by_torque or self.made.neutral):
             return o.full(0.0, measured.omega_m)
-        torque = o.let("torque", ((1.5 * gains.pole_pairs) * gains.psi_pm) * reference.q)
+        torque = o.let("torque", torque_per_ampere(gains.pole_pairs, gains.psi_pm) * reference.q)
         return self._limited(o, gains, measured, torque)
 
     def _limited(
@@ -675,12 +678,12 @@ class PhaseSteps:
         """References in A of a torque in N m, with what its limits leave of it."""
         held, asked = state.held, torque
         if held is not None and self.made.by_torque:
-            own = ((1.5 * gains.pole_pairs) * gains.psi_pm) * held.q
+            own = torque_per_ampere(gains.pole_pairs, gains.psi_pm) * held.q
             asked = o.let("asked", torque + o.let("held", own))
         limited = self._limited(o, gains, measured, asked)
         if self.made.by_torque:
             d = o.full(0.0, limited) if held is None else held.d
-            q = limited / ((1.5 * gains.pole_pairs) * gains.psi_pm)
+            q = limited / torque_per_ampere(gains.pole_pairs, gains.psi_pm)
             return o.let("reference", Dq(d, q)), limited
         assert self.currents is not None
         made = o.outside(Dq, "current_reference", self.currents, limited, filled="reference")

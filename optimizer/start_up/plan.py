@@ -25,7 +25,12 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import StartUpSettings
-from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, linearised
+from dqforge.machines.dq_machines.synchronous import (
+    LinearMachine,
+    Machine,
+    linearised,
+    torque_per_ampere,
+)
 from dqforge.machines.names import AlignmentName, StartUpMethodName
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.application import alignment_damping, alignment_time, swing_time
@@ -154,7 +159,7 @@ class StartUpPlan:
     @property
     def torque_per_ampere(self) -> float:
         """K_T in N m per A."""
-        return 1.5 * self.pole_pairs * self.psi_pm
+        return torque_per_ampere(self.pole_pairs, self.psi_pm)
 
     @property
     def load_angle_sine(self) -> float:
@@ -262,7 +267,7 @@ def start_up_plan(design: Design) -> StartUpPlan | None:
         return None
     machine, t_s, i_max = linearised(design.machine), design.control.t_s, design.i_max
     inertia = machine.inertia or 0.0
-    pairs, k_t = float(machine.pole_pairs), 1.5 * machine.pole_pairs * machine.psi_pm
+    pairs, k_t = float(machine.pole_pairs), torque_per_ampere(machine.pole_pairs, machine.psi_pm)
     rated = k_t * i_max
     method = chosen_method(settings, machine)
     load = _or(settings.load_torque, USUAL_LOAD * rated)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.errors import InputError, shown
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.names import Firmware, LoadedByName
@@ -127,7 +128,7 @@ def standard_steps(
     left_out: list[str] = []
     speeds = (0.0, 0.5 * base) if base > 0.0 else (0.0,)
     steps = [_driven(profile, machine, "current", CURRENT_SHARE * i_max, speed) for speed in speeds]
-    constant = 1.5 * (values.pole_pairs or 0) * (values.psi_pm or 0.0)
+    constant = torque_per_ampere(values.pole_pairs or 0, values.psi_pm or 0.0)
     if constant > 0.0:
         torque = CURRENT_SHARE * i_max * constant
         steps += [_driven(profile, machine, "torque", torque, speed) for speed in speeds]

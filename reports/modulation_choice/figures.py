@@ -15,6 +15,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.modulation_choice.rule import Leaf, Rule, SimplifiedChoice
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, PricedRule
 from dqforge.optimizer.solution import Solution
@@ -27,7 +28,7 @@ from dqforge.reports.c_code.harness import (
     title,
 )
 from dqforge.reports.c_code.numbers import rounded_up
-from dqforge.reports.capability import Capability, Draw, ReportPart
+from dqforge.reports.capability import Capability, Draw, Passage, ReportPart
 from dqforge.reports.modulation_choice.rule_model import (
     Alternative,
     EmittedRule,
@@ -74,14 +75,11 @@ from dqforge.reports.pages.templating import (
     inside,
     render,
 )
-from dqforge.reports.plain_data import PlainData
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
-_RPM = 30.0 / math.pi
 
 # Colours of the switching frequency, low to high.
 _FREQUENCIES = (
@@ -135,7 +133,7 @@ def _draw_rule(axes: Axes, choice: ModulationChoice, *, named: bool) -> None:
     asked = choice.asked.reshape(wanted.shape)
     boxes = leaf_boxes(rule.rule, box)
     for leaf, (left, right, low, high) in boxes:
-        corner, size = (left * _RPM, low), ((right - left) * _RPM, high - low)
+        corner, size = (in_rpm(left), low), (in_rpm(right - left), high - low)
         name, frequency = rule.alternatives[leaf.choice]
         if len(boxes) > 1:
             axes.add_patch(
@@ -155,7 +153,7 @@ def _draw_rule(axes: Axes, choice: ModulationChoice, *, named: bool) -> None:
             rows, columns = np.any(here, axis=1), np.any(here, axis=0)
             layout = _layout(float(np.mean(columns)), float(np.mean(rows)))
             axes.text(
-                choice.omega_m[j] * _RPM,
+                in_rpm(choice.omega_m[j]),
                 choice.torque[i],
                 f"{name}{layout.separator}{hertz(frequency)}",
                 ha="center",
@@ -194,7 +192,7 @@ def _ends(values: FloatArray) -> tuple[float]:
 
 def _axes_of_map(axes: Axes, choice: ModulationChoice, title: str) -> None:
     axes.set(
-        xlim=(0.0, _ends(choice.omega_m)[0] * _RPM),
+        xlim=(0.0, in_rpm(_ends(choice.omega_m)[0])),
         ylim=(0.0, _ends(choice.torque)[0]),
         xlabel="Speed in rpm",
     )
@@ -236,7 +234,7 @@ def _draw_modulators(axes: Axes, choice: ModulationChoice) -> None:
     idle = choice.reached.reshape(best.shape) & (best < 0)
     code[idle] = len(ranked)
     draw_cells(
-        axes, code, _borders(choice.omega_m) * _RPM, _borders(choice.torque), [*colours, _NOTHING]
+        axes, code, in_rpm(_borders(choice.omega_m)), _borders(choice.torque), [*colours, _NOTHING]
     )
     entries: list[tuple[str, str]] = [
         (colour, choice.best.modulations[k]) for colour, k in zip(colours, ranked, strict=True)
@@ -258,7 +256,7 @@ def _draw_frequencies(axes: Axes, choice: ModulationChoice) -> None:
     ]
     code[choice.reached.reshape(f_sw.shape) & ~known] = len(colours)
     draw_cells(
-        axes, code, _borders(choice.omega_m) * _RPM, _borders(choice.torque), [*colours, _NOTHING]
+        axes, code, in_rpm(_borders(choice.omega_m)), _borders(choice.torque), [*colours, _NOTHING]
     )
     if len(edges) == 2:
         entries = [(colours[0], hertz(float(np.mean(f_sw[known]))))]
@@ -485,15 +483,30 @@ def rule_programme(rule: EmittedRule) -> Programme:
 # The choice of modulator and switching frequency in the report.
 
 
-def choice_part(choice: ModulationChoice, prefix: str) -> PlainData:
-    """What the report prints of a choice."""
-    return {
-        "text": _text(choice),
-        "prices": _prices(choice),
-        "rule": _rule_data(choice),
-        "prefix": prefix,
-        "left_out": _left_out(choice),
-    }
+def choice_passage(choice: ModulationChoice, prefix: str) -> Passage:
+    """What the report says of the choice of modulator and frequency."""
+    left_out = _left_out(choice)
+    text = (
+        "Every watt of the drive is counted at every torque and speed with every modulator over "
+        f"the permitted switching frequencies. {_text(choice)}{f' {left_out}' if left_out else ''}"
+    )
+    caption = (
+        "Top: modulator with the least loss, and its switching frequency; dark lines part the map "
+        "where the rule of the header takes another one, whose name stands there. Left blank: "
+        "beyond current and voltage. Of modulators that lose the same the first in the design is "
+        "shown. Bottom: what each simplification loses."
+    )
+    declared = (
+        f"{prefix}_choice_t {prefix}_modulation_choice(float torque_Nm, float speed_rad_per_s);",
+        f"{prefix}_modulator_t {prefix}_modulator({prefix}_choice_t choice);",
+        f"float {prefix}_switching_frequency_Hz({prefix}_choice_t choice);",
+    )
+    return Passage(
+        text=[text],
+        drawings=[("choice", caption)],
+        tables=[_prices(choice), _rule_data(choice)],
+        declaration="\n".join(declared),
+    )
 
 
 def _text(choice: ModulationChoice) -> str:
@@ -554,9 +567,8 @@ def _figures(_: Solution, choice: ModulationChoice) -> Mapping[str, Draw]:
 
 
 def _parts(solution: Solution, choice: ModulationChoice) -> list[ReportPart]:
-    data = choice_part(choice, solution.design.export.prefix)
     key = f"mean loss {quantity(choice.emitted.mean_loss, 'W')}"
-    return [ReportPart(MODULATION, "modulation_choice/report.html.j2", data, key)]
+    return [choice_passage(choice, solution.design.export.prefix).of(MODULATION, key)]
 
 
 MODULATION_CHOICE = Capability(

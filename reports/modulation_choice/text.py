@@ -11,6 +11,7 @@ import numpy as np
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ChoiceSettings
 from dqforge.machines.names import ModulationName
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.modulation_choice.rule import Leaf, Rule
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, PricedRule
@@ -18,9 +19,6 @@ from dqforge.reports.modulation_choice.rule_model import as_emitted, plain_rule
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import letter
 from dqforge.reports.plain_data import PlainData
-
-_RPM = 30.0 / math.pi
-
 
 BINDING_TEXT = {
     "ripple": "current ripple",
@@ -87,7 +85,7 @@ def _answers(rule: Rule, ranges: _Ranges) -> list[tuple[_Ranges, int]]:
 
 
 def _where(ranges: _Ranges) -> str:
-    units = {"torque_Nm": ("torque", 1.0, "N m"), "speed_rad_per_s": ("speed", _RPM, "rpm")}
+    units = {"torque_Nm": ("torque", 1.0, "N m"), "speed_rad_per_s": ("speed", in_rpm(1.0), "rpm")}
     texts = []
     for quantity, (low, high) in sorted(ranges.items()):
         name, factor, unit = units[quantity]
@@ -241,7 +239,7 @@ def _map(choice: ModulationChoice) -> Table:
     seen = np.unique(best[best >= 0])
     notes = [f"{letter(int(k))} = {choice.best.modulations[int(k)]}" for k in seen]
     notes.append("of modulators with equal losses the first in the list is named")
-    columns = ("N m \\ rpm", *(f"{choice.omega_m[j] * _RPM:.0f}" for j in places[1]))
+    columns = ("N m \\ rpm", *(f"{in_rpm(choice.omega_m[j]):.0f}" for j in places[1]))
     return Table(
         "Best modulator with its frequency in kHz, over torque and speed",
         columns,

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from textwrap import wrap as folded
 from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.estimators import TRACKERS, TunedTracker
 from dqforge.optimizer.observers.reduced_order_step import SPEED_STEP, ReducedOrderGains
 from dqforge.optimizer.observers.tuning import PositionObserver
@@ -21,7 +21,7 @@ from dqforge.reports.c_code.harness import (
     observer_harness,
     title,
 )
-from dqforge.reports.capability import Capability, Outcome, ReportPart
+from dqforge.reports.capability import Capability, Outcome, Passage, ReportPart
 from dqforge.reports.observers.float32_model import (
     EmittedTracker,
     gains_from,
@@ -300,7 +300,7 @@ def estimator_programme(found: EmittedObserver | EmittedTracker) -> Programme:
 
 
 def _part(tables: list[HtmlTable]) -> list[ReportPart]:
-    return [ReportPart(LOOPS, "pages/tables.html.j2", {"tables": tables, "kind": "loops"})]
+    return [Passage(tables=tables, kind="loops").of(LOOPS)]
 
 
 def _position(outcome: Outcome) -> PositionObserver | TunedTracker | None:
@@ -364,13 +364,13 @@ def observer_table(observer: ReducedOrderObserver, slopes: SpeedErrorSlopes) -> 
         ("B_I", f"{observer.b_i:.7g}", "rad/(s A)"),
         ("C", f"{observer.c:.7g}", "rad/(s A)"),
     )
-    rpm, wrong = 30.0 / math.pi, 100.0 * slopes.r_error
+    wrong = 100.0 * slopes.r_error
     notes = (
         "steady speed error: none with exact parameters and no load;",
-        f"an unknown load torque shifts the estimate by {slopes.load * rpm:.3g} rpm per N m,",
+        f"an unknown load torque shifts the estimate by {in_rpm(slopes.load):.3g} rpm per N m,",
         (
-            f"a resistance that is {wrong:.0f} % too high by {slopes.resistance * rpm:.3g} rpm per "
-            "A of i_q"
+            f"a resistance that is {wrong:.0f} % too high by {in_rpm(slopes.resistance):.3g} rpm "
+            "per A of i_q"
         ),
     )
     return Table(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.fixed_control.transforms import FixedControl
 from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
@@ -24,7 +25,7 @@ from dqforge.reports.c_code.harness import (
     integer_kinds,
     title,
 )
-from dqforge.reports.capability import Capability, Outcome, ReportPart
+from dqforge.reports.capability import Capability, Outcome, Passage, ReportPart
 from dqforge.reports.control.fixed_header import (
     IntegerRows,
     control_fixed_files,
@@ -314,7 +315,7 @@ def phase_control_inputs(model: PhaseControlModel) -> SingleArray:
     generator = np.random.default_rng(_SEED)
     shape = (_STEPS, _DRIVES)
     torque_max, t_s = float(gains["torque_max"]), float(gains["t_s"])
-    per_ampere = 1.5 * float(gains["pole_pairs"]) * float(gains["psi_pm"])
+    per_ampere = torque_per_ampere(float(gains["pole_pairs"]), float(gains["psi_pm"]))
     ampere = torque_max / per_ampere
     spread = generator.choice([0.02, 1.0, 30.0], size=_DRIVES)
     # samples per electrical period from 3 to 3000, both directions; two drives at rest
@@ -563,8 +564,7 @@ _KINDS = integer_kinds(
 
 
 def _parts(_: Solution, fits: Fits) -> list[ReportPart]:
-    data = {"tables": integer_html(fits), "kind": "loops"}
-    return [ReportPart(LOOPS, "pages/tables.html.j2", data)]
+    return [Passage(tables=integer_html(fits), kind="loops").of(LOOPS)]
 
 
 FIXED_CONTROL = Capability(

@@ -10,7 +10,7 @@ from dqforge.optimizer.application import ApplicationPlan
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.harness import title
 from dqforge.reports.c_code.numbers import float_literal
-from dqforge.reports.capability import Capability, ReportPart
+from dqforge.reports.capability import Capability, Passage, ReportPart
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
 from dqforge.reports.pages.templating import LOOPS, render
@@ -151,8 +151,7 @@ def plain_application(plan: ApplicationPlan) -> PlainData:
 
 
 def _parts(_: Solution, plan: ApplicationPlan) -> list[ReportPart]:
-    data = {"tables": application_html(plan), "kind": "loops"}
-    return [ReportPart(LOOPS, "pages/tables.html.j2", data)]
+    return [Passage(tables=application_html(plan), kind="loops").of(LOOPS)]
 
 
 APPLICATION = Capability(

@@ -20,6 +20,7 @@ from dqforge.machines.plants.regulator_rules import (
     switching_table,
     unit_vectors,
 )
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.losses.drive_budget import PARTS
 from dqforge.reports.c_code.harness import (
@@ -32,7 +33,7 @@ from dqforge.reports.c_code.harness import (
     title,
 )
 from dqforge.reports.c_code.numbers import float_literal
-from dqforge.reports.capability import Capability, Draw, ReportPart, Rows
+from dqforge.reports.capability import Capability, Draw, Passage, ReportPart, Rows
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import SERIES, new_figure, style
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
@@ -57,8 +58,6 @@ if TYPE_CHECKING:
     from dqforge.optimizer.losses.drive_budget import DriveBudget
     from dqforge.optimizer.solution import Solution
 
-
-_RPM = 30.0 / math.pi
 
 _RUN_COLUMNS = (
     "regulator", "rpm", "kHz", "from", "to", "error A", "peak A", "THD %", "N m", "total W", "",
@@ -99,7 +98,7 @@ def run_cells(run: RegulatorRun, chosen: str = "") -> list[tuple[str, ...]]:
         rows.append(
             (
                 run.plan.method,
-                f"{omega_m * _RPM:.0f}",
+                f"{in_rpm(omega_m):.0f}",
                 *(_text(1e-3 * float(part[p]), 2) for part in frequencies),
                 _text(float(run.rms_error[p])),
                 _text(float(run.largest_error[p])),
@@ -165,7 +164,7 @@ def load_tables(loads: LoadRuns) -> list[Table]:
                     "",
                 )
             )
-        title = f"Losses by current feedback at {torque:.4g} N m, {omega_m * _RPM:.5g} rpm"
+        title = f"Losses by current feedback at {torque:.4g} N m, {in_rpm(omega_m):.5g} rpm"
         tables.append(Table(title, _LOSS_COLUMNS, tuple(rows), (BESIDE, ASSUMED)))
     return tables
 
@@ -606,8 +605,12 @@ def _tables(_: Solution, found: CurrentFeedback) -> list[Table]:
 
 
 def _parts(_: Solution, found: CurrentFeedback) -> list[ReportPart]:
-    data = {"tables": html_tables(found), "kind": "modulation"}
-    return [ReportPart(CHAPTER, "single_headers/current_feedback/report.html.j2", data)]
+    caption = (
+        "Six regulators over speed: mean switching frequency of a leg, r.m.s. error of a phase, "
+        "distortion of the phase currents, total loss."
+    )
+    drawings, tables = [("current_feedback", caption)], html_tables(found)
+    return [Passage(drawings=drawings, tables=tables, kind="modulation").of(CHAPTER)]
 
 
 def _figures(_: Solution, found: CurrentFeedback) -> Mapping[str, Draw]:
@@ -665,7 +668,7 @@ def plot_regulators(runs: Sequence[RegulatorRun]) -> Figure:
             left=0.075, right=0.985, top=0.92, bottom=0.095, hspace=0.12, wspace=0.2
         )
         for run, colour in zip(runs, SERIES, strict=False):
-            rpm = run.points.omega_m * 30.0 / math.pi
+            rpm = in_rpm(run.points.omega_m)
             shown = (
                 run.frequency / 1e3,
                 run.rms_error,

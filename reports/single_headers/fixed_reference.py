@@ -22,7 +22,7 @@ from dqforge.reports.c_code.harness import (
     title,
 )
 from dqforge.reports.c_code.numbers import rounded_up
-from dqforge.reports.capability import Capability, ReportPart, Rows
+from dqforge.reports.capability import Capability, Passage, ReportPart, Rows
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
 from dqforge.reports.pages.templating import REFERENCE, render
@@ -285,8 +285,7 @@ def _evidence(fit: FixedReferenceFit) -> PlainData:
 
 
 def _parts(_: Solution, fits: Fits) -> list[ReportPart]:
-    data = {"tables": reference_html(fits), "kind": "reference"}
-    return [ReportPart(REFERENCE, "pages/tables.html.j2", data)]
+    return [Passage(tables=reference_html(fits), kind="reference").of(REFERENCE)]
 
 
 FIXED_REFERENCE = Capability(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
 from dqforge.optimizer.curves.single_precision import SINGLE
@@ -26,7 +27,7 @@ from dqforge.reports.c_code.harness import (
     single_from,
     title,
 )
-from dqforge.reports.capability import Capability, Outcome, ReportPart
+from dqforge.reports.capability import Capability, Outcome, Passage, ReportPart
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, significant, symbols
 from dqforge.reports.pages.templating import LOOPS, render
@@ -79,7 +80,7 @@ def speed_rows(found: MeasuredSpeed) -> list[tuple[str, ...]]:
         (
             format_quantity(float(omega), "rpm", 4),
             significant(1e3 * float(delay), 3),
-            significant(float(step) * 30.0 / math.pi, 3),
+            significant(in_rpm(float(step)), 3),
             f"{math.degrees(margin):.1f}",
         )
         for omega, delay, step, margin in zip(
@@ -429,8 +430,7 @@ def _of(outcome: Outcome) -> MeasuredSpeed | None:
 
 
 def _parts(_: Solution, found: MeasuredSpeed) -> list[ReportPart]:
-    data = {"tables": measured_html(found), "kind": "loops"}
-    return [ReportPart(LOOPS, "pages/tables.html.j2", data)]
+    return [Passage(tables=measured_html(found), kind="loops").of(LOOPS)]
 
 
 _HEADER: HeaderKind[MeasuredSpeed, EdgeNumbers] = HeaderKind(

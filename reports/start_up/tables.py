@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.reports.c_code.harness import HeaderKind
-from dqforge.reports.capability import Capability, Outcome, ReportPart
+from dqforge.reports.capability import Capability, Outcome, Passage, ReportPart
 from dqforge.reports.observers.tracker_header import tracker_from
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
@@ -157,9 +157,7 @@ def _of(outcome: Outcome) -> StartUp | None:
 
 
 def _parts(_: Solution, found: StartUp) -> list[ReportPart]:
-    return [
-        ReportPart(LOOPS, "pages/tables.html.j2", {"tables": start_html(found), "kind": "loops"})
-    ]
+    return [Passage(tables=start_html(found), kind="loops").of(LOOPS)]
 
 
 START_UP = Capability(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.errors import InputError
 from dqforge.machines.transforms import linear_voltage
 from dqforge.optimizer.firmware.configuration import (
@@ -250,7 +251,7 @@ def _torque_constant(drive: DriveValues) -> float:
         "the flux linkage of magnets, by which it finds the rotor",
         "a machine without any needs another firmware",
     )
-    return 1.5 * _pairs(drive) * psi
+    return torque_per_ampere(_pairs(drive), psi)
 
 
 def _pairs(drive: DriveValues) -> int:

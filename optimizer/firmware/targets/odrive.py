@@ -494,7 +494,7 @@ def _odrive_sentences_torque_constant(values: Values) -> Iterator[str]:
     if constant == DEFAULT_TORQUE_CONSTANT:
         yield "torque_constant 0.04 N m/A is what ODrive ships: 8.27/KV was not written there"
     elif constant and flux and pairs and abs(flux / DEFAULT_FLUX - 1.0) > 1e-4:
-        made = 1.5 * pairs * flux
+        made = torque_per_ampere(pairs, flux)
         if abs(made / constant - 1.0) > 0.02:
             yield (
                 f"torque_constant {constant:.5g} N m/A is not 1.5 pole_pairs pm_flux_linkage = "
