@@ -130,8 +130,8 @@ def test_the_header_of_the_paper_against_the_exact_mtpa(header: PrintedPolynomia
 
 def test_the_header_holds_the_printed_digits_and_runs(header: PrintedPolynomial) -> None:
     text = header.files[f"{PREFIX}.h"].decode()
-    assert "(((-4.39e-8F * t + 2.89e-5F) * t - 0.00697F) * t + 0.0157F) * t" in text
-    assert "(((8.0e-8F * t - 2.19e-5F) * t - 7.17e-5F) * t + 1.59F) * torque_Nm" in text
+    assert "((((((-4.39e-8F * t) + 2.89e-5F) * t) - 0.00697F) * t) + 0.0157F) * t;" in text
+    assert "((((((8.0e-8F * t) - 2.19e-5F) * t) - 7.17e-5F) * t) + 1.59F) * torque_Nm;" in text
     assert "132.48" in text
     assert "99.418" in text
     assert (
