@@ -346,7 +346,7 @@ def test_machines_schema_and_reproduce(
         (["check", "."], "."),
         (["machines", "paper00"], "paper000"),
         (["machines", "--search", "toaster"], "nothing in the library matches 'toaster'"),
-        (["machines", IPM, "--search", "hub"], "leave one of them out"),
+        (["machines", IPM, "--search", "hub"], "omit one of them"),
         (["run", "paper000"], "paper000"),
     ],
 )

@@ -90,7 +90,7 @@ def changed(header: Path, old: str, new: str) -> None:
     ("number_format", "file", "old", "new"),
     [
         ("float32", "toy_control.h", "zero = zero - (0.8", "zero = zero - (0.7"),
-        ("q15", "toy_control_q15.h", "(third * 26214", "(third * 26213"),
+        ("q15", "toy_control_q15.h", "* 26214, 15U)", "* 26213, 15U)"),
     ],
 )
 def test_a_modulator_goes_through_the_whole_chain(

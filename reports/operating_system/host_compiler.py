@@ -23,7 +23,6 @@ from typing import Literal
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.records import dataclass
 from dqforge.reports.operating_system import system
-from dqforge.reports.pages.templating import resource
 
 Language = Literal["c", "c++"]
 
@@ -207,6 +206,8 @@ def compile_program(
     program = program_path(folder, stem)
     sources = [source]
     if compiler.for_windows:
+        from dqforge.reports.pages.templating import resource
+
         text = resource("operating_system/binary_streams.c")
         (folder / _BINARY_STREAMS).write_text(text, encoding="ascii", newline="\n")
         sources.append(_BINARY_STREAMS)

@@ -12,8 +12,7 @@ import sys
 import tempfile
 from importlib import metadata
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from dqforge import __version__
 from dqforge.machines.errors import InputError, VerificationError
@@ -26,7 +25,10 @@ from dqforge.reports.operating_system.host_compiler import (
     require_compiler,
 )
 from dqforge.reports.operating_system.system import processors
-from dqforge.reports.pages.templating import resource
+
+# What says that a package is missing loads none.
+if TYPE_CHECKING:
+    import numpy as np
 
 # Packages of Python, and what they are for.
 PACKAGES = {
@@ -363,6 +365,8 @@ _STANDARDS: dict[Language, str] = {"c": "c99", "c++": "c++11"}
 
 def _inputs() -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
     """Rows of three numbers, among them the bytes that text streams of Windows change."""
+    import numpy as np
+
     draws = np.random.default_rng(1).standard_normal((64, 3)).astype(np.float32)
     draws[0] = np.array([0x0A1A0D0A, 0x1A1A1A1A, 0x0D0A0D0A], dtype=np.uint32).view(np.float32)
     return draws
@@ -392,6 +396,8 @@ def _run(program: Path) -> None:
 
 def try_compiler(language: Language) -> Trial:
     """Compile and run a program with the compiler that would be taken."""
+    from dqforge.reports.pages.templating import resource
+
     name, path = "", ""
     try:
         compiler = require_compiler(language)

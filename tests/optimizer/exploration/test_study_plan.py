@@ -291,7 +291,7 @@ def test_a_fixed_header_on_drawn_machines() -> None:
 
 def test_a_header_refuses_what_is_fixed_with_it() -> None:
     body = "header: nominal\n" + MACHINES + "draw: {count: 5, seed: 1}\n"
-    with pytest.raises(InputError, match=r"study\.yaml:\d+:\d+: outputs.*leave header out"):
+    with pytest.raises(InputError, match=r"study\.yaml:\d+:\d+: outputs.*omit header"):
         plan_of(body + outputs("reference.torque_max"))
 
 
