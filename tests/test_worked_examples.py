@@ -89,7 +89,7 @@ def changed(header: Path, old: str, new: str) -> None:
 @pytest.mark.parametrize(
     ("number_format", "file", "old", "new"),
     [
-        ("float32", "toy_control.h", "zero = zero - (0.8", "zero = zero - (0.7"),
+        ("float32", "toy_control.h", "- (0.8F * (", "- (0.7F * ("),
         ("q15", "toy_control_q15.h", "* 26214, 15U)", "* 26213, 15U)"),
     ],
 )
