@@ -18,7 +18,7 @@ HOMES = {
         ["machines.dq_machines.synchronous"],
     ),
     "dead time": (r"4\.0 / (np|math)\.pi \* [\w.]*f_sw", ["machines.devices.inverter"]),
-    "delay": (r"1\.5 \* (\w+ \* )?[\w.]*\bt_s\b", []),
+    "delay": (r"1\.5 \* (\w+ \* )?[\w.]*\b(t_s|step)\b", []),
 }
 OTHERS = {"machines.units.quantities", "machines.design.design"}
 NAMES = ["torque_per_ampere", "linear_voltage", "in_rpm", "CURRENT_DELAY", "lost_per_dead_time"]

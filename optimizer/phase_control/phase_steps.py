@@ -647,7 +647,7 @@ class PhaseSteps:
             seen = o.let("seen", Alphabetazero(current.alpha, current.beta, common))
             inside = o.call(frame.to_frame, sample.f, seen, gains.psi_pm)
             inside = o.let("inside", inside)
-            place = sample.place + (1.5 * sample.step)
+            place = sample.place + (CURRENT_DELAY * sample.step)
             rate = o.call(self.shape.slope_at, gains.shape, place, *self._opened(state))
             slope = o.let("slope", rate)
             f, omega_e = sample.acting_f, sample.omega_e
