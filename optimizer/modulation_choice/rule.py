@@ -9,7 +9,10 @@ every first question the best second ones on both sides.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +22,7 @@ from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import DriveBudget
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic
 
 # What an alternative that is not permitted counts, in units of the largest permitted loss.
 _FORBIDDEN = 1e6
@@ -330,3 +334,79 @@ def all_kept(marks: dict[str, BoolArray], without: str = "") -> BoolArray:
 def electrical_frequency(machine: Machine, points: ChoicePoints) -> FloatArray:
     """Electrical frequency in Hz at the points, shape (P,)."""
     return np.asarray(machine.pole_pairs * np.abs(points.omega_m) / (2.0 * np.pi))
+
+
+# The rule as the firmware asks it, over the magnitudes of torque and mechanical speed.
+
+
+def modulation_choice(
+    o: Arithmetic, rule: Rule, choices: Sequence[IntEnum], torque: Any, speed: Any
+) -> Any:
+    """Modulator and switching frequency for a torque and a mechanical speed; either sign,
+    not-a-number as zero.
+
+    Args:
+        o: The arithmetic.
+        rule: Over ``torque_Nm`` and ``speed_rad_per_s``.
+        choices: What its alternatives are called.
+        torque, speed: In N m and rad/s.
+    """
+    told = {"torque_Nm": torque, "speed_rad_per_s": speed}
+    sizes = {
+        name: o.let(name, o.magnitude(value))
+        for name, value in told.items()
+        if name in asked_thresholds(rule)
+    }
+
+    def taken(part: Rule, name: str) -> Any:
+        if isinstance(part, Leaf):
+            return _constant(o, choices[part.choice])
+        below = "" if name == "choice" else f"{name}_"
+        return o.cases(
+            name,
+            (
+                sizes[part.quantity] >= part.threshold,
+                lambda: taken(part.above, f"{below}above"),
+            ),
+            otherwise=lambda: taken(part.below, f"{below}below"),
+        )
+
+    return taken(rule, "choice")
+
+
+def of_choice(
+    o: Arithmetic, name: str, choices: Sequence[IntEnum], values: Sequence[Any], choice: Any
+) -> Any:
+    """What belongs to a choice: one of as many names or numbers.
+
+    Args:
+        o: The arithmetic.
+        name: Of what is found.
+        choices: What the alternatives are called.
+        values: What belongs to each; the first one to what is none of them.
+        choice: The choice.
+    """
+    found = [partial(_value, o, value) for value in values]
+    if len(values) == 1:
+        return found[0]()
+    branches = {_constant(o, key): own for key, own in zip(choices[1:], found[1:], strict=True)}
+    return o.switch(name, choice, branches, found[0])
+
+
+def _value(o: Arithmetic, value: Any) -> Any:
+    return _constant(o, value) if isinstance(value, IntEnum) else value
+
+
+def _constant(o: Arithmetic, value: IntEnum) -> Any:
+    return o.constant(value.name, value)
+
+
+def asked_thresholds(rule: Rule) -> dict[str, set[float]]:
+    """Thresholds by quantity."""
+    if isinstance(rule, Leaf):
+        return {}
+    found = {rule.quantity: {rule.threshold}}
+    for part in (asked_thresholds(rule.below), asked_thresholds(rule.above)):
+        for name, thresholds in part.items():
+            found[name] = found.get(name, set()) | thresholds
+    return found

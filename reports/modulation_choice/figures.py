@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
-from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.modulation_choice.rule import Leaf, Rule, SimplifiedChoice
@@ -32,13 +31,12 @@ from dqforge.reports.capability import Capability, Draw, Passage, ReportPart
 from dqforge.reports.modulation_choice.rule_model import (
     Alternative,
     EmittedRule,
-    asked_thresholds,
     emitted_from,
     emitted_rule,
     plain_emitted,
-    plain_rule,
     rule_inputs,
     rule_results,
+    rule_text,
 )
 from dqforge.reports.modulation_choice.text import (
     alternative_text,
@@ -366,15 +364,6 @@ def plot_choice(choice: ModulationChoice) -> Figure:
 _SEED = 20_261_121
 
 
-def _symbol(prefix: str, alternative: Alternative) -> str:
-    name = alternative.modulation.upper().replace("-", "_")
-    return f"{prefix.upper()}_{name}_{round(alternative.f_sw)}_HZ"
-
-
-def _modulator(prefix: str, name: ModulationName) -> str:
-    return f"{prefix.upper()}_MODULATOR_{name.upper().replace('-', '_')}"
-
-
 def rule_header(
     design: Design,
     found: SimplifiedChoice,
@@ -395,24 +384,14 @@ def rule_header(
     """
     prefix = design.export.prefix
     model = emitted_rule(found.rule, alternatives, reach)
-    listed = [
-        {
-            "symbol": _symbol(prefix, part),
-            "text": f"{part.modulation}, {part.f_sw:.6g} Hz",
-            "f_sw": part.f_sw,
-            "modulator": _modulator(prefix, part.modulation),
-        }
-        for part in model.alternatives
-    ]
     context = {
         **title(design),
-        "alternatives": listed,
-        "modulators": [
-            {"symbol": _modulator(prefix, name), "text": name} for name in model.modulators
-        ],
-        "rule": plain_rule(model.rule),
-        "asked": sorted(asked_thresholds(model.rule)),
-        "comment": [
+        "part": "modulation",
+        "subject": "modulator and switching frequency",
+        "includes": ["<math.h> /* fabsf */"],
+        "body": rule_text(model, prefix),
+        "vectors": False,
+        "preamble": [
             (
                 "Least mean loss over the operating points of the design that so few questions can "
                 "have:"
@@ -432,7 +411,7 @@ def rule_header(
     inputs = rule_inputs(model, design.export.vectors, _SEED)
     results = rule_results(model, inputs)
     vectors = np.concatenate([inputs, results], axis=1)
-    text = render("modulation_choice/rule.h.j2", context)
+    text = render("c_code/header.h.j2", context)
     return _HARNESS.files(design, text, vectors)
 
 

@@ -5,19 +5,31 @@ and what its C finds.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.modulation_choice.rule import Leaf, Question, Rule, decide
+from dqforge.optimizer.curves.single_precision import SINGLE, SingleArray
+from dqforge.optimizer.modulation_choice.rule import (
+    Leaf,
+    Question,
+    Rule,
+    asked_thresholds,
+    modulation_choice,
+    of_choice,
+)
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic
 from dqforge.reports.plain_data import PlainData, shortest
+from dqforge.reports.steps.blocks import Block, Functions
+from dqforge.reports.steps.record_text import sentence
+from dqforge.reports.steps.step_reader import StepReader
+from dqforge.reports.steps.symbols import Expression
 
 # What the emitted rule may ask about: magnitudes of torque and mechanical speed.
 QUANTITIES = ("torque_Nm", "speed_rad_per_s")
@@ -47,9 +59,30 @@ class EmittedRule:
     reach: tuple[float, float]
 
     @property
+    def choices(self) -> list[IntEnum]:
+        """What the alternatives are called in C, without the prefix."""
+        names = (
+            f"{part.modulation.upper().replace('-', '_')}_{round(part.f_sw)}_HZ"
+            for part in self.alternatives
+        )
+        return _enumeration("Choice", names)
+
+    @property
+    def taken(self) -> list[IntEnum]:
+        """What the modulator of each alternative is called in C, without the prefix."""
+        names = (f"MODULATOR_{name.upper().replace('-', '_')}" for name in self.modulators)
+        found = _enumeration("Modulator", names)
+        return [found[self.modulators.index(part.modulation)] for part in self.alternatives]
+
+    @property
     def modulators(self) -> tuple[ModulationName, ...]:
         """Modulators that it takes, in the order of the alternatives."""
         return tuple(dict.fromkeys(alternative.modulation for alternative in self.alternatives))
+
+
+def _enumeration(kind: str, names: Iterable[str]) -> list[IntEnum]:
+    found: Any = IntEnum
+    return list(found(kind, list(names), start=0))
 
 
 def as_emitted(rule: Rule, numbers: Mapping[int, int] | None = None) -> Rule:
@@ -77,17 +110,6 @@ def emitted_rule(
 
 def _taken(rule: Rule) -> set[int]:
     return {rule.choice} if isinstance(rule, Leaf) else _taken(rule.below) | _taken(rule.above)
-
-
-def asked_thresholds(rule: Rule) -> dict[str, set[float]]:
-    """Thresholds by quantity."""
-    if isinstance(rule, Leaf):
-        return {}
-    found = {rule.quantity: {rule.threshold}}
-    for part in (asked_thresholds(rule.below), asked_thresholds(rule.above)):
-        for name, thresholds in part.items():
-            found[name] = found.get(name, set()) | thresholds
-    return found
 
 
 def plain_rule(rule: Rule) -> PlainData:
@@ -194,15 +216,56 @@ def rule_results(model: EmittedRule, inputs: SingleArray) -> SingleArray:
     """What the compiled rule must return: number of the choice, of its modulator,
     and frequency in Hz, shape (N, 3).
     """
+    torque, speed = np.ascontiguousarray(inputs.T)
+    frequencies = [part.f_sw for part in model.alternatives]
     with np.errstate(invalid="ignore"):  # signalling not-a-numbers among raw bits
-        size = np.abs(inputs).astype(np.float64)
-        chosen = decide(model.rule, dict(zip(QUANTITIES, size.T, strict=True)))
-    columns: list[FloatArray] = [
-        np.arange(len(model.alternatives), dtype=np.float64),
-        np.array(
-            [model.modulators.index(part.modulation) for part in model.alternatives],
-            dtype=np.float64,
-        ),
-        np.array([part.f_sw for part in model.alternatives]),
+        choice = modulation_choice(SINGLE, model.rule, model.choices, torque, speed)
+        columns = (
+            choice,
+            of_choice(SINGLE, "modulator", model.choices, model.taken, choice),
+            of_choice(SINGLE, "frequency_Hz", model.choices, frequencies, choice),
+        )
+    shape = torque.shape
+    return np.stack([np.broadcast_to(x, shape) for x in columns], axis=1).astype(np.float32)
+
+
+# The rule in C.
+
+
+def rule_text(model: EmittedRule, prefix: str) -> str:
+    """Types and functions of the header."""
+    reader = StepReader(prefix, Functions(), Block("", set()))
+    choices, number = model.choices, Expression("number")
+    choice = [Expression("choice", kind=f"{prefix}_choice_t")]
+
+    def asked(o: Arithmetic, torque: Any, speed: Any) -> Any:
+        return modulation_choice(o, model.rule, choices, torque, speed)
+
+    def modulator(o: Arithmetic, choice: Any) -> Any:
+        return of_choice(o, "modulator", choices, model.taken, choice)
+
+    def frequency(o: Arithmetic, choice: Any) -> Any:
+        numbers = [part.f_sw for part in model.alternatives]
+        return of_choice(o, "frequency_Hz", choices, numbers, choice)
+
+    reader.write("modulation_choice", asked, [number, number], sentence(modulation_choice))
+    reader.write("modulator", modulator, choice, "Modulator of a choice.")
+    hertz = "Switching frequency of a choice in Hz."
+    reader.write("switching_frequency_Hz", frequency, choice, hertz)
+    said = [f"{part.modulation}, {part.f_sw:.6g} Hz" for part in model.alternatives]
+    modulators = dict(zip(model.taken, (p.modulation for p in model.alternatives), strict=True))
+    parts = [
+        "/* Modulators that the rule takes. */",
+        _enum(f"{prefix}_modulator_t", modulators, prefix),
+        "",
+        "/* What the rule takes: a modulator with its switching frequency. */",
+        _enum(f"{prefix}_choice_t", dict(zip(choices, said, strict=True)), prefix),
+        *(f"\n{text}" for text in reader.functions.texts.values()),
     ]
-    return np.stack(columns, axis=1)[chosen].astype(np.float32)
+    return "\n".join(parts)
+
+
+def _enum(name: str, members: Mapping[IntEnum, str], prefix: str) -> str:
+    found = [f"    {prefix.upper()}_{key.name}, /* {text} */" for key, text in members.items()]
+    found[-1] = found[-1].replace(", /*", " /*", 1)
+    return "\n".join(["typedef enum {", *found, f"}} {name};"])
