@@ -177,7 +177,7 @@ def test_headers_are_written_verified_rebuilt_and_a_changed_digit_is_found(tmp_p
 
     header = tmp_path / f"{found.prefix}_weakening.h"
     text = header.read_text(encoding="ascii")
-    literal = re.search(r"float d = (-?\d+\.\d)", text)
+    literal = re.search(r"float d2 = (-?\d+\.\d)", text)
     assert literal is not None
     changed = literal[1][:-1] + str((int(literal[1][-1]) + 1) % 10)
     header.write_text(text.replace(literal[1], changed, 1), encoding="ascii")
