@@ -20,6 +20,7 @@ from dqforge.reports.pages.figures_style import (
     style,
 )
 from dqforge.reports.pages.scaled import DrawnGrid, draw_filled
+from dqforge.reports.papers.explanations import plain_explanation
 from dqforge.reports.papers.paper000_load_test import (
     PRINTED_MICROSECONDS,
     CoreCosts,
@@ -223,6 +224,7 @@ def plain_whole(found: WholePaper) -> PlainData:
     return {
         **plain_reproduction(found.tables),
         "table_2_by_stated_method": _coefficients(found.stated),
+        "table_2_explanation": plain_explanation(found.coefficients),
         "table_3": _costs(found.costs),
         "table_3_left_out": dict(sorted(found.costs.left_out.items())),
         "figure_3": [

@@ -18,6 +18,11 @@ from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import drive_budget
 from dqforge.reports.pages.answer import Table
+from dqforge.reports.papers.explanations import (
+    Explanation,
+    explain_coefficients,
+    explanation_table,
+)
 from dqforge.reports.papers.paper000_load_test import (
     ALTERNATIVES,
     CLOCK_MHZ,
@@ -34,6 +39,8 @@ from dqforge.reports.papers.paper000_stated_method import (
     DIFFERS,
     FIXED_PREFIX,
     PREFIX,
+    PRINTED_TABLE_1,
+    PRINTED_TABLE_2,
     PRINTED_TABLE_4,
     STATED_LARGEST,
     STATED_SHARE,
@@ -60,6 +67,7 @@ class WholePaper:
 
     tables: Reproduction
     stated: StatedMethod
+    coefficients: Explanation
     header: PrintedPolynomial
     costs: CoreCosts
     load_tests: tuple[LoadTest, ...]
@@ -80,6 +88,9 @@ def reproduce_whole() -> WholePaper:
     return WholePaper(
         tables=reproduce_paper(),
         stated=by_stated_method(machine),
+        coefficients=explain_coefficients(
+            machine, PRINTED_TABLE_2, {degree: row[:2] for degree, row in PRINTED_TABLE_1.items()}
+        ),
         header=header,
         costs=core_costs(machine, header.files | header.fixed, PREFIX, FIXED_PREFIX),
         load_tests=tests,
@@ -144,8 +155,7 @@ def coefficient_table(segments: tuple[Segment, ...]) -> Table:
     notes = _wrapped(
         f"Highest power first, A/(N m)^k; * marks what is off by more than {100.0 * DIFFERS:.0f} "
         "%. The constants of all first segments are printed as 0, where interpolation on Chebyshev "
-        "nodes does not pass through 0; degree 4 follows from the stated method elsewhere, degrees "
-        "2 and 3 only in part: their breakpoints or nodes must have been others than those printed."
+        "nodes does not pass through 0; what other nodes and breakpoints make of it follows."
     )
     return Table(
         "Paper 000, Table 2: printed coefficients beside Lagrange on Chebyshev nodes of each "
@@ -338,6 +348,7 @@ def whole_tables(found: WholePaper) -> list[Table]:
         first,
         second,
         coefficient_table(found.stated.segments),
+        explanation_table(found.coefficients),
         error_table(found.stated.errors),
         header_table(found.header),
         cost_table(found.costs),

@@ -25,6 +25,7 @@ from dqforge.optimizer.loops.integer_gains import to_q
 from dqforge.optimizer.loops.loop_gains import LoopGains, per_unit
 from dqforge.optimizer.observers.reduced_order import ObserverError, steady_state_error
 from dqforge.optimizer.solution import Solution
+from dqforge.reports.papers.explanations import Explanation, explain_transients
 from dqforge.reports.papers.paper001_bench_sensorless import (
     Estimator,
     MethodFound,
@@ -427,6 +428,7 @@ class Program:
     dead_band: float
     held: float
     runs: ProgramRuns
+    explanation: Explanation
 
 
 def fundamental(theta_e: FloatArray, values: FloatArray) -> tuple[float, float]:
@@ -645,6 +647,7 @@ def program_results(design: Design) -> Program:
     with program_bench(design) as place:
         runs = simulated_runs(place)
         transients = program_transients(place, runs.reversal)
+        explanation = explain_transients(place)
     start, reversal = transients[:2]
     findings = (
         Finding("8.1, 8.2", "digitising the currents; the control", "diagrams, nothing to compute"),
@@ -654,7 +657,8 @@ def program_results(design: Design) -> Program:
         *_at_reversal(runs.reversal, reversal),
         *_faster(runs.sine, runs.steps),
     )
-    return Program(transients, findings, dead_band(Constants()), held_rpm(TARGET), runs)
+    held = held_rpm(TARGET)
+    return Program(transients, findings, dead_band(Constants()), held, runs, explanation)
 
 
 # Figures 8.29 to 8.33 of paper 001: simulation with and without estimator, and the bench without

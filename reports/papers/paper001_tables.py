@@ -12,6 +12,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, TEAL, new_figure, style
+from dqforge.reports.papers.explanations import explanation_table, plain_explanation
 from dqforge.reports.papers.paper001_bench_sensorless import (
     CAUSES,
     PRINTED_ANGLE,
@@ -435,7 +436,7 @@ def plain_findings(rows: tuple[Finding, ...]) -> list[PlainData]:
 
 def program_tables(found: Program) -> list[Table]:
     """Start and reversal, and every figure that was recomputed."""
-    return [_transients(found), _findings(found)]
+    return [_transients(found), explanation_table(found.explanation), _findings(found)]
 
 
 def _transients(found: Program) -> Table:
@@ -560,6 +561,7 @@ def plain_program(found: Program) -> PlainData:
             }
             for row in found.transients
         ],
+        "explanation": plain_explanation(found.explanation),
         "figures": [
             {
                 "figures": row.numbers,

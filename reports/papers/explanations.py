@@ -1,0 +1,419 @@
+"""What a paper leaves unstated, scanned: which choice explains numbers that do not agree.
+
+A choice has a price, the numbers that were fitted to the print for it. Alternatives are ranked by
+the printed numbers that they explain beyond those: a choice that explains no more than it was
+fitted to explains nothing.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import textwrap
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.plants.scenario import Profile
+from dqforge.machines.records import dataclass
+from dqforge.optimizer.curves.fitting import chebyshev_nodes
+from dqforge.optimizer.operating_points.mtpa_locus import mtpa_per_unit, per_unit_base
+from dqforge.reports.pages.answer import Table
+from dqforge.reports.papers.paper001_emitted_control import (
+    BAND,
+    TARGET,
+    Constants,
+    ProgramBench,
+    codes_of,
+    held_rpm,
+)
+from dqforge.reports.papers.transients import RPM, settling_time
+from dqforge.reports.plain_data import PlainData
+from dqforge.reports.simulation.recorded_run import Simulation
+
+_WIDTH = 118
+_SHOWN = 8  # Alternatives in the table; plain data has all of them.
+
+
+@dataclass(frozen=True, slots=True)
+class Printed:
+    """A printed number and how far from it, in its unit, what explains it may lie: half of its last
+    digit, or what the words of the paper leave.
+    """
+
+    name: str
+    unit: str
+    value: float
+    within: float
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """What is assumed, how many numbers were fitted to the print for that, and what each printed
+    number becomes with it; nan where it becomes nothing.
+    """
+
+    assumed: str
+    fitted: int
+    found: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """Printed numbers and the alternatives, best first."""
+
+    title: str
+    printed: tuple[Printed, ...]
+    alternatives: tuple[Alternative, ...]
+    bounds: str
+
+    def explained(self, alternative: Alternative) -> tuple[bool, ...]:
+        """Whether each printed number follows."""
+        return tuple(
+            abs(found - of.value) <= of.within
+            for found, of in zip(alternative.found, self.printed, strict=True)
+        )
+
+    def beyond(self, alternative: Alternative) -> int:
+        """Printed numbers that it explains beyond those that it was fitted to."""
+        return sum(self.explained(alternative)) - alternative.fitted
+
+    def missed(self, alternative: Alternative) -> float:
+        """Mean of the logarithm of how many tolerances a number is off, at least one."""
+        off = [
+            abs(found - of.value) / of.within
+            for found, of in zip(alternative.found, self.printed, strict=True)
+        ]
+        return float(np.mean(np.log(np.maximum(np.nan_to_num(off, nan=1e6), 1.0))))
+
+    @property
+    def winner(self) -> Alternative:
+        """The best one."""
+        return self.alternatives[0]
+
+    @property
+    def as_good(self) -> tuple[Alternative, ...]:
+        """Others that explain as much beyond what they were fitted to."""
+        best = self.beyond(self.winner)
+        return tuple(one for one in self.alternatives[1:] if self.beyond(one) == best)
+
+
+def explain(
+    title: str, printed: Sequence[Printed], alternatives: Iterable[Alternative], bounds: str
+) -> Explanation:
+    """Rank the alternatives: explained beyond what was fitted, then by what is missed, then by the
+    numbers that were fitted.
+    """
+    found = Explanation(title, tuple(printed), tuple(alternatives), bounds)
+    ranked = sorted(
+        found.alternatives, key=lambda one: (-found.beyond(one), found.missed(one), one.fitted)
+    )
+    return Explanation(title, found.printed, tuple(ranked), bounds)
+
+
+def explanation_table(found: Explanation) -> Table:
+    """The first alternatives, and what the winner explains and misses."""
+    few = len(found.printed) <= _SHOWN // 2
+    rows = tuple(
+        (
+            one.assumed,
+            str(one.fitted),
+            f"{sum(found.explained(one))} of {len(found.printed)}",
+            f"{found.beyond(one):+d}",
+            *(f"{value:.4g}" for value in (one.found if few else ())),
+        )
+        for one in found.alternatives[:_SHOWN]
+    )
+    winner = found.winner
+    misses = [
+        f"{of.name} {of.value:g} ({value:.4g})"
+        for of, value, holds in zip(
+            found.printed, winner.found, found.explained(winner), strict=True
+        )
+        if not holds
+    ]
+    said = [
+        f"Scanned: {found.bounds}, {len(found.alternatives)} alternatives.",
+        f"Best: {winner.assumed}.",
+        f"Not explained by it: {', '.join(misses)}." if misses else "It explains all of them.",
+        f"As good: {len(found.as_good)} others." if found.as_good else "No other is as good.",
+    ]
+    if found.beyond(winner) <= 0:
+        said.append("None explains more numbers than it was fitted to: the question stays open.")
+    heads = tuple(f"{of.name}, printed {of.value:g} {of.unit}" for of in found.printed)
+    return Table(
+        found.title,
+        ("assumed", "numbers fitted", "explained", "beyond those fitted", *(heads if few else ())),
+        rows,
+        tuple(textwrap.wrap(" ".join(said), _WIDTH, break_on_hyphens=False)),
+    )
+
+
+def plain_explanation(found: Explanation) -> PlainData:
+    """All of it as plain data."""
+    return {
+        "question": found.title,
+        "bounds": found.bounds,
+        "printed": [
+            {"name": of.name, "unit": of.unit, "value": of.value, "within": of.within}
+            for of in found.printed
+        ],
+        "alternatives": [
+            {
+                "assumed": one.assumed,
+                "fitted": one.fitted,
+                "explained": sum(found.explained(one)),
+                "found": [value if math.isfinite(value) else None for value in one.found],
+            }
+            for one in found.alternatives
+        ],
+    }
+
+
+# Paper 000, Table 2: nodes, breakpoints and base of the printed coefficients.
+
+Coefficients = dict[tuple[str, int], tuple[tuple[float, ...], tuple[float, ...]]]
+Breakpoints = dict[int, tuple[float, ...]]
+Nodes = Callable[[int], FloatArray]
+
+_END = 5.0  # Of the per-unit torque.
+_PLACES = np.linspace(1.0, 3.4, 481)  # Breakpoints that are tried, in per unit.
+_BASES = np.linspace(-0.01, 0.01, 21)  # By how much both bases may be off the identified ones.
+
+
+def _stretched(count: int) -> FloatArray:
+    nodes = chebyshev_nodes(count)
+    return nodes / nodes[-1]
+
+
+def _extrema(count: int) -> FloatArray:
+    return -np.cos(np.pi * np.arange(count) / (count - 1))
+
+
+_NODES: dict[str, Nodes] = {
+    "Chebyshev nodes": chebyshev_nodes,
+    "Chebyshev, stretched to both ends": _stretched,
+    "Chebyshev extrema": _extrema,
+    "equidistant with both ends": lambda count: np.linspace(-1.0, 1.0, count),
+}
+
+
+def interpolated(axis: str, nodes: Nodes, degree: int, edges: FloatArray) -> FloatArray:
+    """Coefficients, highest power first, shape (N, n + 1), of the polynomials in per unit through
+    the nodes between edges of shape (N, 2).
+    """
+    low, high = edges[:, :1], edges[:, 1:]
+    places = 0.5 * (low + high) + 0.5 * (high - low) * nodes(degree + 1)
+    values = mtpa_per_unit(places.ravel())["dq".index(axis)].reshape(places.shape)
+    powers = places[..., np.newaxis] ** np.arange(degree, -1, -1)
+    return np.asarray(np.linalg.solve(powers, values[..., np.newaxis])[..., 0])
+
+
+def _half_digit(value: float) -> float:
+    """Half of the third digit of a printed number; of a printed 0 half a milliampere."""
+    return 0.5 * 10.0 ** (math.floor(math.log10(abs(value))) - 2) if value else 5e-4
+
+
+def _printed_coefficients(printed: Coefficients) -> tuple[Printed, ...]:
+    return tuple(
+        Printed(
+            f"c{degree - k} of i_{axis}, degree {degree}, segment {segment}",
+            f"A/(N m)^{degree - k}",
+            value,
+            _half_digit(value),
+        )
+        for (axis, degree), rows in printed.items()
+        for segment, row in enumerate(rows)
+        for k, value in enumerate(row)
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Row:
+    """One segment over nodes, bases and breakpoints, the printed breakpoint last.
+
+    ``polynomials`` in per unit by kind of nodes, shape (P, n + 1), ``scale`` to A/(N m)^k by base,
+    shape (B, n + 1), and ``held``, how many coefficients follow, shape (K, B, P).
+    """
+
+    polynomials: tuple[FloatArray, ...]
+    scale: FloatArray
+    held: FloatArray
+
+    def coefficients(self, kind: int, base: int, place: int) -> FloatArray:
+        return self.polynomials[kind][place] * self.scale[base]
+
+
+def _row(
+    axis: str, segment: int, row: tuple[float, ...], places: FloatArray, bases: FloatArray
+) -> _Row:
+    degree = len(row) - 1
+    ends = np.full_like(places, _END if segment else 0.0)
+    edges = np.stack([places, ends] if segment else [ends, places], axis=1)
+    made = tuple(interpolated(axis, nodes, degree, edges) for nodes in _NODES.values())
+    scale = bases[:, :1] / bases[:, 1:] ** np.arange(degree, -1, -1)
+    held = np.zeros((len(made), len(bases), places.size), dtype=np.int8)
+    for kind, polynomials in enumerate(made):
+        for k, value in enumerate(row):
+            found = np.multiply.outer(scale[:, k], polynomials[:, k])
+            held[kind] += np.abs(found - value) <= _half_digit(value)
+    return _Row(made, scale, held)
+
+
+def _best(pair: Sequence[_Row], kinds: list[int], base: int, breakpoints: str) -> FloatArray:
+    """Coefficients of both segments of an axis that hold most of the printed ones, one after the
+    other.
+    """
+    found = []
+    held = [row.held[kinds, base] for row in pair]
+    if breakpoints == "printed":
+        places = [-1, -1]
+    elif breakpoints == "shared":
+        places = [int(np.argmax(sum(each.max(axis=0) for each in held)))] * 2
+    else:
+        places = [int(np.argmax(each.max(axis=0))) for each in held]
+    for row, each, place in zip(pair, held, places, strict=True):
+        kind = kinds[int(np.argmax(each[:, place]))]
+        found.append(row.coefficients(kind, base, place))
+    return np.concatenate(found)
+
+
+def _most(pairs: Sequence[Sequence[_Row]], kinds: list[int], breakpoints: str) -> FloatArray:
+    """How many coefficients hold by base, shape (B,)."""
+    most = np.zeros(pairs[0][0].scale.shape[0])
+    for pair in pairs:
+        held = [row.held[kinds].max(axis=0) for row in pair]
+        if breakpoints == "shared":
+            most += (held[0] + held[1]).max(axis=1)
+        else:
+            most += sum(
+                each[:, -1] if breakpoints == "printed" else each.max(axis=1) for each in held
+            )
+    return most
+
+
+def explain_coefficients(
+    machine: LinearMachine, printed: Coefficients, breakpoints: Breakpoints
+) -> Explanation:
+    """Table 2 over nodes, breakpoints and base: what the printed digits follow from.
+
+    Args:
+        machine: Identified from the table.
+        printed: Both segments of each axis and degree, highest power first, in A/(N m)^k.
+        breakpoints: In per unit of d and q, by degree.
+    """
+    base = per_unit_base(machine)
+    around = [(0.0, 0.0), *itertools.product(_BASES, _BASES)]  # The identified one is first.
+    bases = np.array([base.current, base.torque]) * (1.0 + np.array(around))
+    pairs = [
+        [
+            _row(axis, k, row, np.append(_PLACES, breakpoints[degree]["dq".index(axis)]), bases)
+            for k, row in enumerate(rows)
+        ]
+        for (axis, degree), rows in printed.items()
+    ]
+    each = len(pairs)
+    nodes = [([k], name, 0) for k, name in enumerate(_NODES)]
+    nodes.append((list(range(len(_NODES))), "the best nodes of each segment", 2 * each))
+    edges = (
+        ("printed", "printed breakpoints", 0),
+        ("shared", "other breakpoints", each),
+        ("own", "other ends of each segment", 2 * each),
+    )
+    alternatives = []
+    for (kinds, said, first), (which, limits, second) in itertools.product(nodes, edges):
+        most = _most(pairs, kinds, which)
+        for best, words, third in (
+            (0, "base as identified", 0),
+            (int(np.argmax(most)), "base fitted", 2),
+        ):
+            found = np.concatenate([_best(pair, kinds, best, which) for pair in pairs])
+            alternatives.append(
+                Alternative(
+                    f"{said}, {limits}, {words}", first + second + third, tuple(found.tolist())
+                )
+            )
+    return explain(
+        "Paper 000, Table 2: what its digits follow from",
+        _printed_coefficients(printed),
+        alternatives,
+        "four kinds of nodes, breakpoints from 1 to 3.4 per unit, both bases within 1 %",
+    )
+
+
+# Paper 001, section 8.4: link voltage, inertia, friction and current limit of the runs shown.
+
+_REVERSED, _ENDS = 1.2, 2.4  # s
+_CLIMB, _UNREACHED = 2700.0, 4000.0  # rpm: Figures 8.14 to 8.17, and more than any voltage gives.
+
+# "Around 400 ms", "practically the same"; the comment of the program on its limit of v_q.
+_RUNS = (
+    Printed("start to 1200 rpm", "s", 0.4, 0.06),
+    Printed("reversal", "s", 0.4, 0.06),
+    Printed("reversal over start", "", 1.0, 0.15),
+    Printed("reached at a reference of 2700 rpm", "rpm", _CLIMB, 0.01 * _CLIMB),
+    Printed("largest speed by the comment", "rpm", 2600.0, 50.0),
+)
+
+# What is assumed, its value, and how many numbers were fitted for it.
+_LINKS = (
+    ("214 V (back-EMF at 2600 rpm)", 214.0, 1),
+    ("245 V", 245.0, 1),
+    ("311 V (220 V rectified)", 311.0, 0),
+)
+_INERTIAS = (("inertia as printed", 1.0, 0), ("twice", 2.0, 1), ("three times", 3.0, 1))
+_FRICTIONS = (("no friction", 0.0, 0), ("0.2 N m friction", 0.2, 1))
+_LIMITS = (
+    ("limit 32000", 12.5, 0),
+    ("3 A", 3.0, 1),
+    ("2.5 A", 2.5, 1),
+)
+
+
+def _settled(found: Simulation, start: float, end: float, target: float) -> float:
+    try:
+        return settling_time(found, start, end, target * RPM, BAND)
+    except NoSolutionError:
+        return math.nan
+
+
+def explain_transients(place: ProgramBench) -> Explanation:
+    """Start, reversal and largest speed over what the thesis does not state, with its program's
+    integers in the loop.
+    """
+    reversal = Profile((0.0, _REVERSED), (TARGET * RPM, -TARGET * RPM))
+    climb = Profile((0.0, 0.3), (TARGET * RPM, _UNREACHED * RPM))
+    plant, alternatives = place.drive, []
+    for (v_words, v_dc, v_fitted), (f_words, friction, f_fitted) in itertools.product(
+        _LINKS, _FRICTIONS
+    ):
+        supplied = replace(plant, inverter=replace(plant.inverter, v_dc=v_dc))
+        free = replace(place, drive=supplied).run(1.5, climb, friction=friction)
+        most = float(np.mean(free.omega_m[free.t >= 1.4])) / RPM
+        reached = min(most, held_rpm(_CLIMB))
+        for (j_words, inertia, j_fitted), (i_words, limit, i_fitted) in itertools.product(
+            _INERTIAS, _LIMITS
+        ):
+            machine = replace(plant.machine, inertia=inertia * plant.machine.inertia)
+            found = replace(place, drive=replace(supplied, machine=machine)).run(
+                _ENDS, reversal, Constants(max_w=codes_of(limit)), friction=friction
+            )
+            start = _settled(found, 0.0, _REVERSED, TARGET)
+            back = _settled(found, _REVERSED, _ENDS, -TARGET)
+            alternatives.append(
+                Alternative(
+                    f"{v_words}; {j_words}; {f_words}; {i_words}",
+                    v_fitted + j_fitted + f_fitted + i_fitted,
+                    (start, back, back / start, reached, most),
+                )
+            )
+    return explain(
+        "Paper 001, section 8.4 and Figures 8.14 to 8.17: what times and speed follow from",
+        _RUNS,
+        alternatives,
+        "link voltage; inertia; dry friction (0.2 N m); limit of the current (32000 are 12.5 A)",
+    )
