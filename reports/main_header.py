@@ -26,7 +26,7 @@ from dqforge.reports.current_reference.plain import (
     vectors_of,
 )
 from dqforge.reports.loops.figures import loop_constants
-from dqforge.reports.observers.tracker_header import observer_constants
+from dqforge.reports.observers.position_header import observer_constants
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
 from dqforge.reports.steps.blocks import Block, Functions

@@ -27,8 +27,7 @@ from dqforge.reports.observers.float32_model import (
     observer_inputs,
     speed_observer_inputs,
 )
-from dqforge.reports.observers.position_header import observer_files
-from dqforge.reports.observers.tracker_header import speed_observer_files
+from dqforge.reports.observers.position_header import observer_files, speed_observer_files
 from dqforge.reports.single_headers.field_weakening import weakening_files
 
 COUNT = 300

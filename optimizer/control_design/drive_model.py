@@ -282,7 +282,7 @@ class SpeedEstimator:
     def step(
         self, columns: FloatArray, v: ComplexArray, i: ComplexArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """As `dqforge.reports.observers.tracker_header` emits it."""
+        """As `dqforge.reports.observers.position_header` emits it."""
         own, (zeta, last_d, last_q, back, omega) = self.observer, columns.T
         v_q = (v * np.exp(-1j * (back + 0.5 * own.t_s * omega))).imag
         u_q = v_q - omega * self.machine.l_d * last_d

@@ -49,8 +49,7 @@ from dqforge.reports.estimator_comparison.random_starts import (
     run_starts,
     start_record,
 )
-from dqforge.reports.observers.position_header import observer_files
-from dqforge.reports.observers.tracker_header import tracker_files
+from dqforge.reports.observers.position_header import observer_files, tracker_files
 from dqforge.reports.output.folder import ESTIMATORS
 from dqforge.reports.pages.answer import Answer, Files, stage
 from dqforge.reports.pages.figures_style import FAINT, MAP_INK, MUTED, SERIES, new_figure, style

@@ -26,8 +26,8 @@ from dqforge.optimizer.estimator_comparison.solve import (
 )
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT, SPEED_LIMIT
 from dqforge.reports.c_code.numbers import float_literal
-from dqforge.reports.observers.position_header import dead_time_text, error_text, observer_files
-from dqforge.reports.observers.tracker_header import tracker_files
+from dqforge.reports.observers.position_header import observer_files, tracker_files
+from dqforge.reports.observers.position_text import dead_time_text, error_text
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.measured_cost import CallCost, cost_of_calls

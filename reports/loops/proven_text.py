@@ -469,7 +469,7 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
             Table("Scheduled gains along the current reference", SCHEDULE_COLUMNS, rows_, notes)
         )
     if gains.observer is not None and gains.observer_slopes is not None:
-        from dqforge.reports.observers.tracker_header import observer_table
+        from dqforge.reports.observers.position_text import observer_table
 
         tables.append(observer_table(gains.observer, gains.observer_slopes))
     if gains.measured_speed is not None:
@@ -477,7 +477,7 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
 
         tables += measured_tables(gains.measured_speed)
     if gains.position is not None:
-        from dqforge.reports.observers.position_header import position_parts
+        from dqforge.reports.observers.position_text import position_parts
 
         tables += [Table(*part) for part in position_parts(gains.position, proof)]
     if gains.tracker is not None:
@@ -493,7 +493,7 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
 def _plain_position(gains: GainSet) -> PlainData | None:
     if gains.position is None:
         return None
-    from dqforge.reports.observers.position_header import plain_position
+    from dqforge.reports.observers.position_text import plain_position
 
     return plain_position(gains.position)
 

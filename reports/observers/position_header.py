@@ -1,51 +1,84 @@
-"""The C header of a position observer, as plain data and as text."""
+"""The C headers of observers and trackers of the position, and of the speed observer: as plain
+data, as text, and the run that proves each.
+"""
 
 from __future__ import annotations
 
-import math
 import re
 import struct
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.observers.judgement import (
-    ANGLE_LIMIT,
-    DEAD_TIME,
-    EXACT_DATA,
-    SPEED_LIMIT,
-    ObserverJudgement,
-)
+from dqforge.optimizer.estimators import TRACKERS, TunedTracker
+from dqforge.optimizer.observers.reduced_order_step import SPEED_STEP, ReducedOrderGains
+from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,
+    Constant,
+    ConstantGroup,
     Harness,
+    HeaderKind,
     Programme,
     observer_harness,
     title,
 )
+from dqforge.reports.capability import Capability, Outcome, Passage, ReportPart
 from dqforge.reports.observers.float32_model import (
+    EmittedTracker,
     gains_from,
     observer_inputs,
     observer_outputs,
     plain_gains_of,
+    plain_speed_observer,
+    speed_observer_from,
+    speed_observer_inputs,
+    speed_observer_outputs,
+    tracker_inputs,
+    tracker_outputs,
 )
-from dqforge.reports.pages.templating import render
-from dqforge.reports.steps.observer_text import observer_text
+from dqforge.reports.observers.position_text import (
+    bound_text,
+    included_text,
+    position_parts,
+    silence_text,
+    speed_range_text,
+    tuning_text,
+)
+from dqforge.reports.observers.speed_loop_text import (
+    added_text,
+    heard_text,
+    speed_text,
+    tracker_part,
+    tuned_text,
+)
+from dqforge.reports.pages.html_text import (
+    NARROW,
+    NEGLIGIBLE,
+    HtmlTable,
+    Row,
+    heading_cells,
+    number,
+    quantity,
+    share,
+    symbols,
+)
+from dqforge.reports.pages.templating import LOOPS, render
+from dqforge.reports.steps.observer_text import observer_text, step_text, tracker_text
 
 if TYPE_CHECKING:
-    from dqforge.machines.arrays import FloatArray
     from dqforge.machines.design.design import Design
-    from dqforge.optimizer.observers.parts import Disturbances, ObserverMethod
-    from dqforge.optimizer.observers.reduced_order import Limits, Training
-    from dqforge.optimizer.observers.tuning import ObserverProof, PositionObserver
+    from dqforge.optimizer.observers.parts import ObserverMethod
+    from dqforge.optimizer.observers.reduced_order import (
+        ErrorsAtLoad,
+        ObserverError,
+        ReducedOrderObserver,
+    )
+    from dqforge.optimizer.solution import Solution
     from dqforge.reports.plain_data import PlainData
-
-
-_PARAMETERS = (("R", "r_s"), ("L", "l_q"), ("psi", "psi_pm"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,70 +111,6 @@ def observer_from(plain: Mapping[str, Any]) -> EmittedObserver:
     if method is None or not isinstance(plain.get("gains"), dict):
         raise InputError("observer_header is not what dqforge writes; run the design again")
     return EmittedObserver(method, gains_from(method.gains, plain["gains"]))
-
-
-def _span(low: float, high: float) -> str:
-    if math.isnan(low):
-        return "at no speed"
-    return f"from {low / (2.0 * math.pi):.3g} to {high / (2.0 * math.pi):.3g} Hz (electrical)"
-
-
-def speed_range_text(observer: PositionObserver) -> str:
-    """Speeds at which the observer holds, accelerating and steady, in words."""
-    judgement = observer.judgement
-    limits = (
-        f"errors below {math.degrees(ANGLE_LIMIT):.3g} deg and {100.0 * SPEED_LIMIT:.3g} % of the "
-        "speed (r.m.s.)"
-    )
-    whole = _span(judgement.omega_low, judgement.omega_high)
-    steady = _span(judgement.steady_low, judgement.steady_high)
-    return f"{limits}: under acceleration {whole}, at constant speed {steady}"
-
-
-def dead_time_text(known: Disturbances) -> str:
-    """What of the dead time is judged, in words."""
-    if known.lost == known.lost_least == 0.0:
-        return "no dead time"
-    if known.lost == -known.lost_least:
-        return f"dead time wrong by {known.lost:.3g} V to either side"
-    if known.lost_least < known.lost:
-        return f"dead time wrong by {known.lost_least:.3g} to {known.lost:.3g} V"
-    return f"dead time not compensated ({known.lost:.3g} V)"
-
-
-def error_text(known: Disturbances, name: str) -> str:
-    """By how much a parameter may be wrong: to either side, or from one figure to another."""
-    least, most = known.limits(name)
-    return (
-        f"{100.0 * most:.3g} %"
-        if most == -least
-        else f"{100.0 * least:.3g} to {100.0 * most:.3g} %"
-    )
-
-
-def included_text(observer: PositionObserver) -> str:
-    """What the errors of the stated range include, in words."""
-    known = observer.disturbances
-    parts = (
-        ", ".join(f"{symbol} {error_text(known, name)}" for symbol, name in _PARAMETERS) + " wrong"
-    )
-    noise = f"noise of {known.i_noise:.3g} A and {known.v_noise:.3g} V r.m.s."
-    if known.loads:
-        pairs = dict.fromkeys(
-            f"{load.i_d + 0.0:.3g}, {abs(load.i_q):.3g} A" for load in known.loads
-        )
-        loads = f"loads of (i_d, |i_q|) = {'; '.join(pairs)}, motoring and braking"
-    else:
-        loads = f"i_q = {known.i_load:.4g} A"
-    return (
-        f"{parts}; {dead_time_text(known)}; {noise}; {loads}; acceleration of "
-        f"{known.acceleration:.3g} rad/s^2"
-    )
-
-
-def tuning_text(observer: PositionObserver) -> str:
-    """By what numbers the observer was tuned, in words."""
-    return observer.method.in_words(observer.tuning, observer.gains, observer.t_s)
 
 
 def _learned(observer: PositionObserver) -> list[str]:
@@ -211,276 +180,303 @@ def observer_gain_bytes(design: Design, observer: PositionObserver) -> bytes:
     return struct.pack(f"={len(numbers)}f", *numbers)
 
 
-# What is said of a position observer: poles, speed range and errors, for tables,
-# the report and JSON.
+# Trackers of the position.
 
-# Title, columns, rows, notes.
-TextTable = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], tuple[str, ...]]
-_SYMBOLS = {"r_s": "R", "l_d": "L_d", "l_q": "L_q", "psi_pm": "psi_pm"}
-_CAUSES = {DEAD_TIME: "dead time", EXACT_DATA: "exact data"}
+_FAULT = InputError("observer_header is not what dqforge writes; run the design again")
 
 
-def _degrees(value: float) -> str:
-    """An angle in deg; what is below 1e-4 deg is rounding, which differs between processors."""
-    return f"{round(math.degrees(value), 4) + 0.0:+.3g}" if math.isfinite(value) else "lost"
+def plain_tracker_gains(found: EmittedTracker) -> PlainData:
+    """Method and gains as plain data; every number is a float32 value."""
+    return {"method": found.tracker.name, "gains": plain_gains_of(found.gains)}
 
 
-def _size(value: float) -> str:
-    return f"{math.degrees(value):.3g}" if math.isfinite(value) else "lost"
+def tracker_from(plain: Mapping[str, Any]) -> EmittedTracker:
+    """Read a tracker back.
 
-
-def proof_text(proof: ObserverProof) -> str:
-    """What is proven over the speed range, in one line."""
-    low, high = (value / (2.0 * math.pi) for value in (proof.omega_low, proof.omega_high))
-    span = f"{low:.3g} to {high:.3g} Hz, |i_q| up to {proof.i_q:.3g} A"
-    if not proof.searched:
-        return f"nothing is proven for {span}: {proof.reason}"
-    if proof.contraction is None:
-        return f"no common Lyapunov function was found for {span}: {proof.reason}"
-    return (
-        f"proven: small errors shrink by {proof.contraction:.5f} per sample or faster while the "
-        f"speed varies in {span}"
-    )
-
-
-def _cause(name: str, known: Disturbances) -> str:
-    """Heading of a cause."""
-    if name in _SYMBOLS:
-        least, most = known.limits(name)
-        return f"{_SYMBOLS[name]} {'+-' if most == -least else ''}{error_text(known, name)}"
-    return _CAUSES[name]
-
-
-def _angle_part(observer: PositionObserver, proof: ObserverProof | None) -> TextTable:
-    known, judged = observer.disturbances, observer.shown
-    names = tuple(judged.bias)
-    columns = (
-        "electrical Hz",
-        *(_cause(name, known) for name in names),
-        "noise r.m.s.",
-        "steady",
-        "acceleration",
-        "together",
-        "largest pole",
-    )
-    rows = tuple(
-        (
-            f"{judged.omega[s] / (2.0 * math.pi):.4g}",
-            *(_degrees(float(judged.bias[name][s])) for name in names),
-            _size(float(judged.noise[s])),
-            _size(float(judged.steady[s])),
-            _degrees(float(judged.lag[s])),
-            _size(float(judged.total[s])),
-            f"{judged.radius[s]:.5f}",
-        )
-        for s in range(len(judged.omega))
-    )
-    notes: tuple[str, ...] = (
-        tuning_text(observer),
-        speed_range_text(observer),
-        f"included: {included_text(observer)}",
-        (
-            "at the worst load; steady: root of the squares of all before it, together: with the "
-            "acceleration"
-        ),
-    )
-    if proof is not None:
-        notes = (*notes, proof_text(proof))
-    return (
-        f"Position observer: {observer.method.title}; angle error in deg (electrical)",
-        columns,
-        rows,
-        notes,
-    )
-
-
-def _speed_part(observer: PositionObserver) -> TextTable:
-    known, judged = observer.disturbances, observer.shown
-    names = tuple(judged.speed_bias)
-
-    def per_cent(value: float, omega: float, sign: str = "+") -> str:
-        # adding zero turns -0 into 0
-        return (
-            f"{round(100.0 * value / omega, 2) + 0.0:{sign}.3g}" if math.isfinite(value) else "lost"
-        )
-
-    rows = tuple(
-        (
-            f"{omega / (2.0 * math.pi):.4g}",
-            *(per_cent(float(judged.speed_bias[name][s]), omega) for name in names),
-            per_cent(float(judged.speed_total[s]), omega, ""),
-        )
-        for s, omega in enumerate(judged.omega.tolist())
-    )
-    columns = ("electrical Hz", *(_cause(name, known) for name in names), "together")
-    title = f"Position observer: {observer.method.title}; steady error of the speed in % of it"
-    return title, columns, rows, ("at the worst load; together: root of the squares",)
-
-
-def position_parts(
-    observer: PositionObserver, proof: ObserverProof | None = None
-) -> list[TextTable]:
-    """Errors of angle and speed over the speed, the tuning, what is proven, and what was learned,
-    as text tables.
+    Raises:
+        InputError: The data are not what `plain_tracker_gains` makes.
     """
-    learned = [] if observer.training is None else [training_part(observer.training)]
-    return [_angle_part(observer, proof), _speed_part(observer), *learned]
+    tracker = TRACKERS.get(str(plain.get("method")))
+    if tracker is None or not isinstance(plain.get("gains"), dict):
+        raise _FAULT
+    return EmittedTracker(tracker, gains_from(tracker.gains, plain["gains"]))
 
 
-def plain_position(observer: PositionObserver) -> PlainData:
-    """Method, tuning, gains, assumptions, and errors and poles over the speed,
-    in SI units and rad.
+def _tracker_preamble(design: Design, found: TunedTracker) -> list[str]:
+    tracker, prefix = found.tracker, design.export.prefix
+    call = (
+        f"Call {prefix}_{tracker.code}_start() once and {prefix}_{tracker.code}_step() at every "
+        f"sample with the voltage that acted over the period that ends there{heard_text(found)}. "
+        "Compile with -ffp-contract=off to equal the model bit for bit."
+    )
+    return [
+        f"Method: {tracker.title}, sampled every {found.t_s * 1e6:.6g} us.",
+        *wrap(f"Tuning: {tuned_text(found)}.", 110),
+        *wrap(f"Range: {speed_text(found)}.", 110),
+        "",
+        *wrap(call, 110),
+        *wrap(added_text(found, prefix), 110),
+    ]
+
+
+def tracker_files(design: Design, found: TunedTracker, file: str = "observer") -> dict[str, bytes]:
+    """Name and bytes of the header ``<prefix>_<file>.h`` of a tracker."""
+    prefix, tracker = design.export.prefix, found.tracker
+    context: PlainData = {
+        **title(design),
+        "preamble": _tracker_preamble(design, found),
+        "file": file,
+        "kind": "position",
+        "code": tracker.code,
+        "body": tracker_text(tracker, found.gains, prefix, prefix.upper()),
+    }
+    return {f"{prefix}_{file}.h": render("observers/observer.h.j2", context).encode("ascii")}
+
+
+def tracker_programme(found: EmittedTracker, file: str = "observer") -> Programme:
+    """The harness of a tracker in ``<prefix>_<file>.h``, with what its model answers."""
+    inputs = tracker_inputs(found, SWEEP_POINTS, SWEEP_SEED)
+    tracker = found.tracker
+    told = f"{', further signals' if tracker.hears else ''}; angle and speed"
+    results = ["theta_e", "omega_e"]
+    if tracker.injects:
+        told += ", the voltage that it asks for and the current that it hands on"
+        results += ["added.alpha", "added.beta", "current.alpha", "current.beta"]
+    rows = observer_harness(file, tracker.code, told, len(tracker.hears), tuple(results))
+    return Programme(rows, inputs, tracker_outputs(found, inputs), "position tracker")
+
+
+# Observers in the report.
+
+
+def speed_tables(observer: ReducedOrderObserver, errors: Sequence[ErrorsAtLoad]) -> list[HtmlTable]:
+    """Coefficients of the speed observer and its errors with and without load.
+
+    ``errors`` are the steady errors of the speed: without load, and with half the largest torque.
     """
-    judgement = observer.judgement
-    return {
-        "method": observer.method.name,
-        "t_s": observer.t_s,
-        "tuning": asdict(observer.tuning),
-        "gains": asdict(observer.gains),
-        "disturbances": asdict(observer.disturbances),
-        "omega_low_rad_per_s": judgement.omega_low,
-        "omega_high_rad_per_s": judgement.omega_high,
-        "omega_rad_per_s": judgement.omega,
-        "steady_low_rad_per_s": judgement.steady_low,
-        "steady_high_rad_per_s": judgement.steady_high,
-        "angle_limit_rad": ANGLE_LIMIT,
-        "speed_limit": SPEED_LIMIT,
-        "bias_rad": judgement.bias,
-        "speed_bias_rad_per_s": judgement.speed_bias,
-        "speed_total_rad_per_s": judgement.speed_total,
-        "steady_rad": judgement.steady,
-        "lag_rad": judgement.lag,
-        "noise_rad": judgement.noise,
-        "total_rad": judgement.total,
-        "poles": [[[pole.real, pole.imag] for pole in row] for row in judgement.poles.tolist()],
-        "shown": _plain_shown(observer.shown),
-        **plain_training(observer.training),
-    }
+    return [_coefficients_table(observer), _speed_error_table(errors)]
 
 
-def _plain_shown(judged: ObserverJudgement) -> PlainData:
-    """What the tables show: errors at a few speeds, in rad and rad/s."""
-    return {
-        "omega_rad_per_s": judged.omega,
-        "bias_rad": judged.bias,
-        "noise_rad": judged.noise,
-        "steady_rad": judged.steady,
-        "lag_rad": judged.lag,
-        "total_rad": judged.total,
-        "largest_pole": judged.radius,
-        "speed_bias_rad_per_s": judged.speed_bias,
-        "speed_total_rad_per_s": judged.speed_total,
-    }
-
-
-# What is said of a correction that was learned: what it gains, and where it knows nothing.
-
-# Title, columns, rows, notes.
-TrainingTable = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], tuple[str, ...]]
-
-
-def _hertz(omega: float) -> str:
-    return f"{omega / (2.0 * math.pi):.3g}"
-
-
-def _per_cent(limits: Limits) -> str:
-    low, high = limits
-    return f"{100.0 * low:+.3g} to {100.0 * high:+.3g} %"
-
-
-def silence_text(training: Training) -> str:
-    """Where the correction is nought, in words."""
-    box = training.box
-    return (
-        f"no correction below {_hertz(box.omega_low)} Hz, where nothing can be learned, above "
-        f"{_hertz(box.omega_high)} Hz, beyond {1.05 * box.i_max:.3g} A, and wherever psi^ - "
-        "psi_model is beyond what was trained"
+def _coefficients_table(observer: ReducedOrderObserver) -> HtmlTable:
+    coefficients = (
+        ("A", f"{number(observer.a, 8)}", "pole in the z plane"),
+        ("B_u", f"{number(observer.b_u, 8)}{NARROW}rad/(s V)", "factor of the voltage u_q"),
+        ("B_i", f"{number(observer.b_i, 8)}{NARROW}rad/(s A)", "factor of the current i_q"),
+        ("C", f"{number(observer.c, 8)}{NARROW}rad/(s A)", "current taken off the estimate"),
     )
-
-
-def bound_text(training: Training) -> str:
-    """How large the correction can become, in words."""
-    limit = f"limited to {math.degrees(training.limit):.3g} deg"
-    if training.rules is None:
-        return f"{limit}: nothing more is proven of a network"
-    return (
-        f"{limit}; the mean of the rules is within {math.degrees(training.rules):.3g} deg, the "
-        "largest of them over the trained ranges"
-    )
-
-
-def training_part(training: Training) -> TrainingTable:
-    """Errors with and without the correction per band of speeds, as a text table."""
-    alone, *others = training.rms
-
-    def both(name: str, band: int) -> str:
-        rms, largest = training.rms[name][band], training.largest[name][band]
-        return f"{math.degrees(rms):.3g} ({math.degrees(largest):.3g})"
-
-    corrected = others[-1]
-    rows = tuple(
-        (
-            f"{_hertz(low)} to {_hertz(high)}",
-            *(both(name, k) for name in (alone, *others)),
-            f"{100.0 * training.inside[k]:.3g} %",
-            f"{100.0 * training.held[k]:.3g} %",
-            f"{math.degrees(training.outside[alone][k]):.3g}",
-            f"{math.degrees(training.outside[corrected][k]):.3g}",
-            f"{100.0 * training.inside_beyond[k]:.3g} %",
-        )
-        for k, (low, high) in enumerate(training.edges.tolist())
-    )
-    beyond = f"R {_per_cent(training.beyond)}"
-    columns = (
-        "electrical Hz",
-        alone,
-        *others,
-        "acts",
-        "steady state",
-        f"{beyond}: alone",
-        corrected,
-        "acts",
-    )
-    box = training.box
-    notes = (
-        (
-            f"{training.numbers} numbers learned of {training.points} steady states: R "
-            f"{_per_cent(box.r_s)}, L_d {_per_cent(box.l_d)}, L_q {_per_cent(box.l_q)}, psi_pm "
-            f"{_per_cent(box.psi_pm)}, {box.lost[0]:.3g} to {box.lost[1]:.3g} V lost"
+    return HtmlTable(
+        symbols(
+            "Speed observer: \u03c9\u0302[k] = \u03b6[k] \u2212 C i_q[k], "
+            "\u03b6[k+1] = A \u03b6[k] + B_u u_q[k] + B_i i_q[k]"
         ),
-        silence_text(training),
-        bound_text(training),
-        "transients were neither trained nor tried; the speed is that of the flux observer",
+        ("", "", "value"),
+        tuple(Row((symbols(name), symbols(text), value)) for name, value, text in coefficients),
+        2,
     )
-    title = (
-        "Learned correction: angle error in deg r.m.s. (largest) on drives of the box that were "
-        "not trained"
+
+
+def _speed_error_table(errors: Sequence[ErrorsAtLoad]) -> HtmlTable:
+    """Steady errors of the speed at half the base speed."""
+    rows = []
+    for label, found in zip(("no load", "half the largest torque"), errors, strict=True):
+        cells = [_speed_error_text(error) for error in (found.exact, found.resistance)]
+        rows.append(Row((label, quantity(found.torque_load, "N m"), *cells)))
+    speed = quantity(errors[0].exact.omega_m, "rpm")
+    caption = f"Steady speed error at {speed}, half the base speed, with an unknown load at i_d = 0"
+    columns = (
+        "",
+        "load torque",
+        "exact values",
+        f"resistance {100.0 * errors[0].r_error:.0f} % too large",
     )
-    return title, columns, rows, notes
+    return HtmlTable(symbols(caption), heading_cells(*columns), tuple(rows))
 
 
-def plain_training(training: Training | None) -> PlainData:
-    """The same as plain data, angles in rad; nothing of an observer that learns nothing."""
-    if training is None:
-        return {}
+def estimator_tables(found: PositionObserver | TunedTracker) -> list[HtmlTable]:
+    """Of an observer or a tracker of the position."""
+    if isinstance(found, PositionObserver):
+        return position_tables(found)
+    title, columns, rows, notes = tracker_part(found)
+    heading = symbols(f"{title}: {'; '.join(notes)}")
+    return [HtmlTable(heading, heading_cells(*columns), tuple(Row(cells) for cells in rows))]
 
-    def plain(values: dict[str, FloatArray]) -> PlainData:
-        return {name.replace(" ", "_"): value for name, value in values.items()}
 
-    return {
-        "training": {
-            "box": asdict(training.box),
-            "edges_rad_per_s": training.edges,
-            "rms_rad": plain(training.rms),
-            "largest_rad": plain(training.largest),
-            "beyond_r_s": training.beyond,
-            "beyond_rms_rad": plain(training.outside),
-            "held": training.held,
-            "acts": training.inside,
-            "acts_beyond": training.inside_beyond,
-            "limit_rad": training.limit,
-            "rules_rad": training.rules,
-            "numbers": training.numbers,
-            "points": training.points,
-        }
+def position_tables(position: PositionObserver) -> list[HtmlTable]:
+    """Errors of a position observer over its speeds, with what they include."""
+    return [
+        HtmlTable(
+            symbols(f"{title}: {'; '.join(notes)}"),
+            heading_cells(*columns),
+            tuple(Row(cells) for cells in rows),
+        )
+        for title, columns, rows, notes in position_parts(position)
+    ]
+
+
+def _speed_error_text(error: ObserverError) -> str:
+    if abs(error.relative) < NEGLIGIBLE:
+        return f"0{NARROW}rpm"
+    return f"{quantity(error.total, 'rpm', 3)} ({share(error.relative, 2)})"
+
+
+# The C header of the reduced-order speed observer (docs/methods/speed-observer.md).
+
+REDUCED_ORDER = SPEED_STEP.code  # Part of the names of its C functions.
+
+
+def speed_observer_files(design: Design, observer: ReducedOrderObserver) -> dict[str, bytes]:
+    """Name and bytes of the header."""
+    prefix, gains = design.export.prefix, ReducedOrderGains.of(design.machine, observer)
+    context: PlainData = {
+        **title(design),
+        "file": "speed_observer",
+        "kind": "speed",
+        "preamble": [
+            (
+                f"Method: reduced-order observer, gain {observer.g:.6g} rad/s, sampled every "
+                f"{observer.t_s * 1e6:.6g} us."
+            ),
+            (
+                "It needs the angle, from an encoder or an observer of the position; it knows "
+                "nothing of the load torque."
+            ),
+            "",
+            (
+                f"Call {prefix}_{REDUCED_ORDER}_start() once and {prefix}_{REDUCED_ORDER}_step() "
+                "at every sample with the"
+            ),
+            "voltage that acted over the period that ends there.",
+            "Compile with -ffp-contract=off to equal the model bit for bit.",
+        ],
+        "code": REDUCED_ORDER,
+        "body": step_text(SPEED_STEP, gains, prefix, prefix.upper()),
     }
+    return {
+        f"{prefix}_speed_observer.h": render("observers/observer.h.j2", context).encode("ascii")
+    }
+
+
+def speed_observer_programme(gains: ReducedOrderGains) -> Programme:
+    """The harness of a speed observer, with what its model answers."""
+    inputs = speed_observer_inputs(gains, SWEEP_POINTS, SWEEP_SEED)
+    outputs = speed_observer_outputs(gains, inputs)
+    results = ("omega_m", "omega_e")
+    rows = observer_harness("speed_observer", REDUCED_ORDER, ", angle; both speeds", 1, results)
+    return Programme(rows, inputs, outputs, "speed observer")
+
+
+# The C header ``<prefix>_observer.h`` of an observer or a tracker of the position: one of them.
+
+
+def emitted_estimator(
+    found: PositionObserver | TunedTracker,
+) -> EmittedObserver | EmittedTracker:
+    """What reaches the firmware."""
+    if isinstance(found, TunedTracker):
+        return EmittedTracker(found.tracker, found.gains)
+    return EmittedObserver(found.method, found.gains)
+
+
+def estimator_files(design: Design, found: PositionObserver | TunedTracker) -> dict[str, bytes]:
+    """Name and bytes of the header."""
+    if isinstance(found, TunedTracker):
+        return tracker_files(design, found)
+    return observer_files(design, found)
+
+
+def plain_estimator(found: EmittedObserver | EmittedTracker) -> PlainData:
+    """Method and gains as plain data."""
+    if isinstance(found, EmittedTracker):
+        return plain_tracker_gains(found)
+    return plain_observer(found)
+
+
+def estimator_from(plain: Mapping[str, Any]) -> EmittedObserver | EmittedTracker:
+    """Read it back; errors as `observer_from`."""
+    return tracker_from(plain) if plain.get("method") in TRACKERS else observer_from(plain)
+
+
+def estimator_programme(found: EmittedObserver | EmittedTracker) -> Programme:
+    """The harness, with what the model answers."""
+    if isinstance(found, EmittedTracker):
+        return tracker_programme(found)
+    return observer_programme(found)
+
+
+# Observers of position and of speed, as records.
+
+
+def _part(tables: list[HtmlTable]) -> list[ReportPart]:
+    return [Passage(tables=tables, kind="loops").of(LOOPS)]
+
+
+def _position(outcome: Outcome) -> PositionObserver | TunedTracker | None:
+    gains = outcome.solution.loops
+    if gains is None:
+        return None
+    return gains.position if gains.tracker is None else gains.tracker
+
+
+def _speed(outcome: Outcome) -> ReducedOrderObserver | None:
+    gains = outcome.solution.loops
+    return None if gains is None else gains.observer
+
+
+POSITION_OBSERVER: Capability[PositionObserver | TunedTracker] = Capability(
+    name="position_observer",
+    title="position observer",
+    of=_position,
+    parts=lambda _, observer: _part(estimator_tables(observer)),
+    headers=(
+        HeaderKind(
+            name="observer",
+            files=lambda solution, observer: estimator_files(solution.design, observer),
+            plain=lambda _, observer: plain_estimator(emitted_estimator(observer)),
+            read=lambda own, _: estimator_from(own),
+            programme=estimator_programme,
+            vectors=False,
+        ),
+    ),
+)
+
+# Tables of the terminal and JSON of both stand with those of the loops.
+SPEED_OBSERVER = Capability(
+    name="speed_observer",
+    title="speed observer",
+    of=_speed,
+    parts=lambda solution, observer: _part(speed_tables(observer, solution.observer_errors)),
+    headers=(
+        HeaderKind(
+            name="speed_observer",
+            files=lambda solution, observer: speed_observer_files(solution.design, observer),
+            plain=lambda solution, observer: plain_speed_observer(
+                solution.design.machine, observer
+            ),
+            read=lambda own, _: speed_observer_from(own),
+            programme=speed_observer_programme,
+            vectors=False,
+        ),
+    ),
+)
+
+
+# Constants of the speed observer for the main header.
+
+
+def observer_constants(solution: Solution) -> list[ConstantGroup]:
+    """The reduced-order speed observer; nothing without one."""
+    observer = None if solution.loops is None else solution.loops.observer
+    if observer is None:
+        return []
+    constants = (
+        Constant("observer.a", observer.a, "", "pole in the z plane, dimensionless"),
+        Constant("observer.b_u", observer.b_u, "rad/(s V)"),
+        Constant("observer.b_i", observer.b_i, "rad/(s A)"),
+        Constant("observer.c", observer.c, "rad/(s A)"),
+    )
+    comment = (
+        "omega_hat[k] = zeta[k] - C i_q[k];  zeta[k+1] = A zeta[k] + B_U u_q[k] + B_I i_q[k]",
+        "u_q = v_q - p omega_m L_D i_d, with the voltage that acts from sample k to k+1.",
+        f"Continuous pole {observer.continuous_pole:.6g} 1/s; exact for held voltage.",
+    )
+    return [ConstantGroup("Reduced-order speed observer (mechanical speed)", constants, comment)]

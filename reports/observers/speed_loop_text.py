@@ -26,7 +26,7 @@ if TYPE_CHECKING:
         ObserverError,
         SpeedErrorSlopes,
     )
-    from dqforge.reports.observers.position_header import TextTable
+    from dqforge.reports.observers.position_text import TextTable
     from dqforge.reports.plain_data import PlainData
 
 

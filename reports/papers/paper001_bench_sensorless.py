@@ -27,7 +27,7 @@ from dqforge.optimizer.estimator_comparison.solve import ask, reason_of
 from dqforge.optimizer.observers.reduced_order import reduced_order_observer
 from dqforge.optimizer.solution import solve
 from dqforge.reports.control.header import plain_control
-from dqforge.reports.observers.tracker_header import REDUCED_ORDER, speed_observer_files
+from dqforge.reports.observers.position_header import REDUCED_ORDER, speed_observer_files
 from dqforge.reports.papers.transients import RPM, Bench
 from dqforge.reports.simulation.design_run import angle_error, controller_files
 from dqforge.reports.simulation.recorded_run import Simulation, simulator

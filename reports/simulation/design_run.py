@@ -25,10 +25,10 @@ from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.fixed_observers.fixed_observer_header import fixed_observer_files
 from dqforge.reports.main_header import header_files
-from dqforge.reports.observers.position_header import observer_files
-from dqforge.reports.observers.tracker_header import (
+from dqforge.reports.observers.position_header import (
     REDUCED_ORDER,
     estimator_files,
+    observer_files,
     speed_observer_files,
 )
 from dqforge.reports.operating_system.host_compiler import require_compiler

@@ -20,7 +20,7 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
 from dqforge.optimizer.estimators import TRACKERS
-from dqforge.reports.observers.tracker_header import REDUCED_ORDER
+from dqforge.reports.observers.position_header import REDUCED_ORDER
 from dqforge.reports.operating_system.host_compiler import compile_program, require_compiler
 from dqforge.reports.pages.templating import render
 from dqforge.reports.simulation.plant_input import (

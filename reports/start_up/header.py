@@ -16,7 +16,7 @@ from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.reports.c_code.harness import title
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.observers.float32_model import EmittedTracker
-from dqforge.reports.observers.tracker_header import plain_tracker_gains, tracker_files
+from dqforge.reports.observers.position_header import plain_tracker_gains, tracker_files
 from dqforge.reports.pages.templating import render
 from dqforge.reports.phase_control.emitted_integers import phase_control_of
 from dqforge.reports.plain_data import PlainData, shortest

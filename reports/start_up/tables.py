@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.reports.c_code.harness import HeaderKind
 from dqforge.reports.capability import Capability, Outcome, Passage, ReportPart
-from dqforge.reports.observers.tracker_header import tracker_from
+from dqforge.reports.observers.position_header import tracker_from
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
 from dqforge.reports.pages.templating import LOOPS

@@ -12,11 +12,7 @@ from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.estimators import TRACKERS
 from dqforge.optimizer.steps.step_arithmetic import cast
 from dqforge.reports.c_code.harness import Harness, Programme, single_from
-from dqforge.reports.observers.position_header import observer_from
-from dqforge.reports.observers.tracker_header import (
-    tracker_from,
-    tracker_programme,
-)
+from dqforge.reports.observers.position_header import observer_from, tracker_from, tracker_programme
 from dqforge.reports.phase_control.emitted_integers import emitted_control_from
 from dqforge.reports.start_up.float32_model import StartUpModel
 from dqforge.reports.start_up.header import HEARING, LOW_FILE, MEMBERS, OUTPUTS, SEEN, recorded

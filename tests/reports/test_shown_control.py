@@ -27,8 +27,8 @@ from dqforge.reports.control.fixed_header import (
 )
 from dqforge.reports.loops.capability import loop_table
 from dqforge.reports.loops.proven_text import gains_tables, plain_gains
-from dqforge.reports.observers.position_header import position_parts
-from dqforge.reports.observers.tracker_header import speed_tables
+from dqforge.reports.observers.position_header import speed_tables
+from dqforge.reports.observers.position_text import position_parts
 from dqforge.reports.pages.html_text import NARROW, number, quantity, share
 from dqforge.reports.pages.templating import to_text
 

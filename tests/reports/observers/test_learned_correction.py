@@ -24,7 +24,8 @@ from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.solution import solve
 from dqforge.optimizer.steps.step_arithmetic import cast
 from dqforge.reports.observers.float32_model import observer_inputs
-from dqforge.reports.observers.position_header import observer_files, plain_position, position_parts
+from dqforge.reports.observers.position_header import observer_files
+from dqforge.reports.observers.position_text import plain_position, position_parts
 from dqforge.reports.pages.templating import to_text
 from dqforge.reports.simulation.design_run import (
     angle_error,

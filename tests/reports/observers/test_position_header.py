@@ -34,6 +34,8 @@ from dqforge.reports.observers.position_header import (
     observer_files,
     observer_from,
     plain_observer,
+)
+from dqforge.reports.observers.position_text import (
     plain_position,
     position_parts,
     proof_text,

@@ -25,12 +25,8 @@ from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import steady_observer
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.observers.position_header import (
-    observer_files,
-    plain_position,
-    position_parts,
-    speed_range_text,
-)
+from dqforge.reports.observers.position_header import observer_files
+from dqforge.reports.observers.position_text import plain_position, position_parts, speed_range_text
 from dqforge.reports.pages.templating import to_text
 from dqforge.reports.simulation.design_run import (
     angle_error,

@@ -18,12 +18,12 @@ from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.estimators import TunedTracker
 from dqforge.reports.observers.float32_model import EmittedTracker, tracker_inputs, tracker_outputs
-from dqforge.reports.observers.speed_loop_text import plain_tracker, tracker_part
-from dqforge.reports.observers.tracker_header import (
+from dqforge.reports.observers.position_header import (
     emitted_estimator,
     estimator_from,
     plain_estimator,
 )
+from dqforge.reports.observers.speed_loop_text import plain_tracker, tracker_part
 from dqforge.reports.run import RunOutput, export_design, programmes, verify_folder
 from dqforge.reports.verification.cortex_m import run_on_target
 

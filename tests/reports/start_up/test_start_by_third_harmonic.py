@@ -22,7 +22,7 @@ from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.observers.float32_model import EmittedTracker
-from dqforge.reports.observers.tracker_header import plain_tracker_gains
+from dqforge.reports.observers.position_header import plain_tracker_gains
 from dqforge.reports.phase_control.emitted_integers import emitted_control_plain
 from dqforge.reports.run import emitted_files
 from dqforge.reports.simulation.design_run import (
