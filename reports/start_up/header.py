@@ -4,39 +4,25 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Mapping
-from dataclasses import field
+from collections.abc import Mapping
+from dataclasses import asdict, field, fields
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.curves.single_precision import SINGLE
+from dqforge.optimizer.start_up.records import StartupSettings, StartupState
+from dqforge.optimizer.start_up.settings import startup_settings
 from dqforge.reports.c_code.harness import title
-from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.observers.float32_model import EmittedTracker
 from dqforge.reports.observers.tracker_header import plain_tracker_gains, tracker_files
 from dqforge.reports.pages.templating import render
 from dqforge.reports.phase_control.emitted_integers import phase_control_of
 from dqforge.reports.plain_data import PlainData, shortest
-from dqforge.reports.start_up.float32_model import (
-    RESTING,
-    F,
-    Fault,
-    Settings,
-    StartUpModel,
-    State,
-    Vector,
-    first_drive,
-    observer_step,
-    off,
-    pair,
-    scalar,
-    trip,
-    vector_of,
-)
-from dqforge.reports.start_up.model_phases import Duties, Phases, follow_ramp
+from dqforge.reports.start_up.float32_reading import StartUpModel, StartUpRun
+from dqforge.reports.start_up.startup_text import StartupForm, startup_text
+from dqforge.reports.steps.record_text import kind_of
 
 if TYPE_CHECKING:
     from dqforge.optimizer.control_design.gain_set import GainSet
@@ -101,17 +87,6 @@ def _preamble(found: StartUp, prefix: str) -> list[str]:
     ]
 
 
-def _setting_lines(found: StartUp) -> list[tuple[str, str]]:
-    values = settings_of(found.plan)
-    return [
-        (
-            f"{int(values[member.name])}U" if member.whole else float_literal(values[member.name]),
-            f"{member.name}{': ' if member.comment else ''}{member.comment}",
-        )
-        for member in MEMBERS
-    ]
-
-
 def estimator_at_speed(gains: GainSet) -> tuple[str, bool]:
     """Part of C names of the estimator that a drive runs on after its start, and whether it is told
     the sum of the phase voltages.
@@ -125,16 +100,19 @@ def estimator_at_speed(gains: GainSet) -> tuple[str, bool]:
     return gains.position.method.code, False
 
 
-def phase_parts(solution: Solution) -> PlainData | None:
-    """What of the control over the angle the start-up must know, None for other control.
-
-    Args:
-        solution: The solved design.
-    """
-    control = phase_control_of(solution)
-    if control is None:
-        return None
-    return {"by_torque": control.frame != "dq", "feedforward": control.feedforward}
+def _form(solution: Solution, found: StartUp) -> StartupForm:
+    """What the C of a start depends on."""
+    control, references = phase_control_of(solution), solution.gains.references
+    code, hears = estimator_at_speed(solution.gains)
+    steps = () if references is None else (references.torque_step, references.current_step)
+    return StartupForm(
+        code,
+        low="" if found.low is None else found.low.tracker.code,
+        hears=hears,
+        feedforward=None if control is None else control.feedforward,
+        by_torque=control is not None and control.frame != "dq",
+        moving=tuple(map(math.isfinite, steps)) or (False, False),
+    )
 
 
 def start_up_files(solution: Solution, found: StartUp) -> dict[str, bytes]:
@@ -144,31 +122,24 @@ def start_up_files(solution: Solution, found: StartUp) -> dict[str, bytes]:
         solution: The solved design.
         found: Its start.
     """
-    design, gains = solution.design, solution.gains
-    prefix = design.export.prefix
-    code, hears = estimator_at_speed(gains)
-    references = gains.references
+    prefix = solution.design.export.prefix
+    form, settings = _form(solution, found), startup_settings(found.plan)
+    files = ["control", "observer", *(["start_observer"] if found.low is not None else [])]
     context: PlainData = {
-        **title(design),
+        **title(solution.design),
+        "part": "startup",
+        "subject": "from standstill to speed without an encoder,",
         "preamble": _preamble(found, prefix),
-        "code": code,
-        "hears": hears,
-        "phases": phase_parts(solution),
-        "low": "" if found.low is None else found.low.tracker.code,
-        "members": MEMBERS,
-        "settings": _setting_lines(found),
-        "dynamic": None
-        if references is None
-        else {
-            "torque_step": references.torque_step
-            if math.isfinite(references.torque_step)
-            else None,
-            "current_step": references.current_step
-            if math.isfinite(references.current_step)
-            else None,
-        },
+        "includes": [
+            *(f'"{prefix}_{name}.h"' for name in files),
+            "<math.h> /* sqrtf, fabsf */",
+            "<stdbool.h>",
+            "<stdint.h>",
+        ],
+        "body": startup_text(form, settings, prefix, prefix.upper()),
+        "vectors": False,
     }
-    return {f"{prefix}_startup.h": render("start_up/startup.h.j2", context).encode("ascii")}
+    return {f"{prefix}_startup.h": render("c_code/header.h.j2", context).encode("ascii")}
 
 
 def start_observer_files(solution: Solution, found: StartUp) -> dict[str, bytes]:
@@ -227,8 +198,8 @@ SEEN = 7  # Columns before the settings: start flag, i_a, i_b, i_c, v_dc, refere
 OUTPUTS = 13
 HEARING = SEEN + 1  # The same with the mean sum of the phase voltages behind them.
 _LENGTH = 440
-_ZERO = F(0.0)
-_REST, _OVER = 8, (State.IDLE, State.FAULT)  # samples at rest after which nothing follows
+_ZERO = np.float32(0.0)
+_REST, _OVER = 8, (StartupState.IDLE, StartupState.FAULT)  # samples at rest after which nothing follows
 _QUICK = 3.0  # samples in which the whole torque reaches the hand-over
 
 _SHORT = {
@@ -440,9 +411,9 @@ def _outputs(run: StartUpRun, duty: tuple[float, ...], gate: int) -> list[float]
         float(drive.fault),
         float(drive.theta_e),
         float(drive.omega_e),
-        float(scalar(drive.observer.theta_e)),
+        float(drive.observer.theta_e),
         float(drive.reference),
-        *(float(x) for x in drive.made),
+        *(float(x) for x in drive.control.v),
         float(drive.emf),
     ]
 
@@ -472,11 +443,11 @@ def recorded(model: StartUpModel, v_dc: float) -> tuple[SingleArray, SingleArray
                 u = _ZERO
                 if model.hears:
                     flux = plant.sum_flux(model.gains)
-                    u = F((flux - before) / plant.t_s) if k not in sequence.deaf else F("nan")
+                    u = np.float32((flux - before) / plant.t_s if k not in sequence.deaf else math.nan)
                     before = flux
                     row.append(float(u))
-                i_a, i_b, i_c = (F(x) for x in row[1:4])
-                duty, gate = run.step((i_a, i_b, i_c), F(row[4]), F(row[5]), int(row[6]), u)
+                i_a, i_b, i_c, link, reference = map(np.float32, row[1:6])
+                duty, gate = run.step((i_a, i_b, i_c), link, reference, int(row[6]), u)
                 inputs.append([*row, *tail])
                 outputs.append(_outputs(run, duty, gate))
                 plant.go(*waiting, sequence)
@@ -492,123 +463,21 @@ def recorded(model: StartUpModel, v_dc: float) -> tuple[SingleArray, SingleArray
     )
 
 
-# The members of ``<prefix>_startup_settings_t`` and their values: a plan in samples, as numbers of
-# single precision.
-
-METHODS = ("i-f", "v-f", "direct", "saliency")  # In the order of their numbers in the C code.
-
-# In the order of their numbers in the C code.
-ALIGNMENTS = ("none", "one-step", "two-step", "voltage")
+# The members of ``<prefix>_startup_settings_t``.
 
 
 @dataclass(frozen=True, slots=True)
-class Member:
-    """One member: its C type (``float`` or ``uint32_t``), and its value by the plan."""
+class SettingMember:
+    """One member: its name, and whether it is a whole number."""
 
     name: str
-    comment: str
-    value: Callable[[StartUpPlan], float]
-    whole: bool = False
-
-    @property
-    def kind(self) -> str:
-        """Its C type."""
-        return "uint32_t" if self.whole else "float"
+    whole: bool
 
 
-def _samples(time: float, plan: StartUpPlan, least: int = 1) -> int:
-    return max(least, min(round(time / plan.t_s), 2**31 - 1))
-
-
-def _share(time: float, plan: StartUpPlan) -> float:
-    """Share of a new sample in a filter of a time constant in s."""
-    return -math.expm1(-plan.t_s / time)
-
-
-def _count(name: str, comment: str, time: Callable[[StartUpPlan], float]) -> Member:
-    return Member(name, comment, lambda plan: _samples(time(plan), plan), whole=True)
-
-
-# The members in the order of the C structure.
-MEMBERS: tuple[Member, ...] = (
-    Member("method", "0 I-f, 1 V/f, 2 direct, 3 saliency", lambda p: METHODS.index(p.method), True),
-    Member(
-        "alignment",
-        "0 none, 1 one step, 2 two steps, 3 voltage",
-        lambda p: ALIGNMENTS.index(p.alignment),
-        True,
-    ),
-    Member("flying", "1: look for a rotor that turns already", lambda p: int(p.flying), True),
-    Member("retries", "further tries after a failed start", lambda p: p.retries, True),
-    _count("align_samples", "duration of the alignment", lambda p: p.align_time),
-    _count("agree_samples", "the observer's speed agrees for so long", lambda p: p.agree_time),
-    _count("patience_samples", "beyond the planned end", lambda p: p.patience),
-    _count("fade_samples", "in which the held current goes", lambda p: p.fade_time),
-    _count("stall_samples", "too slow for so long", lambda p: p.stall_time),
-    _count("settled_samples", "above ratio_above for so long", lambda p: p.ratio_settled),
-    _count("ratio_samples", "EMF outside its limits for so long", lambda p: p.ratio_time),
-    _count("wait_samples", "without current before the next try", lambda p: p.retry_pause),
-    _count("search_samples", "to find the axis by saliency", lambda p: p.search_time),
-    _count("polarity_samples", "per side of the axis", lambda p: p.polarity_time),
-    _count("catch_samples", "longest pulse of a flying start", lambda p: p.catch_longest),
-    Member("pause_samples", "between two of them", lambda p: _samples(p.catch_pause, p, 3), True),
-    Member("t_s", "sampling period, s", lambda p: p.t_s),
-    Member("r_s_Ohm", "phase resistance", lambda p: p.r_s),
-    Member("l_d_H", "", lambda p: p.l_d),
-    Member("l_q_H", "", lambda p: p.l_q),
-    Member("psi_pm_Wb", "", lambda p: p.psi_pm),
-    Member("torque_per_A", "3/2 p psi_pm, N m/A", lambda p: p.torque_per_ampere),
-    Member(
-        "reluctance", "3/2 p (L_d - L_q), N m/A^2", lambda p: 1.5 * p.pole_pairs * (p.l_d - p.l_q)
-    ),
-    Member("align_A", "current of the alignment", lambda p: p.align_current),
-    Member("align_V", "voltage of the alignment", lambda p: p.align_voltage),
-    Member(
-        "align_rise", "per sample, 0 to 1 in half of it", lambda p: 2.0 / _samples(p.align_time, p)
-    ),
-    Member("align_damping", "A against the turning rotor per rad/s", lambda p: p.align_damping),
-    Member("align_share", "of a new sample in its speed", lambda p: _share(p.align_filter, p)),
-    Member("ramp_A", "current of the ramp", lambda p: p.ramp_current),
-    Member(
-        "ramp_A_step",
-        "its change per sample",
-        lambda p: p.current_limit * p.t_s / min(0.05, p.align_time or 0.05),
-    ),
-    Member("ramp_step", "acceleration, rad/s per sample", lambda p: p.ramp_acceleration * p.t_s),
-    Member(
-        "ramp_jerk",
-        "change of ramp_step per sample",
-        lambda p: p.ramp_acceleration * p.t_s / _samples(p.ramp_rise, p),
-    ),
-    Member("boost_V", "voltage of the voltage ramp at rest", lambda p: p.boost),
-    Member("damping", "rad/s per V of active voltage above its mean", lambda p: p.damping),
-    Member("mean_share", "of that mean, 50 ms", lambda p: _share(0.05, p)),
-    Member("hand_over", "the observer rules from here, rad/s", lambda p: p.hand_over),
-    Member("mix_from", "its angle counts from here", lambda p: p.mix_from),
-    Member("back_below", "it rules no more below, rad/s", lambda p: p.back_below),
-    Member("ramp_end", "the ramp ends here, rad/s", lambda p: p.ramp_end),
-    Member("agree_share", "of the speed of the ramp", lambda p: p.agree_share),
-    Member("held_A", "d current until the observer rules", lambda p: p.held_current),
-    Member(
-        "run_step", "slope of the reference, rad/s per sample", lambda p: p.run_acceleration * p.t_s
-    ),
-    Member("stall_below", "rad/s", lambda p: p.stall_below),
-    Member("ratio_above", "the EMF is looked at above, rad/s", lambda p: p.ratio_above),
-    Member("ratio_low", "least EMF over omega psi", lambda p: p.ratio_low),
-    Member("ratio_high", "largest EMF over omega psi", lambda p: p.ratio_high),
-    Member("ratio_share", "of a new sample in its filter", lambda p: _share(p.ratio_filter, p)),
-    Member("trip_A", "overcurrent", lambda p: p.trip_current),
-    Member("v_dc_min_V", "undervoltage; 0: not looked at", lambda p: p.v_dc_min),
-    Member("catch_A", "current that a pulse should reach", lambda p: p.catch_current),
-    Member("catch_slow", "slower asks for a third pulse, rad/s", lambda p: 0.5 * p.base_speed),
-    Member("catch_least", "slower is at rest, rad/s", lambda p: p.catch_least),
-    Member("mix_step", "change of the observer's share per sample", lambda p: p.t_s / p.agree_time),
-    Member(
-        "polarity_share",
-        "least difference of the ripples over their sum",
-        lambda p: p.polarity_share,
-    ),
-    Member("polarity_A", "current of the test of the polarity", lambda p: p.polarity_current),
+# In the order of the C structure.
+MEMBERS: tuple[SettingMember, ...] = tuple(
+    SettingMember(member.name, kind_of(StartupSettings, member.name) != "float")
+    for member in fields(StartupSettings)
 )
 
 
@@ -618,10 +487,7 @@ def settings_of(plan: StartUpPlan) -> dict[str, float]:
     Args:
         plan: What the start needs.
     """
-    return {
-        member.name: int(member.value(plan)) if member.whole else float(member.value(plan))
-        for member in MEMBERS
-    }
+    return asdict(startup_settings(plan))
 
 
 def settings_bytes(plan: StartUpPlan) -> bytes:
@@ -633,125 +499,3 @@ def settings_bytes(plan: StartUpPlan) -> bytes:
     values = settings_of(plan)
     form = "".join("I" if member.whole else "f" for member in MEMBERS)
     return struct.pack(f"={form}", *(values[member.name] for member in MEMBERS))
-
-
-# The step of the start-up in single precision, as ``step.j2`` has it.
-
-_HALF = F(0.5)
-
-
-_MOST = 2_147_483_647
-
-
-def _guard(phases: Phases, i: Vector, v_dc: Any, wanted: Any, run: int) -> None:
-    """As ``<prefix>_startup_guard``."""
-    model, s, drive = phases.model, phases.s, phases.drive
-    square = (i[0] * i[0]) + (i[1] * i[1])
-    told = square < F(1e30) and abs(v_dc) < F(1e15) and abs(wanted) < F(1e15)
-    resting = drive.state in RESTING
-    if run == 0:
-        low = drive.state == State.LOW and s.method == 3
-        moving = (
-            drive.state == State.RUN
-            or (drive.state == State.RAMP and abs(drive.omega_e) > _ZERO)
-            or (low and (abs(drive.reference) > _ZERO or abs(drive.omega_e) > F(0.1) * s.hand_over))
-        )
-        if not moving:
-            off(model, drive, State.IDLE)
-            drive.fault, drive.tries = Fault.NO_FAULT, 0
-    if not resting:
-        if drive.state == State.IDLE:
-            return
-        if not told:
-            trip(model, s, drive, Fault.SAMPLE)
-        elif square > s.trip_A * s.trip_A:
-            trip(model, s, drive, Fault.OVERCURRENT)
-        elif v_dc < s.v_dc_min_V:
-            trip(model, s, drive, Fault.UNDERVOLTAGE)
-    elif run != 0 and told:
-        waited = drive.state == State.WAIT and drive.time >= s.wait_samples
-        if drive.state == State.IDLE or waited:
-            phases.begin(wanted)
-
-
-class StartUpRun:
-    """One drive that starts, step by step; ``settings`` None for those of the model."""
-
-    def __init__(self, model: StartUpModel, settings: dict[str, float] | None = None) -> None:
-        """As ``<prefix>_startup_init``."""
-        own = Settings(model.settings if settings is None else settings)
-        self.model, self.drive = model, first_drive(model)
-        self.phases = Phases(model, own, self.drive)
-
-    def _estimate(self, acted: Vector, current: Vector, u: Any) -> None:
-        model, s, drive = self.model, self.phases.s, self.drive
-        if model.low is not None:
-            done = (drive.state == State.SEARCH and drive.time >= s.search_samples) or (
-                drive.state == State.POLARITY and drive.time >= 2 * s.polarity_samples
-            )
-            if done:
-                self.phases.found()
-            if drive.state in (State.SEARCH, State.POLARITY) or (
-                drive.state == State.LOW and s.method == 3
-            ):
-                tracker, gains = model.low
-                assert drive.low is not None
-                drive.low = tracker.step(gains, drive.low, pair(*acted), pair(*current), (), SINGLE)
-                drive.control.added = drive.low.added
-        if model.hears and drive.state == State.RAMP and drive.agreed == 0:
-            follow_ramp(model, s, drive)
-        if drive.state in (State.RAMP, State.LOW, State.RUN):
-            drive.observer = observer_step(model, drive.observer, acted, current, u)
-
-    def _watch(self, acted: Vector, current: Vector, wanted: Any) -> Duties:
-        """Speed-driven changes; the currents for the controllers."""
-        drive, phases = self.drive, self.phases
-        seen = phases.phases
-        if drive.state == State.RAMP:
-            phases.watch_ramp(current, wanted)
-        elif drive.state == State.LOW:
-            if self.model.low is not None and phases.s.method == 3:
-                seen = phases.mix()
-            else:
-                drive.theta_e = scalar(drive.observer.theta_e)
-                drive.omega_e = scalar(drive.observer.omega_e)
-            phases.watch_low()
-        elif drive.state == State.RUN:
-            phases.watch_run(acted, current)
-        return seen
-
-    def step(
-        self, i: Duties, v_dc: Any, reference: Any, run: int, u: Any = _ZERO
-    ) -> tuple[Duties, int]:
-        """Duty cycles and whether there are gate pulses, as ``<prefix>_startup_step``; ``u`` in V
-        is the mean sum of the phase voltages, for a tracker that is told it.
-        """
-        drive, phases, s = self.drive, self.phases, self.phases.s
-        acted, current = drive.acted, vector_of(i)
-        wanted = phases.pole_pairs * F(reference) if run != 0 else _ZERO
-        phases.phases, phases.v_dc = i, F(v_dc)
-        duty: Duties = (_HALF, _HALF, _HALF)
-        shorted = True
-        drive.acted = drive.made
-        _guard(phases, current, F(v_dc), wanted, run)
-        if drive.state == State.CATCH:
-            shorted = phases.catch(current)
-        if drive.state == State.ALIGN and (drive.time >= s.align_samples or s.alignment == 0):
-            phases.aligned(current, wanted)
-        self._estimate(acted, current, u)
-        seen = self._watch(acted, current, wanted)
-        if drive.state == State.ALIGN:
-            duty = phases.align(current, acted)
-        elif drive.state == State.RAMP:
-            duty = phases.ramp(current, acted, wanted)
-        elif drive.state in (State.SEARCH, State.POLARITY):
-            duty = phases.search(current)
-        elif drive.state == State.LOW:
-            duty = phases.speed(seen, wanted)
-        elif drive.state == State.RUN:
-            drive.theta_e = scalar(drive.observer.theta_e)
-            drive.omega_e = scalar(drive.observer.omega_e)
-            duty = phases.speed(seen, _ZERO if wanted * drive.omega_e < _ZERO else wanted)
-        resting = drive.state in RESTING or (drive.state == State.CATCH and not shorted)
-        drive.time = min(drive.time + 1, _MOST)
-        return duty, 0 if resting else 1

@@ -18,7 +18,7 @@ from dqforge.reports.observers.tracker_header import (
     tracker_programme,
 )
 from dqforge.reports.phase_control.emitted_integers import emitted_control_from
-from dqforge.reports.start_up.float32_model import StartUpModel
+from dqforge.reports.start_up.float32_reading import StartUpModel
 from dqforge.reports.start_up.header import HEARING, LOW_FILE, MEMBERS, OUTPUTS, SEEN, recorded
 
 if TYPE_CHECKING:

@@ -36,7 +36,8 @@ from dqforge.reports.simulation.design_run import (
     spans,
 )
 from dqforge.reports.simulation.recorded_run import Simulator, simulate, simulator
-from dqforge.reports.start_up.float32_model import Fault, State
+from dqforge.optimizer.start_up.records import StartupFault as Fault
+from dqforge.optimizer.start_up.records import StartupState as State
 from dqforge.reports.start_up.header import plain_start_up
 from dqforge.reports.start_up.tried import start_up_from, start_up_programme
 from dqforge.reports.verification.cortex_m import run_on_target
