@@ -224,16 +224,13 @@ class StartupPhases(StartupParts):
         """Speed and angle from the currents of two pulses."""
         passed = o.let("passed", drive.length + pause)
         time = o.let("time", o.real(passed) * settings.t_s)
-        now = o.let("now", o.call(self.angle, current))
-        before = o.let("before", o.call(self.angle, drive.first))
-        turn = o.let("turn", o.wrap(now - before))
+        risen = o.call(self.angle, current) - o.call(self.angle, drive.first)
+        turn = o.let("turn", o.wrap(risen))
         third = o.equal(drive.pulse, _TWO_PULSES)
         gap = o.choose(third, drive.omega_e * time - turn, o.full(0.0, turn))
         missed = o.let("missed", gap)
         omega = o.let("omega", (turn + (missed - o.wrap(missed))) / time)
         drive.omega_e = omega
-        length = settings.t_s * o.real(drive.length)
-        drive.theta_e = now - o.call(self.shorted, settings, omega, length)
         one = o.equal(drive.pulse, _ONE_PULSE)
         slow = one & (o.magnitude(omega) < settings.catch_slow)
 
@@ -245,6 +242,9 @@ class StartupPhases(StartupParts):
             drive.pulse = _KNOWN
 
         o.cases("", (slow, again), otherwise=known, changing=(drive,))
+        length = settings.t_s * o.real(drive.length)
+        lag = o.call(self.shorted, settings, drive.omega_e, length)
+        drive.theta_e = o.call(self.angle, current) - lag
 
     def against(
         self, o: Arithmetic, settings: StartupSettings, drive: Startup, i: Dq, v: Dq
@@ -470,9 +470,8 @@ class StartupPhases(StartupParts):
         by_saliency = started_by(o, settings, "saliency")
         over = found >= settings.hand_over
         if drive.share is not None:
-            whole = o.let("whole", drive.share >= 1.0)
-            fast = o.let("fast", over)
-            over = o.let("over", (by_saliency & whole) | (o.negated(by_saliency) & fast))
+            whole, fast = drive.share >= 1.0, over
+            over = o.cases("over", (by_saliency, lambda: whole), otherwise=lambda: fast)
 
         def fades() -> None:
             held, zero = drive.control.held, o.full(0.0, asked)

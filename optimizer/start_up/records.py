@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
@@ -159,7 +159,8 @@ class StartupSample:
     ]
 
 
-class StartupOutput(NamedTuple):
+@dataclass(slots=True)
+class StartupOutput:
     """What the inverter does from the next sampling instant on, for one period."""
 
     duty: Annotated[Abc, Member("duty cycles 0 to 1 of the upper switches")]

@@ -24,7 +24,7 @@ from dqforge.optimizer.start_up.records import (
     StartupSettings,
     StartupState,
 )
-from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Arithmetic
+from dqforge.optimizer.steps.step_arithmetic import AlphaBeta, Arithmetic
 
 # Beyond these a squared current in A^2, and a voltage in V or a speed, count as unknown; so does
 # not-a-number.
@@ -152,6 +152,8 @@ class StartupSteps(StartupPhases):
         asked = o.choose(o.negated(o.equal(run, 0)), gains.pole_pairs * reference, zero)
         wanted = o.let("wanted", asked)
         measured = o.let("measured", Measured(sample.i, drive.theta_e, zero, sample.v_dc))
+        half = o.full(0.5, reference)
+        output = o.let("output", StartupOutput(self.duty(half, half, half), 1))
         o.remark("computed one period ago: it acts from now on")
         drive.acted = drive.control.v
         o.call(self.guard, settings, drive, current, sample.v_dc, wanted, run)
@@ -173,12 +175,15 @@ class StartupSteps(StartupPhases):
         )
         self._estimate(o, settings, estimators, drive, sample, (acted, current))
         self._watch(o, gains, settings, drive, measured, (acted, current), wanted)
-        duty = self._acts(o, gains, settings, drive, measured, (acted, current), wanted)
-        rests = o.call(self.resting, drive)
-        caught = _is(o, drive, StartupState.CATCH) & o.negated(shorted)
-        gate = o.let("gate", o.choose(rests | caught, o.full(0, drive.time), o.full(1, drive.time)))
+        self._acts(o, gains, settings, drive, (measured, output), (acted, current), wanted)
+
+        def rests() -> None:
+            output.gate = 0
+
+        open_ = _is(o, drive, StartupState.CATCH) & o.negated(shorted)
+        where(o, o.call(self.resting, drive) | open_, rests, output)
         drive.time = o.choose(drive.time < _LONGEST, drive.time + 1, drive.time)
-        return StartupOutput(duty, gate)
+        return output
 
     def _estimate(
         self,
@@ -283,41 +288,35 @@ class StartupSteps(StartupPhases):
         gains: ControlGains,
         settings: StartupSettings,
         drive: Startup,
-        measured: Measured,
+        samples: tuple[Measured, StartupOutput],
         seen: tuple[AlphaBeta, AlphaBeta],
         wanted: Reals,
-    ) -> Abc:
+    ) -> None:
         """Duty cycles of the phase."""
-        acted, current = seen
+        (measured, output), (acted, current) = samples, seen
 
-        def align() -> Abc:
-            return o.call(self.align, gains, settings, drive, measured, acted)
+        def align() -> None:
+            output.duty = o.call(self.align, gains, settings, drive, measured, acted)
 
-        def ramp() -> Abc:
-            return o.call(self.ramp, gains, settings, drive, measured, acted, wanted)
+        def ramp() -> None:
+            output.duty = o.call(self.ramp, gains, settings, drive, measured, acted, wanted)
 
-        def search() -> Abc:
-            return o.call(self.search, gains, settings, drive, measured, current)
+        def search() -> None:
+            output.duty = o.call(self.search, gains, settings, drive, measured, current)
 
-        def low() -> Abc:
-            return o.call(self.speed, gains, settings, drive, measured, wanted)
+        def low() -> None:
+            output.duty = o.call(self.speed, gains, settings, drive, measured, wanted)
 
-        def runs() -> Abc:
+        def runs() -> None:
             drive.theta_e = drive.observer.theta_e
             drive.omega_e = omega = o.let("omega", drive.observer.omega_e)
             back = (wanted * omega) < 0.0
-            aim = o.choose(back, o.full(0.0, wanted), wanted)
+            aim = o.let("aim", o.choose(back, o.full(0.0, wanted), wanted))
             o.remark(
                 "the way to the other direction leads through the phases below the observer's "
                 "speeds"
             )
-            return o.call(self.speed, gains, settings, drive, measured, aim)
-
-        def rests() -> Abc:
-            o.remark("no gate pulses")
-            half = o.full(0.5, wanted)
-            made: Abc = self.duty(half, half, half)
-            return made
+            output.duty = o.call(self.speed, gains, settings, drive, measured, aim)
 
         branches: dict[Any, Any] = {
             state_of(o, StartupState.ALIGN): align,
@@ -328,7 +327,9 @@ class StartupSteps(StartupPhases):
             branches[tuple(state_of(o, place) for place in places)] = search
         branches[state_of(o, StartupState.LOW)] = low
         branches[state_of(o, StartupState.RUN)] = runs
-        return o.switch("duty", drive.state, branches, rests, changing=(drive, measured))
+        rests = lambda: o.remark("no gate pulses")  # noqa: E731
+        changing = drive, measured, output
+        o.switch("", drive.state, branches, rests, changing=changing)
 
 
 def _is(o: Arithmetic, drive: Startup, state: StartupState) -> Any:

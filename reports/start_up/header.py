@@ -199,7 +199,10 @@ OUTPUTS = 13
 HEARING = SEEN + 1  # The same with the mean sum of the phase voltages behind them.
 _LENGTH = 440
 _ZERO = np.float32(0.0)
-_REST, _OVER = 8, (StartupState.IDLE, StartupState.FAULT)  # samples at rest after which nothing follows
+_REST, _OVER = (
+    8,
+    (StartupState.IDLE, StartupState.FAULT),
+)  # samples at rest after which nothing follows
 _QUICK = 3.0  # samples in which the whole torque reaches the hand-over
 
 _SHORT = {
@@ -443,7 +446,9 @@ def recorded(model: StartUpModel, v_dc: float) -> tuple[SingleArray, SingleArray
                 u = _ZERO
                 if model.hears:
                     flux = plant.sum_flux(model.gains)
-                    u = np.float32((flux - before) / plant.t_s if k not in sequence.deaf else math.nan)
+                    u = np.float32(
+                        (flux - before) / plant.t_s if k not in sequence.deaf else math.nan
+                    )
                     before = flux
                     row.append(float(u))
                 i_a, i_b, i_c, link, reference = map(np.float32, row[1:6])

@@ -43,7 +43,6 @@ from dqforge.reports.steps.record_text import (
     record_values,
     said,
     sentence,
-    struct,
 )
 from dqforge.reports.steps.symbols import Expression
 
@@ -89,6 +88,7 @@ def startup_text(form: StartupForm, settings: StartupSettings, prefix: str, macr
     """
     drive, duty = _drive(form), Abc if form.feedforward is None else Duties
     sample = StartupSample(Abc(_NUMBER, _NUMBER, _NUMBER), _NUMBER, _NUMBER if form.hears else None)
+    output = StartupOutput(duty(_NUMBER, _NUMBER, _NUMBER), _NUMBER)
     functions = _functions(form, settings, drive, sample, prefix, duty)
     known = {c_name(type(record)) for record, _ in leaves(drive)} - {"startup"}
     known |= {"control", "references"}
@@ -96,7 +96,7 @@ def startup_text(form: StartupForm, settings: StartupSettings, prefix: str, macr
         *_enumerations(prefix, macro),
         *record_structs(settings, prefix),
         *record_structs(sample, prefix),
-        _output(prefix, c_name(duty)),
+        *record_structs(output, prefix),
         *record_structs(drive, prefix, known=known),
         _constants(settings, prefix, macro),
         *([text] for text in functions.texts.values()),
@@ -226,18 +226,6 @@ def _enumerations(prefix: str, macro: str) -> Iterator[list[str]]:
             *lines,
             f"}} {prefix}_{c_name(kind)}_t;",
         ]
-
-
-def _output(prefix: str, duty: str) -> list[str]:
-    """The type of the result."""
-    members = [
-        (f"{prefix}_{duty}_t duty", said(StartupOutput, "duty")),
-        ("uint32_t gate", said(StartupOutput, "gate")),
-    ]
-    return [
-        *comment(sentence(StartupOutput)),
-        *struct(f"{prefix}_{c_name(StartupOutput)}_t", members),
-    ]
 
 
 def _constants(settings: StartupSettings, prefix: str, macro: str) -> list[str]:

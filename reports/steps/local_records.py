@@ -1,4 +1,4 @@
-"""Records that a function of the C keeps for itself, and results with vectors in them."""
+"""Records that a function of the C keeps for itself."""
 
 from __future__ import annotations
 
@@ -8,18 +8,17 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from dqforge.optimizer.steps.step_arithmetic import Arithmetic
 from dqforge.reports.steps.blocks import Block
-from dqforge.reports.steps.record_text import c_name, kind_fields, kind_of, whole_of
-from dqforge.reports.steps.state_text import handed_on
+from dqforge.reports.steps.record_text import c_name, whole_of
 from dqforge.reports.steps.step_reader import StepReader
-from dqforge.reports.steps.symbols import Condition, Expression, expression
+from dqforge.reports.steps.symbols import Condition, Expression
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
 
 class RecordReader(StepReader):
-    """A reader whose functions declare records by `let`, in their outermost block, and return
-    vectors that hold others.
+    """A reader whose functions declare records by `let`, in their outermost block; they change
+    them, hand them on by their address and return them.
     """
 
     def inside(self, function: Callable[..., Any], names: Sequence[str]) -> StepReader:  # noqa: ARG002
@@ -67,24 +66,20 @@ class RecordReader(StepReader):
             self._open.uses[0] = 0
         return found
 
+    def write_state(self) -> None:
+        """Write what the step has made of its state, vectors of calls as a whole."""
+        for kept in self._kept:
+            if kept.set_to is not kept.value:
+                _written(kept.set_to)
+        super().write_state()
+
     def returned(self, result: Any, into: Sequence[str] = ()) -> tuple[str, list[str]]:
         """Type of what a function returns, and the statements that return it."""
-        if not (isinstance(result, tuple) and any(isinstance(part, tuple) for part in result)):
+        place = self._place(result)
+        if place is None:
             return super().returned(result, into)
-        end, kind = Block(self.block.indent, set()), self.type_name(c_name(type(result)))
-        self.block.lines.insert(0, f"{self.block.indent}{kind} result;")
-        for name, part in zip(kind_fields(result), result, strict=True):
-            own = kind_of(type(result), name, self.prefix)
-            numbers = (
-                [expression(number, own) for number in part] if isinstance(part, tuple) else []
-            )
-            numbers = numbers or [expression(part, own)]
-            self.take(numbers)
-            end.add(
-                f"result.{name} = ", numbers[0].bare() if len(numbers) == 1 else handed_on(part)
-            )
-        end.lines.append(f"{self.block.indent}return result;")
-        return kind, end.lines
+        name = place[0].removeprefix("&")
+        return self.type_name(c_name(type(result))), [f"{self.block.indent}return {name};"]
 
 
 def _written(value: Any) -> None:
