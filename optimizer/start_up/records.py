@@ -97,22 +97,22 @@ class StartupSettings:
     catch_samples: Annotated[Any, Member("longest pulse of a flying start", whole=True)]
     pause_samples: Annotated[Any, Member("between two of them", whole=True)]
     t_s: Annotated[Reals, Member("sampling period, s")]
-    r_s_Ohm: Annotated[Reals, Member("phase resistance")]
-    l_d_H: Reals
-    l_q_H: Reals
-    psi_pm_Wb: Reals
-    torque_per_A: Annotated[Reals, Member("3/2 p psi_pm, N m/A")]
+    r_s_Ohm: Annotated[Reals, Member("phase resistance")]  # noqa: N815
+    l_d_H: Reals  # noqa: N815
+    l_q_H: Reals  # noqa: N815
+    psi_pm_Wb: Reals  # noqa: N815
+    torque_per_A: Annotated[Reals, Member("3/2 p psi_pm, N m/A")]  # noqa: N815
     reluctance: Annotated[Reals, Member("3/2 p (L_d - L_q), N m/A^2")]
-    align_A: Annotated[Reals, Member("current of the alignment")]
-    align_V: Annotated[Reals, Member("voltage of the alignment")]
+    align_A: Annotated[Reals, Member("current of the alignment")]  # noqa: N815
+    align_V: Annotated[Reals, Member("voltage of the alignment")]  # noqa: N815
     align_rise: Annotated[Reals, Member("per sample, 0 to 1 in half of it")]
     align_damping: Annotated[Reals, Member("A against the turning rotor per rad/s")]
     align_share: Annotated[Reals, Member("of a new sample in its speed")]
-    ramp_A: Annotated[Reals, Member("current of the ramp")]
-    ramp_A_step: Annotated[Reals, Member("its change per sample")]
+    ramp_A: Annotated[Reals, Member("current of the ramp")]  # noqa: N815
+    ramp_A_step: Annotated[Reals, Member("its change per sample")]  # noqa: N815
     ramp_step: Annotated[Reals, Member("acceleration, rad/s per sample")]
     ramp_jerk: Annotated[Reals, Member("change of ramp_step per sample")]
-    boost_V: Annotated[Reals, Member("voltage of the voltage ramp at rest")]
+    boost_V: Annotated[Reals, Member("voltage of the voltage ramp at rest")]  # noqa: N815
     damping: Annotated[Reals, Member("rad/s per V of active voltage above its mean")]
     mean_share: Annotated[Reals, Member("of that mean, 50 ms")]
     hand_over: Annotated[Reals, Member("the observer rules from here, rad/s")]
@@ -120,21 +120,21 @@ class StartupSettings:
     back_below: Annotated[Reals, Member("it rules no more below, rad/s")]
     ramp_end: Annotated[Reals, Member("the ramp ends here, rad/s")]
     agree_share: Annotated[Reals, Member("of the speed of the ramp")]
-    held_A: Annotated[Reals, Member("d current until the observer rules")]
+    held_A: Annotated[Reals, Member("d current until the observer rules")]  # noqa: N815
     run_step: Annotated[Reals, Member("slope of the reference, rad/s per sample")]
     stall_below: Annotated[Reals, Member("rad/s")]
     ratio_above: Annotated[Reals, Member("the EMF is looked at above, rad/s")]
     ratio_low: Annotated[Reals, Member("least EMF over omega psi")]
     ratio_high: Annotated[Reals, Member("largest EMF over omega psi")]
     ratio_share: Annotated[Reals, Member("of a new sample in its filter")]
-    trip_A: Annotated[Reals, Member("overcurrent")]
-    v_dc_min_V: Annotated[Reals, Member("undervoltage; 0: not looked at")]
-    catch_A: Annotated[Reals, Member("current that a pulse should reach")]
+    trip_A: Annotated[Reals, Member("overcurrent")]  # noqa: N815
+    v_dc_min_V: Annotated[Reals, Member("undervoltage; 0: not looked at")]  # noqa: N815
+    catch_A: Annotated[Reals, Member("current that a pulse should reach")]  # noqa: N815
     catch_slow: Annotated[Reals, Member("slower asks for a third pulse, rad/s")]
     catch_least: Annotated[Reals, Member("slower is at rest, rad/s")]
     mix_step: Annotated[Reals, Member("change of the observer's share per sample")]
     polarity_share: Annotated[Reals, Member("least difference of the ripples over their sum")]
-    polarity_A: Annotated[Reals, Member("current of the test of the polarity")]
+    polarity_A: Annotated[Reals, Member("current of the test of the polarity")]  # noqa: N815
 
 
 @dataclass(slots=True)

@@ -23,6 +23,7 @@ from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.optimizer.start_up.records import StartupFault, StartupState
 from dqforge.reports.fixed_observers.fixed_observer_header import fixed_observer_files
 from dqforge.reports.main_header import header_files
 from dqforge.reports.observers.position_header import observer_files
@@ -54,7 +55,6 @@ from dqforge.reports.single_headers.application import application_files
 from dqforge.reports.single_headers.field_weakening import weakening_files
 from dqforge.reports.single_headers.fixed_reference import reference_files
 from dqforge.reports.single_headers.speed_measurement import measurement_files
-from dqforge.optimizer.start_up.records import StartupFault, StartupState
 from dqforge.reports.start_up.header import every_start_file
 from dqforge.reports.waveforms.tables import waveform_files
 

@@ -364,9 +364,10 @@ class StartUpRun:
         sample = StartupSample(Abc(*i), v_dc, u if self.model.hears else None)
         before = self.gains, self.settings, self.model.gains
         behind = self.drive, sample, reference, run
-        if self.model.low is None:
-            found = self.steps.step(SINGLE, *before, *behind)
-        else:
-            low = self.model.low[1]
-            found = self.steps.step_from_standstill(SINGLE, *before, low, *behind)
+        with np.errstate(all="ignore"):  # what a condition leaves out may be no number
+            if self.model.low is None:
+                found = self.steps.step(SINGLE, *before, *behind)
+            else:
+                low = self.model.low[1]
+                found = self.steps.step_from_standstill(SINGLE, *before, low, *behind)
         return found.duty, int(found.gate)

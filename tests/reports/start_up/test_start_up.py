@@ -17,14 +17,14 @@ from start_designs import INJECTION, start_design
 from static_checks import DEVIATIONS, program
 
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.optimizer.start_up.records import RESTING
+from dqforge.optimizer.start_up.records import StartupFault as Fault
+from dqforge.optimizer.start_up.records import StartupState as State
 from dqforge.reports.c_code.harness import single_from
 from dqforge.reports.control.header import plain_control
 from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.observers.position_header import emitted, plain_observer
 from dqforge.reports.simulation.design_run import controller_files
-from dqforge.optimizer.start_up.records import RESTING
-from dqforge.optimizer.start_up.records import StartupFault as Fault
-from dqforge.optimizer.start_up.records import StartupState as State
 from dqforge.reports.start_up.float32_reading import StartUpRun
 from dqforge.reports.start_up.header import (
     MEMBERS,
@@ -156,7 +156,12 @@ def test_a_sample_that_is_no_number_ends_in_a_named_fault_in_every_state(channel
                 assert np.isfinite([spoilt.drive.theta_e, spoilt.drive.omega_e]).all()
                 if met == set(State):
                     return
-            run.step(tuple(np.float32(x) for x in row[1:4]), np.float32(row[4]), np.float32(row[5]), int(row[6]))  # type: ignore[arg-type]
+            run.step(
+                tuple(np.float32(x) for x in row[1:4]),
+                np.float32(row[4]),
+                np.float32(row[5]),
+                int(row[6]),
+            )  # type: ignore[arg-type]
     assert met == set(State)
 
 
