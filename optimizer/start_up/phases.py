@@ -7,8 +7,8 @@ from typing import Any
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.float_control.records import ControlGains
-from dqforge.optimizer.start_up.parts import StartupParts, fault_of, state_of, where
-from dqforge.optimizer.start_up.records import (
+from dqforge.optimizer.start_up.start_parts import StartupParts, fault_of, state_of, where
+from dqforge.optimizer.start_up.start_records import (
     ALIGNMENTS,
     METHODS,
     Measured,

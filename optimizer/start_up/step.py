@@ -12,9 +12,9 @@ from typing import Any
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.float_control.records import ControlGains
-from dqforge.optimizer.start_up.parts import fault_of, state_of, where
 from dqforge.optimizer.start_up.phases import StartupPhases, aligned_by, started_by
-from dqforge.optimizer.start_up.records import (
+from dqforge.optimizer.start_up.start_parts import fault_of, state_of, where
+from dqforge.optimizer.start_up.start_records import (
     RESTING,
     Measured,
     Startup,

@@ -23,7 +23,7 @@ from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.optimizer.start_up.records import StartupFault, StartupState
+from dqforge.optimizer.start_up.start_records import StartupFault, StartupState
 from dqforge.reports.fixed_observers.fixed_observer_header import fixed_observer_files
 from dqforge.reports.main_header import header_files
 from dqforge.reports.observers.position_header import observer_files

@@ -15,14 +15,14 @@ from dqforge.machines.transforms import Pair, Reals
 from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.estimators import Tracker
 from dqforge.optimizer.float_control.records import Control, ControlGains, Pi
-from dqforge.optimizer.start_up.parts import Neighbours
-from dqforge.optimizer.start_up.records import (
+from dqforge.optimizer.start_up.start_parts import Neighbours
+from dqforge.optimizer.start_up.start_records import (
     Followed,
     FollowedFromRest,
     Measured,
+    Startup,
     StartupSample,
     StartupSettings,
-    blank,
 )
 from dqforge.optimizer.start_up.step import StartupSteps
 from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Arithmetic, Dq
@@ -352,7 +352,7 @@ class StartUpRun:
         pair = AlphaBeta(_ZERO, _ZERO)
         low = None if model.low is None else _EstimateFromRest(pair, pair, _ZERO, _ZERO)
         estimate = _Estimate(_ZERO, _ZERO)
-        self.drive = blank(around.control.at_rest(), estimate, low, _ZERO)
+        self.drive = Startup.blank(around.control.at_rest(), estimate, low, _ZERO)
         self.steps.init(SINGLE, self.drive)
 
     def step(

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.start_up.records import StartupSettings, StartupState
-from dqforge.optimizer.start_up.settings import startup_settings
+from dqforge.optimizer.start_up.start_records import StartupSettings, StartupState
 from dqforge.reports.c_code.harness import title
 from dqforge.reports.observers.float32_model import EmittedTracker
 from dqforge.reports.observers.tracker_header import plain_tracker_gains, tracker_files
@@ -123,7 +122,7 @@ def start_up_files(solution: Solution, found: StartUp) -> dict[str, bytes]:
         found: Its start.
     """
     prefix = solution.design.export.prefix
-    form, settings = _form(solution, found), startup_settings(found.plan)
+    form, settings = _form(solution, found), StartupSettings.of(found.plan)
     files = ["control", "observer", *(["start_observer"] if found.low is not None else [])]
     context: PlainData = {
         **title(solution.design),
@@ -492,7 +491,7 @@ def settings_of(plan: StartUpPlan) -> dict[str, float]:
     Args:
         plan: What the start needs.
     """
-    return asdict(startup_settings(plan))
+    return asdict(StartupSettings.of(plan))
 
 
 def settings_bytes(plan: StartUpPlan) -> bytes:

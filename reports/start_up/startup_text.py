@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import fields, make_dataclass
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass, make_dataclass
+from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 from dqforge.machines.names import Feedforward
 from dqforge.machines.records import dataclass
@@ -17,8 +17,8 @@ from dqforge.optimizer.float_control.records import (
     PiGains,
     References,
 )
-from dqforge.optimizer.start_up.parts import Neighbours
-from dqforge.optimizer.start_up.records import (
+from dqforge.optimizer.start_up.start_parts import Neighbours
+from dqforge.optimizer.start_up.start_records import (
     FAULTS,
     STATES,
     Followed,
@@ -29,13 +29,11 @@ from dqforge.optimizer.start_up.records import (
     StartupSample,
     StartupSettings,
     StartupState,
-    blank,
 )
 from dqforge.optimizer.start_up.step import StartupSteps
-from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Dq
+from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Arithmetic, Dq
 from dqforge.reports.c_code.numbers import comment_text
 from dqforge.reports.steps.blocks import Block, Functions
-from dqforge.reports.steps.local_records import RecordReader
 from dqforge.reports.steps.record_text import (
     c_name,
     comment,
@@ -43,8 +41,13 @@ from dqforge.reports.steps.record_text import (
     record_values,
     said,
     sentence,
+    whole_of,
 )
-from dqforge.reports.steps.symbols import Expression
+from dqforge.reports.steps.step_reader import StepReader
+from dqforge.reports.steps.symbols import Condition, Expression
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
 
 _NUMBER: Any = 0.0  # Stands for any, where names and types of members are asked for alone.
 
@@ -126,7 +129,7 @@ def _drive(form: StartupForm) -> Startup:
     )
     observer = _named(form.code, Followed)(_NUMBER, _NUMBER)
     low = _named(form.low, FollowedFromRest)(turn, turn, _NUMBER, _NUMBER) if form.low else None
-    return blank(control, observer, low, _NUMBER)
+    return Startup.blank(control, observer, low, _NUMBER)
 
 
 def _named(code: str, kind: type[Any], end: str = "") -> type[Any]:
@@ -240,3 +243,78 @@ def _constants(settings: StartupSettings, prefix: str, macro: str) -> list[str]:
         *lines,
         "};",
     ]
+
+
+# Records that a function of the C keeps for itself.
+
+
+class RecordReader(StepReader):
+    """A reader whose functions declare records by `let`, in their outermost block; they change
+    them, hand them on by their address and return them.
+    """
+
+    def inside(self, function: Callable[..., Any], names: Sequence[str]) -> StepReader:  # noqa: ARG002
+        """The reader of a function with parameters of these names."""
+        return RecordReader(self.prefix, self.functions, Block("    ", set(names)))
+
+    def _named(self, name: str, value: Any, meaning: str) -> Any:
+        if not is_dataclass(value) or isinstance(value, Condition):
+            return self._local(name, value, meaning)
+        self.block.take(name)
+        self.block.variable(self.type_name(c_name(type(value))), name)
+        found = self._record(value, f"&{name}", f"{name}.", frozenset())
+        for member in fields(value):
+            setattr(found, member.name, getattr(value, member.name))
+        self.write_state()
+        return found
+
+    def _local(self, name: str, value: Any, meaning: str) -> Any:
+        """A constant where declarations still stand, behind statements a variable that is set."""
+        vector = isinstance(value, tuple) and hasattr(value, "_fields")
+        if self.block.declared is None or not (vector or isinstance(value, Expression | Condition)):
+            found = super()._named(name, value, meaning)
+            _written(value)
+            return found
+        kind = self._kind(value)
+        self.block.take(name)
+        self.block.variable(kind, name)
+        self._assign(name, value)
+        return self.vector(type(value), name) if vector else self.number_of(name, kind)
+
+    def _assign(self, name: str, value: Any) -> None:
+        super()._assign(name, value)
+        _written(value)
+
+    def call(
+        self,
+        function: Callable[Concatenate[Arithmetic, _P], _T],
+        *args: _P.args,
+        **kwargs: _P.kwargs,
+    ) -> _T:
+        """A call, whose result may be a condition."""
+        found = super().call(function, *args, **kwargs)
+        if isinstance(found, Condition) and self._open is not None:
+            (self._open,) = found.terms
+            self._open.uses[0] = 0
+        return found
+
+    def write_state(self) -> None:
+        """Write what the step has made of its state, vectors of calls as a whole."""
+        for kept in self._kept:
+            if kept.set_to is not kept.value:
+                _written(kept.set_to)
+        super().write_state()
+
+    def returned(self, result: Any, into: Sequence[str] = ()) -> tuple[str, list[str]]:
+        """Type of what a function returns, and the statements that return it."""
+        place = self._place(result)
+        if place is None:
+            return super().returned(result, into)
+        name = place[0].removeprefix("&")
+        return self.type_name(c_name(type(result))), [f"{self.block.indent}return {name};"]
+
+
+def _written(value: Any) -> None:
+    """Count that a vector of a call has been written as a whole."""
+    if isinstance(value, tuple) and whole_of(value):
+        value[0].uses[0] += 1

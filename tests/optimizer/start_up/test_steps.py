@@ -16,13 +16,12 @@ from scipy.linalg import expm
 
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.float_control.records import NUMBERS, Control, ControlGains, Pi, PiGains
-from dqforge.optimizer.start_up.parts import Neighbours
-from dqforge.optimizer.start_up.records import (
+from dqforge.optimizer.start_up.start_parts import Neighbours
+from dqforge.optimizer.start_up.start_records import (
     Followed,
     Measured,
     Startup,
     StartupSettings,
-    blank,
 )
 from dqforge.optimizer.start_up.step import StartupSteps
 from dqforge.optimizer.steps.step_arithmetic import EXACT, Abc, AlphaBeta, Arithmetic, Dq
@@ -50,7 +49,7 @@ class _Told(Neighbours):
         return Abc(ZERO, ZERO, ZERO)
 
     def currents(self, torque: Reals) -> Iterable[Any]:
-        return ZERO, torque / 0.3
+        return -torque / 0.9, torque / 0.3
 
 
 def made(**changes: Any) -> StartupSettings:
@@ -79,7 +78,7 @@ def drive() -> Startup:
     control = Control(
         Pi(ZERO), Pi(ZERO), Pi(ZERO), pair, AlphaBeta(*pair), ZERO, ZERO, ZERO, held=pair
     )
-    found = blank(control, Followed(ZERO, ZERO), None, ZERO)
+    found = Startup.blank(control, Followed(ZERO, ZERO), None, ZERO)
     found.along = Dq(np.float64(1.0), ZERO)
     return found
 
@@ -124,7 +123,7 @@ def test_the_hand_over_keeps_current_and_voltage(omega: float) -> None:
     held = own.control.held
     assert held is not None
     # what the torque asks for and what is held are the current that flows
-    assert (held.d, held.q + torque / 0.3) == pytest.approx((i.real, i.imag))
+    assert (held.d - torque / 0.9, held.q + torque / 0.3) == pytest.approx((i.real, i.imag))
     assert own.control.torque == pytest.approx(torque)
     assert own.control.speed.integral == pytest.approx(torque)
     # integrals and decoupling are the voltage that acts, in the frame of its period's middle

@@ -19,8 +19,8 @@ from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.design.design import Design
 from dqforge.machines.plants.scenario import Profile, constant
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.optimizer.start_up.records import StartupFault as Fault
-from dqforge.optimizer.start_up.records import StartupState as State
+from dqforge.optimizer.start_up.start_records import StartupFault as Fault
+from dqforge.optimizer.start_up.start_records import StartupState as State
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.observers.float32_model import EmittedTracker

@@ -17,9 +17,9 @@ from start_designs import INJECTION, start_design
 from static_checks import DEVIATIONS, program
 
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.optimizer.start_up.records import RESTING
-from dqforge.optimizer.start_up.records import StartupFault as Fault
-from dqforge.optimizer.start_up.records import StartupState as State
+from dqforge.optimizer.start_up.start_records import RESTING
+from dqforge.optimizer.start_up.start_records import StartupFault as Fault
+from dqforge.optimizer.start_up.start_records import StartupState as State
 from dqforge.reports.c_code.harness import single_from
 from dqforge.reports.control.header import plain_control
 from dqforge.reports.current_reference.plain import to_plain

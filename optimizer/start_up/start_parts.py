@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, cast
 
 from dqforge.machines.names import Feedforward
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.float_control.records import Control, ControlGains
-from dqforge.optimizer.start_up.records import (
+from dqforge.optimizer.start_up.start_records import (
     Followed,
     FollowedFromRest,
     Measured,
@@ -200,7 +200,7 @@ class StartupParts:
         """The frame of the observer replaces that of the ramp: the current stays where it is, the
         controllers go on from it.
         """
-        control = drive.control
+        control, none = drive.control, cast("Any", 0)
         omega = o.let("omega", drive.observer.omega_e)
         theta = o.let("theta", drive.observer.theta_e)
         i = o.let("i", o.park(current, o.rotation(theta)))
@@ -218,7 +218,7 @@ class StartupParts:
         control.speed.integral = torque
         control.torque = torque
         control.omega_m = omega / gains.pole_pairs
-        control.count = 0
+        control.count = none
         if control.references is not None and control.references.torque is not None:
             control.references.torque = torque
         if control.references is not None and control.references.current is not None:
