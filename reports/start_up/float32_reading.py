@@ -4,9 +4,9 @@ emitted control and of the emitted estimators. The compiled C equals it bit for 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Pair, Reals
 from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.estimators import Tracker
-from dqforge.optimizer.float_control.records import Control, ControlGains, Pi
+from dqforge.optimizer.float_control.records import Control, ControlGains
 from dqforge.optimizer.start_up.start_parts import Neighbours
 from dqforge.optimizer.start_up.start_records import (
     Followed,
@@ -28,12 +28,14 @@ from dqforge.optimizer.start_up.step import StartupSteps
 from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Arithmetic, Dq
 from dqforge.reports.c_code.harness import wrap
 from dqforge.reports.control.header import ControlModel, gains_of
-from dqforge.reports.phase_control.float32_model import PhaseControlModel, PhaseControlState
+from dqforge.reports.phase_control.float32_model import PhaseControlModel
 
 if TYPE_CHECKING:
     from dqforge.optimizer.observers.parts import ObserverMethod
 
 _ZERO = np.float32(0.0)
+# Members that the state of the control over the angle shares with the other one.
+_SHARED = ("d", "q", "speed", "reference", "v", "omega_m", "torque", "count", "held")
 Phases = tuple[Any, Any, Any]
 
 
@@ -75,18 +77,16 @@ def _pair(x: Iterable[Any]) -> Pair[Any]:
     return Pair(*map(_array, x))
 
 
-def _copied(record: Any, of: Any) -> Any:
-    """A record with a function of each of its numbers."""
-    values: dict[str, Any] = {}
-    for member in fields(record):
-        value = getattr(record, member.name)
-        if is_dataclass(value):
-            values[member.name] = _copied(value, of)
-        elif isinstance(value, tuple):
-            values[member.name] = type(value)(*map(of, value))
-        else:
-            values[member.name] = None if value is None else of(value)
-    return replace(record, **values)
+def _of_numbers(value: Any, of: Callable[[Any], Any]) -> Any:
+    """A number, a vector or a record with a function of each of its numbers."""
+    if value is None:
+        return None
+    if is_dataclass(value):
+        names = [member.name for member in fields(value)]
+        return replace(
+            cast("Any", value), **{name: _of_numbers(getattr(value, name), of) for name in names}
+        )
+    return type(value)(*map(of, value)) if isinstance(value, tuple) else of(value)
 
 
 @dataclass(slots=True)
@@ -111,14 +111,14 @@ class _FieldOriented:
 
     def at_rest(self) -> Control:
         """Its state, in numbers."""
-        found: Control = _copied(self.model.at_rest(1), _scalar)
+        found: Control = _of_numbers(self.model.at_rest(1), _scalar)
         return found
 
     def run(self, function: Any, state: Control, *arguments: Any) -> Any:
         """Duty cycles of a function of the control."""
-        arrays = _copied(state, _array)
+        arrays = _of_numbers(state, _array)
         made = function(arrays, *arguments)
-        _put(state, _copied(arrays, _scalar))
+        _put(state, _of_numbers(arrays, _scalar))
         return made
 
 
@@ -127,41 +127,28 @@ class _OverAngle:
 
     def __init__(self, model: PhaseControlModel) -> None:
         self.model = model
-        self.kept = PhaseControlState.start(1, model.structure)
+        self.kept = model.structure.at_rest(1)
 
     def at_rest(self) -> Control:
         """Its state, in numbers."""
-        self.kept = PhaseControlState.start(1, self.model.structure)
+        self.kept = self.model.structure.at_rest(1)
         return self._seen()
 
     def reset(self) -> None:
         """The integrals of its harmonics go."""
-        for order in self.kept.harmonic:
-            self.kept.harmonic[order] = (_array(_ZERO), _array(_ZERO))
+        none = AlphaBeta(_array(_ZERO), _array(_ZERO))
+        self.kept.harmonic = (none,) * len(self.kept.harmonic)
 
     def run(self, function: Any, state: Control, *arguments: Any) -> Any:
         """Duty cycles of a function of the control."""
-        kept, held = self.kept, state.held
-        assert held is not None
-        kept.d, kept.q, kept.speed = (_array(pi.integral) for pi in (state.d, state.q, state.speed))
-        kept.reference, kept.v, kept.held = _pair(state.reference), _pair(state.v), _pair(held)
-        kept.omega_m, kept.torque = _array(state.omega_m), _array(state.torque)
-        kept.count = _array(state.count)
-        made = function(kept, *arguments)
+        for name in _SHARED:
+            setattr(self.kept, name, _of_numbers(getattr(state, name), _array))
+        made = function(self.kept, *arguments)
         _put(state, self._seen())
         return made
 
     def _seen(self) -> Control:
-        kept = self.kept
-        return Control(
-            *(Pi(_scalar(value)) for value in (kept.d, kept.q, kept.speed)),
-            reference=Dq(*map(_scalar, kept.reference)),
-            v=AlphaBeta(*map(_scalar, kept.v)),
-            omega_m=_scalar(kept.omega_m),
-            torque=_scalar(kept.torque),
-            count=_scalar(kept.count),
-            held=Dq(*map(_scalar, kept.held)),
-        )
+        return Control(**{name: _of_numbers(getattr(self.kept, name), _scalar) for name in _SHARED})
 
 
 def _put(state: Control, found: Control) -> None:

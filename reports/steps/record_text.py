@@ -6,6 +6,7 @@ import inspect
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass
+from functools import cache, partial
 from textwrap import wrap
 from typing import Any, get_type_hints
 
@@ -54,10 +55,13 @@ def whole_of(value: Any) -> str:
     return place if [getattr(part, "text", "") for part in value] == names else ""
 
 
+# Each function that a step calls asks for the members of the same few records.
+_hints = cache(partial(get_type_hints, include_extras=True))
+
+
 def _member(kind: type[Any], name: str) -> Member | None:
-    hint = get_type_hints(kind, include_extras=True).get(name)
-    found = [item for item in getattr(hint, "__metadata__", ()) if isinstance(item, Member)]
-    return found[0] if found else None
+    found = getattr(_hints(kind).get(name), "__metadata__", ())
+    return next((item for item in found if isinstance(item, Member)), None)
 
 
 def said(kind: type[Any], name: str) -> str:
