@@ -29,14 +29,33 @@ from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Arithmetic, 
 from dqforge.reports.c_code.harness import wrap
 from dqforge.reports.control.header import ControlModel, gains_of
 from dqforge.reports.phase_control.float32_model import PhaseControlModel
+from dqforge.reports.steps.record_text import kind_of
 
 if TYPE_CHECKING:
     from dqforge.optimizer.observers.parts import ObserverMethod
 
-_ZERO = np.float32(0.0)
+_ZERO: Any = np.float32(0.0)
 # Members that the state of the control over the angle shares with the other one.
 _SHARED = ("d", "q", "speed", "reference", "v", "omega_m", "torque", "count", "held")
 Phases = tuple[Any, Any, Any]
+
+
+# The members of ``<prefix>_startup_settings_t``.
+
+
+@dataclass(frozen=True, slots=True)
+class SettingMember:
+    """One member: its name, and whether it is a whole number."""
+
+    name: str
+    whole: bool
+
+
+# In the order of the C structure.
+MEMBERS: tuple[SettingMember, ...] = tuple(
+    SettingMember(member.name, kind_of(StartupSettings, member.name) != "float")
+    for member in fields(StartupSettings)
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -349,12 +368,14 @@ class StartUpRun:
         is the mean sum of the phase voltages, for a tracker that is told it.
         """
         sample = StartupSample(Abc(*i), v_dc, u if self.model.hears else None)
-        before = self.gains, self.settings, self.model.gains
-        behind = self.drive, sample, reference, run
+        steps, drive, gains = self.steps, self.drive, (self.gains, self.settings)
+        observer = self.model.gains
         with np.errstate(all="ignore"):  # what a condition leaves out may be no number
             if self.model.low is None:
-                found = self.steps.step(SINGLE, *before, *behind)
+                found = steps.step(SINGLE, *gains, observer, drive, sample, reference, run)
             else:
                 low = self.model.low[1]
-                found = self.steps.step_from_standstill(SINGLE, *before, low, *behind)
+                found = steps.step_from_standstill(
+                    SINGLE, *gains, observer, low, drive, sample, reference, run
+                )
         return found.duty, int(found.gate)

@@ -1,35 +1,74 @@
-"""The C header of the start-up, as text."""
+"""The C header of the start-up, as text; functions and types are written from its steps."""
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
-from dataclasses import asdict, field, fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, fields, is_dataclass, make_dataclass
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
+from dqforge.machines.names import Feedforward
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.start_up.start_records import StartupSettings, StartupState
+from dqforge.machines.transforms import leaves
+from dqforge.optimizer.float_control.records import (
+    NUMBERS,
+    Control,
+    ControlGains,
+    Pi,
+    PiGains,
+    References,
+)
+from dqforge.optimizer.start_up.start_parts import Neighbours
+from dqforge.optimizer.start_up.start_records import (
+    FAULTS,
+    STATES,
+    Followed,
+    FollowedFromRest,
+    Startup,
+    StartupFault,
+    StartupOutput,
+    StartupSample,
+    StartupSettings,
+    StartupState,
+)
+from dqforge.optimizer.start_up.step import StartupSteps
+from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Arithmetic, Dq
 from dqforge.reports.c_code.harness import title
+from dqforge.reports.c_code.numbers import comment_text
 from dqforge.reports.observers.float32_model import EmittedTracker
 from dqforge.reports.observers.tracker_header import plain_tracker_gains, tracker_files
 from dqforge.reports.pages.templating import render
 from dqforge.reports.phase_control.emitted_integers import phase_control_of
 from dqforge.reports.plain_data import PlainData, shortest
-from dqforge.reports.start_up.float32_reading import StartUpModel, StartUpRun
-from dqforge.reports.start_up.startup_text import StartupForm, startup_text
-from dqforge.reports.steps.record_text import kind_of
+from dqforge.reports.start_up.float32_reading import MEMBERS
+from dqforge.reports.steps.blocks import Block, Functions
+from dqforge.reports.steps.record_text import (
+    c_name,
+    comment,
+    record_structs,
+    record_values,
+    said,
+    sentence,
+    whole_of,
+)
+from dqforge.reports.steps.step_reader import StepReader
+from dqforge.reports.steps.symbols import Condition, Expression
 
 if TYPE_CHECKING:
     from dqforge.optimizer.control_design.gain_set import GainSet
-    from dqforge.optimizer.curves.single_precision import SingleArray
     from dqforge.optimizer.solution import Solution
     from dqforge.optimizer.start_up.plan import StartUpPlan
     from dqforge.optimizer.start_up.solve import StartUp
 
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+_NUMBER: Any = 0.0  # Stands for any, where names and types of members are asked for alone.
 
 LOW_FILE = "start_observer"  # End of the file name of the estimator from standstill on.
 
@@ -103,14 +142,16 @@ def _form(solution: Solution, found: StartUp) -> StartupForm:
     """What the C of a start depends on."""
     control, references = phase_control_of(solution), solution.gains.references
     code, hears = estimator_at_speed(solution.gains)
-    steps = () if references is None else (references.torque_step, references.current_step)
+    moving = (False, False)
+    if references is not None:
+        moving = math.isfinite(references.torque_step), math.isfinite(references.current_step)
     return StartupForm(
         code,
         low="" if found.low is None else found.low.tracker.code,
         hears=hears,
         feedforward=None if control is None else control.feedforward,
         by_torque=control is not None and control.frame != "dq",
-        moving=tuple(map(math.isfinite, steps)) or (False, False),
+        moving=moving,
     )
 
 
@@ -187,304 +228,6 @@ def plain_start_observer(found: StartUp) -> PlainData | None:
     return None if low is None else plain_tracker_gains(EmittedTracker(low.tracker, low.gains))
 
 
-# Sequences that take the emitted state machine through every state and fault: a short-lived drive
-# in closed loop with its model, whose samples the C code gets as they were.
-#
-# Settings are data, so that a start takes some hundred samples: times are shortened, accelerations
-# raised, the inertia is chosen to fit.
-
-SEEN = 7  # Columns before the settings: start flag, i_a, i_b, i_c, v_dc, reference, command.
-OUTPUTS = 13
-HEARING = SEEN + 1  # The same with the mean sum of the phase voltages behind them.
-_LENGTH = 440
-_ZERO = np.float32(0.0)
-_REST, _OVER = (
-    8,
-    (StartupState.IDLE, StartupState.FAULT),
-)  # samples at rest after which nothing follows
-_QUICK = 3.0  # samples in which the whole torque reaches the hand-over
-
-_SHORT = {
-    "flying": 0, "retries": 1, "align_samples": 50, "agree_samples": 4, "patience_samples": 60,
-    "fade_samples": 12, "stall_samples": 6, "settled_samples": 6, "ratio_samples": 4,
-    "wait_samples": 6, "search_samples": 24, "polarity_samples": 8, "catch_samples": 4,
-    "pause_samples": 3,
-}  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Sequence:
-    """One start: what differs from the shortened settings, and what happens.
-
-    ``speeds`` are (sample, share of the hand-over speed), ``bad`` the samples that are no numbers;
-    ``blocked`` and ``collapse`` are samples from which the shaft stands or the dc link is low,
-    ``surge`` the one in which a current is far too large, ``stop`` the one from which the command
-    is gone. ``spin`` is the first speed over that of the hand-over; ``load`` and ``drag`` are
-    sliding friction, and viscous friction at that speed, over the largest torque. ``deaf`` are the
-    samples in which the sum of the phase voltages is no number.
-    """
-
-    settings: Mapping[str, float] = field(default_factory=dict)
-    speeds: tuple[tuple[int, float], ...] = ((0, 2.0),)
-    bad: tuple[int, ...] = ()
-    surge: int = -1
-    collapse: int = _LENGTH
-    blocked: int = _LENGTH
-    stop: int = _LENGTH
-    spin: float = 0.0
-    load: float = 0.1
-    drag: float = 0.15
-    deaf: tuple[int, ...] = ()
-
-
-def _common() -> tuple[Sequence, ...]:
-    ramp: Mapping[str, float] = {"method": 0, "alignment": 2}
-    there_and_back = ((0, 2.0), (260, 0.3))
-    return (
-        Sequence(ramp, there_and_back),
-        Sequence(ramp, ((0, -2.0),), stop=250),
-        Sequence({**ramp, "alignment": 1}, bad=(20, 300)),
-        Sequence({**ramp, "alignment": 0}, surge=90),
-        Sequence({**ramp, "alignment": 3}, collapse=200),
-        Sequence({"method": 1, "alignment": 3}, bad=(140,)),
-        Sequence({"method": 2, "alignment": 1}, blocked=150),
-        Sequence({"method": 2, "alignment": 1}, ((0, 0.4), (200, 2.0)), stop=330),
-        Sequence(ramp, blocked=0),
-        Sequence({**ramp, "flying": 1}, spin=1.6, stop=200, load=0.0, drag=0.0),
-        Sequence({**ramp, "flying": 1}, spin=-0.8, bad=(5,)),
-        Sequence({**ramp, "flying": 1}, spin=0.0),
-        Sequence(
-            {**ramp, "flying": 1, "ratio_low": 1.3, "ratio_above": 1.0},
-            spin=2.0,
-            load=0.0,
-            drag=0.0,
-        ),
-    )
-
-
-def _salient() -> tuple[Sequence, ...]:
-    own: Mapping[str, float] = {"method": 3, "alignment": 0, "polarity_share": -1.0}
-    return (
-        Sequence(own, ((0, 1.6), (240, 0.2), (330, 1.6))),
-        Sequence({**own, "polarity_share": 2.0}),
-        Sequence({**own, "alignment": 1}, ((0, -1.6),), stop=260),
-        Sequence({**own, "flying": 1}, spin=0.8, bad=(90,), load=0.0, drag=0.0),
-        Sequence(
-            {**own, "flying": 1}, ((0, 1.5), (120, 0.2)), spin=1.6, stop=350, load=0.0, drag=0.0
-        ),
-        Sequence(own, bad=(10, 40)),
-    )
-
-
-def _hearing() -> tuple[Sequence, ...]:
-    ramp: Mapping[str, float] = {"method": 0, "alignment": 2}
-    slowly: Mapping[str, float] = {**ramp, "agree_samples": 30}
-    return (
-        Sequence(slowly, ((0, 1.3), (330, 0.3)), deaf=(40, 170, 300), load=0.3),
-        Sequence(slowly, ((0, -1.3),), deaf=(180, 181)),
-        Sequence({**ramp, "agree_samples": 200}, blocked=0),
-    )
-
-
-def sequences(model: StartUpModel) -> tuple[Sequence, ...]:
-    """What is tried of a machine; starts by saliency where it has an estimator for them.
-
-    Args:
-        model: The machine.
-    """
-    if model.hears:
-        return _common() + _hearing()
-    return _common() if model.low is None else _common() + _salient()
-
-
-def shortened(model: StartUpModel, sequence: Sequence) -> dict[str, float]:
-    """Settings of a sequence, numbers of single precision.
-
-    Args:
-        model: The machine.
-        sequence: What differs.
-    """
-    own = dict(model.settings)
-    hand_over, most = own["hand_over"], max(own["align_A"], own["ramp_A"])
-    shorter: dict[str, float] = {
-        **_SHORT,
-        "align_A": most,
-        "ramp_A": most,
-        "ramp_A_step": 0.1 * most,
-        "ramp_step": hand_over / 60.0,
-        "ramp_jerk": hand_over / 1200.0,
-        "mean_share": 0.05,
-        "run_step": hand_over / 40.0,
-        "mix_step": 0.1,
-        "ratio_share": 0.1,
-        "agree_share": 0.3,
-        "ratio_low": -2.0,
-        "ratio_high": 4.0,
-        "polarity_A": 0.5 * most,
-    }
-    shorter["ratio_above"] = 1.2 * hand_over
-    given = {name: value for name, value in sequence.settings.items() if name != "ratio_above"}
-    if "ratio_above" in sequence.settings:
-        given["ratio_above"] = sequence.settings["ratio_above"] * hand_over
-    values = own | shorter | given
-    values["align_rise"] = 2.0 / values["align_samples"]
-    whole = {member.name for member in MEMBERS if member.whole}
-    return {
-        name: int(value) if name in whole else float(np.float32(value))
-        for name, value in values.items()
-    }
-
-
-class _Plant:
-    """A drive in double precision between two samples: its currents, speed and angle."""
-
-    def __init__(self, settings: Mapping[str, float], pole_pairs: float, v_dc: float) -> None:
-        """Take the machine from the settings; the inertia lets a start last 100 samples."""
-        self.s, self.v_dc, self.t_s = settings, v_dc, settings["t_s"]
-        torque = settings["torque_per_A"] * settings["ramp_A"]
-        self.per_torque = settings["hand_over"] / (_QUICK * self.t_s * torque)
-        self.load = torque
-        self.i_d = self.i_q = self.theta = self.omega = 0.0
-        self.pole_pairs = pole_pairs
-
-    def phases(self) -> tuple[float, float, float]:
-        """Phase currents in A."""
-        vector = complex(self.i_d, self.i_q) * np.exp(1j * self.theta)
-        return (
-            float(vector.real),
-            float((vector * np.exp(-2j * np.pi / 3)).real),
-            float((vector * np.exp(2j * np.pi / 3)).real),
-        )
-
-    def sum_flux(self, gains: Any) -> float:
-        """Integral of the sum of the phase voltages in V s, as a tracker knows it."""
-        return float(gains.amplitude * math.cos(3.0 * self.theta - gains.phase))
-
-    def go(self, duty: tuple[float, float, float], gate: int, sequence: Sequence) -> None:
-        """One period; without gate pulses the currents are gone at its end."""
-        s, steps = self.s, 4
-        h = self.t_s / steps
-        turn = np.exp(2j * np.pi / 3)
-        v = self.v_dc * (2.0 / 3.0) * (duty[0] + turn * duty[1] + turn.conjugate() * duty[2])
-        if not gate:
-            self.i_d = self.i_q = 0.0
-        for _ in range(steps):
-            along = v * np.exp(-1j * self.theta)
-            if gate:
-                d = (along.real - s["r_s_Ohm"] * self.i_d) / s["l_d_H"]
-                q = (along.imag - s["r_s_Ohm"] * self.i_q - self.omega * s["psi_pm_Wb"]) / s[
-                    "l_q_H"
-                ]
-                d += self.omega * s["l_q_H"] * self.i_q / s["l_d_H"]
-                q -= self.omega * s["l_d_H"] * self.i_d / s["l_q_H"]
-                self.i_d, self.i_q = self.i_d + h * d, self.i_q + h * q
-            torque = (s["torque_per_A"] + s["reluctance"] * self.i_d) * self.i_q
-            share = self.omega / s["hand_over"]
-            sliding = sequence.load * math.tanh(30.0 * share)
-            drag = self.load * (sliding + sequence.drag * share)
-            self.omega += h * (torque - drag) * self.per_torque
-            self.theta = math.remainder(self.theta + h * self.omega, 2.0 * math.pi)
-
-
-def _number(value: float) -> float:
-    return float(np.float32(value))
-
-
-def _row(sequence: Sequence, k: int, plant: _Plant, settings: Mapping[str, float]) -> list[float]:
-    """Samples, reference and command of an instant."""
-    phases = list(plant.phases())
-    if k in sequence.bad:
-        phases[k % 3] = math.nan
-    if k == sequence.surge:
-        phases = [3.0 * settings["trip_A"], *phases[1:]]
-    v_dc = 0.2 * plant.v_dc if k >= sequence.collapse else plant.v_dc
-    share = [value for start, value in sequence.speeds if start <= k][-1]
-    reference = share * settings["hand_over"] / plant.pole_pairs
-    run = 0.0 if k >= sequence.stop else 1.0
-    return [1.0 if k == 0 else 0.0, *(_number(x) for x in (*phases, v_dc, reference)), run]
-
-
-def _outputs(run: StartUpRun, duty: tuple[float, ...], gate: int) -> list[float]:
-    drive = run.drive
-    return [
-        *(float(x) for x in duty),
-        float(gate),
-        float(drive.state),
-        float(drive.fault),
-        float(drive.theta_e),
-        float(drive.omega_e),
-        float(drive.observer.theta_e),
-        float(drive.reference),
-        *(float(x) for x in drive.control.v),
-        float(drive.emf),
-    ]
-
-
-def recorded(model: StartUpModel, v_dc: float) -> tuple[SingleArray, SingleArray]:
-    """What the C code is given, (N, 7 or 8 + settings), and what it must answer, shape (N, 13).
-
-    Args:
-        model: The machine.
-        v_dc: Voltage of the dc link in V.
-    """
-    pole_pairs = float(model.control.gains["pole_pairs"])
-    inputs, outputs = [], []
-    with np.errstate(all="ignore"):  # samples that are no numbers go in
-        for sequence in sequences(model):
-            settings = shortened(model, sequence)
-            settings["v_dc_min_V"] = _number(0.5 * v_dc)
-            settings["trip_A"] = _number(4.0 * settings["ramp_A"])
-            run, plant = StartUpRun(model, settings), _Plant(settings, pole_pairs, v_dc)
-            plant.omega = sequence.spin * settings["hand_over"]
-            plant.theta = 1.0 if settings["alignment"] == 2 else 0.2
-            tail = [settings[member.name] for member in MEMBERS]
-            waiting: tuple[tuple[float, float, float], int] = ((0.5, 0.5, 0.5), 0)
-            before = plant.sum_flux(model.gains) if model.hears else 0.0
-            for k in range(_LENGTH):
-                row = _row(sequence, k, plant, settings)
-                u = _ZERO
-                if model.hears:
-                    flux = plant.sum_flux(model.gains)
-                    u = np.float32(
-                        (flux - before) / plant.t_s if k not in sequence.deaf else math.nan
-                    )
-                    before = flux
-                    row.append(float(u))
-                i_a, i_b, i_c, link, reference = map(np.float32, row[1:6])
-                duty, gate = run.step((i_a, i_b, i_c), link, reference, int(row[6]), u)
-                inputs.append([*row, *tail])
-                outputs.append(_outputs(run, duty, gate))
-                plant.go(*waiting, sequence)
-                if run.drive.state in _OVER and run.drive.time > _REST:
-                    break
-                a, b, c = (float(x) for x in duty)
-                waiting = ((a, b, c), gate)
-                if k >= sequence.blocked:
-                    plant.omega = 0.0
-    return (
-        np.array(inputs, dtype=np.float32),
-        np.array(outputs, dtype=np.float32),
-    )
-
-
-# The members of ``<prefix>_startup_settings_t``.
-
-
-@dataclass(frozen=True, slots=True)
-class SettingMember:
-    """One member: its name, and whether it is a whole number."""
-
-    name: str
-    whole: bool
-
-
-# In the order of the C structure.
-MEMBERS: tuple[SettingMember, ...] = tuple(
-    SettingMember(member.name, kind_of(StartupSettings, member.name) != "float")
-    for member in fields(StartupSettings)
-)
-
-
 def settings_of(plan: StartUpPlan) -> dict[str, float]:
     """Values of all members by name, whole numbers as int.
 
@@ -503,3 +246,277 @@ def settings_bytes(plan: StartUpPlan) -> bytes:
     values = settings_of(plan)
     form = "".join("I" if member.whole else "f" for member in MEMBERS)
     return struct.pack(f"={form}", *(values[member.name] for member in MEMBERS))
+
+
+# The text of the C: its types, constants and functions.
+
+
+class Duties(NamedTuple):
+    """Duty cycles of a control over the angle."""
+
+    a: Any
+    b: Any
+    c: Any
+
+
+@dataclass(frozen=True, slots=True)
+class StartupForm:
+    """What the C of a start-up depends on, beside its settings.
+
+    Args:
+        code: Part of C names of the estimator at speed; ``low`` that of the one from standstill on,
+            empty without one.
+        hears: Whether the estimator at speed is told the sum of the phase voltages.
+        feedforward: That of the control over the angle, None for field-oriented control.
+        by_torque: Whether that control makes its currents of the torque.
+        moving: Which references of the control have slopes: those of torque and of current.
+    """
+
+    code: str
+    low: str = ""
+    hears: bool = False
+    feedforward: Feedforward | None = None
+    by_torque: bool = False
+    moving: tuple[bool, bool] = (False, False)
+
+
+def startup_text(form: StartupForm, settings: StartupSettings, prefix: str, macro: str) -> str:
+    """What stands in the header behind what it includes.
+
+    Args:
+        form: What the start-up is made of.
+        settings: Values of the design.
+        prefix, macro: Before the names of functions and types, and before those of macros.
+    """
+    drive = _drive(form)
+    duty: type[Any] = Abc if form.feedforward is None else Duties
+    sample = StartupSample(Abc(_NUMBER, _NUMBER, _NUMBER), _NUMBER, _NUMBER if form.hears else None)
+    output = StartupOutput(duty(_NUMBER, _NUMBER, _NUMBER), _NUMBER)
+    functions = _functions(form, settings, drive, sample, prefix, duty)
+    known = {c_name(type(record)) for record, _ in leaves(drive)} - {"startup"}
+    known |= {"control", "references"}
+    parts = [
+        *_enumerations(prefix, macro),
+        *record_structs(settings, prefix),
+        *record_structs(sample, prefix),
+        *record_structs(output, prefix),
+        *record_structs(drive, prefix, known=known),
+        _constants(settings, prefix, macro),
+        *([text] for text in functions.texts.values()),
+    ]
+    return "\n\n".join("\n".join(lines) for lines in parts)
+
+
+def _drive(form: StartupForm) -> Startup:
+    """The members of the memory, whose records are named as in the headers of control and
+    estimators.
+    """
+    torque, current = form.moving
+    moving = References(
+        _NUMBER if torque else None, Dq(_NUMBER, _NUMBER) if current else None, None, None
+    )
+    turn = AlphaBeta(_NUMBER, _NUMBER)
+    control = Control(
+        d=Pi(_NUMBER),
+        q=Pi(_NUMBER),
+        speed=Pi(_NUMBER),
+        reference=Dq(_NUMBER, _NUMBER),
+        v=turn,
+        omega_m=_NUMBER,
+        torque=_NUMBER,
+        count=_NUMBER,
+        added=turn if form.low else None,
+        held=Dq(_NUMBER, _NUMBER),
+        references=moving if torque or current else None,
+    )
+    observer = _named(form.code, Followed)(_NUMBER, _NUMBER)
+    low = _named(form.low, FollowedFromRest)(turn, turn, _NUMBER, _NUMBER) if form.low else None
+    return Startup.blank(control, observer, low, _NUMBER)
+
+
+def _named(code: str, kind: type[Any], end: str = "") -> type[Any]:
+    """A record of another name, that of an estimator in C."""
+    name = "".join(part.capitalize() for part in code.split("_"))
+    return make_dataclass(f"{name}{end}", [], bases=(kind,), frozen=bool(end))
+
+
+@dataclass(frozen=True, slots=True)
+class _Gains:
+    """Those of an estimator, which are handed on."""
+
+
+def _functions(
+    form: StartupForm,
+    settings: StartupSettings,
+    drive: Startup,
+    sample: StartupSample,
+    prefix: str,
+    duty: type[Any],
+) -> Functions:
+    steps = StartupSteps(Neighbours(), form.hears, form.feedforward, form.by_torque, duty)
+    own = [name for name in dir(StartupSteps) if callable(getattr(StartupSteps, name))]
+    names = {name: f"startup_{name}" for name in own if not name.startswith("_")}
+    around = {"observer": form.code, "standstill": form.low}
+    parts = [(begin, end) for begin in around for end in ("start", "step")]
+    names |= {f"{begin}_{end}": f"{around[begin]}_{end}" for begin, end in parts}
+    functions = Functions(names=names)
+    _declare(functions, form, drive, duty)
+    reader = RecordReader(prefix, functions, Block("", set()))
+    pi = PiGains(_NUMBER, _NUMBER, _NUMBER)
+    gains = ControlGains(pi, pi, pi, ratio=_NUMBER, **dict.fromkeys(NUMBERS, _NUMBER))
+    number, run = Expression("number"), Expression("run", kind="uint32_t")
+    observer = _named(form.code, _Gains, "Gains")()
+    reader.write("startup_init", steps.init, [drive])
+    if form.low:
+        low, step = _named(form.low, _Gains, "Gains")(), steps.step_from_standstill
+        given = [gains, settings, observer, low, drive, sample, number, run]
+        reader.write("startup_step", step, given, sentence(steps.step))
+    else:
+        given = [gains, settings, observer, drive, sample, number, run]
+        reader.write("startup_step", steps.step, given)
+    return functions
+
+
+def _declare(functions: Functions, form: StartupForm, drive: Startup, duty: type[Any]) -> None:
+    """Functions of the other headers, with what they change of their arguments."""
+    none, nothing = type(None), frozenset[str]()
+    control = frozenset(_places(drive.control))
+    observer = frozenset(_places(drive.observer))
+    told = [nothing] * (3 if form.hears else 2)
+    known: dict[str, tuple[type[Any], list[frozenset[str]]]] = {
+        "control_start": (none, [control]),
+        "reset_integrals": (none, [frozenset({"d.integral", "q.integral"})]),
+        "current_control": (duty, [nothing, control, nothing, nothing]),
+        "speed_control": (duty, [nothing, control, nothing, nothing]),
+        "duties": (duty, []),
+        f"{form.code}_start": (none, [observer, nothing, nothing]),
+        f"{form.code}_step": (none, [nothing, observer, *told]),
+    }
+    if drive.low is not None:
+        low = frozenset(_places(drive.low))
+        known[f"{form.low}_start"] = (none, [low, nothing, nothing])
+        known[f"{form.low}_step"] = (none, [nothing, low, nothing, nothing])
+    for name, (result, changes) in known.items():
+        functions.results[name] = result
+        functions.changes[name] = changes
+
+
+def _places(record: Any, before: str = "") -> Iterator[str]:
+    """Members of a record that are no records, as they are reached through it."""
+    for member in fields(record):
+        value = getattr(record, member.name)
+        if hasattr(value, "__dataclass_fields__"):
+            yield from _places(value, f"{before}{member.name}.")
+        elif value is not None:
+            yield f"{before}{member.name}"
+
+
+def _enumerations(prefix: str, macro: str) -> Iterator[list[str]]:
+    kinds: list[tuple[type[Any], Mapping[Any, str]]] = [
+        (StartupState, STATES),
+        (StartupFault, FAULTS),
+    ]
+    for kind, texts in kinds:
+        names = [f"{macro}_STARTUP_{one.name}" for one in kind]
+        names[0] += " = 0"
+        names = [f"{name}," for name in names[:-1]] + names[-1:]
+        most = max(map(len, names))
+        lines = [
+            f"    {name:{most}} /* {text} */" if text else f"    {name}"
+            for name, text in zip(names, texts.values(), strict=True)
+        ]
+        yield [
+            *comment(sentence(kind)),
+            "typedef enum {",
+            *lines,
+            f"}} {prefix}_{c_name(kind)}_t;",
+        ]
+
+
+def _constants(settings: StartupSettings, prefix: str, macro: str) -> list[str]:
+    """The settings of the design, each with its name and what it is."""
+    lines = []
+    for member, line in zip(fields(settings), record_values(settings, None), strict=True):
+        text = said(StartupSettings, member.name)
+        behind = f"{member.name}: {text}" if text else member.name
+        lines.append(f"{line} /* {comment_text(behind)} */")
+    return [
+        f"static const {prefix}_startup_settings_t {macro}_STARTUP_SETTINGS = {{",
+        *lines,
+        "};",
+    ]
+
+
+# Records that a function of the C keeps for itself.
+
+
+class RecordReader(StepReader):
+    """A reader whose functions declare records by `let`, in their outermost block; they change
+    them, hand them on by their address and return them.
+    """
+
+    def inside(self, function: Callable[..., Any], names: Sequence[str]) -> StepReader:  # noqa: ARG002
+        """The reader of a function with parameters of these names."""
+        return RecordReader(self.prefix, self.functions, Block("    ", set(names)))
+
+    def _named(self, name: str, value: Any, meaning: str) -> Any:
+        if not is_dataclass(value) or isinstance(value, Condition):
+            return self._local(name, value, meaning)
+        self.block.take(name)
+        self.block.variable(self.type_name(c_name(type(value))), name)
+        found = self._record(value, f"&{name}", f"{name}.", frozenset())
+        for member in fields(value):
+            setattr(found, member.name, getattr(value, member.name))
+        self.write_state()
+        return found
+
+    def _local(self, name: str, value: Any, meaning: str) -> Any:
+        """A constant where declarations still stand, behind statements a variable that is set."""
+        vector = isinstance(value, tuple) and hasattr(value, "_fields")
+        if self.block.declared is None or not (vector or isinstance(value, Expression | Condition)):
+            found = super()._named(name, value, meaning)
+            _written(value)
+            return found
+        kind = self._kind(value)
+        self.block.take(name)
+        self.block.variable(kind, name)
+        self._assign(name, value)
+        return self.vector(type(value), name) if vector else self.number_of(name, kind)
+
+    def _assign(self, name: str, value: Any) -> None:
+        super()._assign(name, value)
+        _written(value)
+
+    def call(
+        self,
+        function: Callable[Concatenate[Arithmetic, _P], _T],
+        *args: _P.args,
+        **kwargs: _P.kwargs,
+    ) -> _T:
+        """A call, whose result may be a condition."""
+        found = super().call(function, *args, **kwargs)
+        if isinstance(found, Condition) and self._open is not None:
+            (self._open,) = found.terms
+            self._open.uses[0] = 0
+        return found
+
+    def write_state(self) -> None:
+        """Write what the step has made of its state, vectors of calls as a whole."""
+        for kept in self._kept:
+            if kept.set_to is not kept.value:
+                _written(kept.set_to)
+        super().write_state()
+
+    def returned(self, result: Any, into: Sequence[str] = ()) -> tuple[str, list[str]]:
+        """Type of what a function returns, and the statements that return it."""
+        place = self._place(result)
+        if place is None:
+            return super().returned(result, into)
+        name = place[0].removeprefix("&")
+        return self.type_name(c_name(type(result))), [f"{self.block.indent}return {name};"]
+
+
+def _written(value: Any) -> None:
+    """Count that a vector of a call has been written as a whole."""
+    if isinstance(value, tuple) and whole_of(value):
+        value[0].uses[0] += 1

@@ -6,7 +6,6 @@ import inspect
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass
-from functools import cache, partial
 from textwrap import wrap
 from typing import Any, get_type_hints
 
@@ -55,13 +54,19 @@ def whole_of(value: Any) -> str:
     return place if [getattr(part, "text", "") for part in value] == names else ""
 
 
-# Each function that a step calls asks for the members of the same few records.
-_hints = cache(partial(get_type_hints, include_extras=True))
+# Each function that a step calls needs the members of the same few records.
+_MEMBERS: dict[type[Any], dict[str, Member]] = {}
 
 
 def _member(kind: type[Any], name: str) -> Member | None:
-    found = getattr(_hints(kind).get(name), "__metadata__", ())
-    return next((item for item in found if isinstance(item, Member)), None)
+    if kind not in _MEMBERS:
+        _MEMBERS[kind] = {
+            place: item
+            for place, hint in get_type_hints(kind, include_extras=True).items()
+            for item in getattr(hint, "__metadata__", ())
+            if isinstance(item, Member)
+        }
+    return _MEMBERS[kind].get(name)
 
 
 def said(kind: type[Any], name: str) -> str:

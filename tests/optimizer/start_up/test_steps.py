@@ -27,7 +27,13 @@ from dqforge.optimizer.start_up.step import StartupSteps
 from dqforge.optimizer.steps.step_arithmetic import EXACT, Abc, AlphaBeta, Arithmetic, Dq
 
 T_S, POLE_PAIRS = 1e-4, 4.0
-ZERO: Any = np.float64(0.0)
+
+
+def number(value: Any) -> Any:
+    return np.float64(value)
+
+
+ZERO = number(0.0)
 
 
 class _Told(Neighbours):
@@ -55,11 +61,11 @@ class _Told(Neighbours):
 def made(**changes: Any) -> StartupSettings:
     usual: dict[str, Any] = {member.name: ZERO for member in fields(StartupSettings)}
     usual |= {
-        "t_s": np.float64(T_S), "r_s_Ohm": np.float64(0.4), "l_d_H": np.float64(1e-3),
-        "l_q_H": np.float64(2e-3), "psi_pm_Wb": np.float64(0.05), "ramp_A": np.float64(5.0),
-        "ramp_A_step": np.float64(0.1), "ramp_step": np.float64(0.5),
-        "ramp_jerk": np.float64(0.01), "ramp_end": np.float64(200.0), "fade_samples": 10,
-        "torque_per_A": np.float64(0.3), "reluctance": np.float64(-0.006), "method": 0,
+        "t_s": number(T_S), "r_s_Ohm": number(0.4), "l_d_H": number(1e-3),
+        "l_q_H": number(2e-3), "psi_pm_Wb": number(0.05), "ramp_A": number(5.0),
+        "ramp_A_step": number(0.1), "ramp_step": number(0.5),
+        "ramp_jerk": number(0.01), "ramp_end": number(200.0), "fade_samples": 10,
+        "torque_per_A": number(0.3), "reluctance": number(-0.006), "method": 0,
     }  # fmt: skip
     return StartupSettings(**(usual | changes))
 
@@ -67,8 +73,8 @@ def made(**changes: Any) -> StartupSettings:
 def gains() -> ControlGains:
     pi, numbers = PiGains(ZERO, ZERO, ZERO), dict.fromkeys(NUMBERS, ZERO)
     numbers |= {
-        "pole_pairs": np.float64(POLE_PAIRS), "l_d": np.float64(1e-3), "l_q": np.float64(2e-3),
-        "psi_pm": np.float64(0.05), "advance": np.float64(1.5 * T_S),
+        "pole_pairs": number(POLE_PAIRS), "l_d": number(1e-3), "l_q": number(2e-3),
+        "psi_pm": number(0.05), "advance": number(1.5 * T_S),
     }  # fmt: skip
     return ControlGains(pi, pi, pi, ratio=ZERO, **numbers)
 
@@ -79,7 +85,7 @@ def drive() -> Startup:
         Pi(ZERO), Pi(ZERO), Pi(ZERO), pair, AlphaBeta(*pair), ZERO, ZERO, ZERO, held=pair
     )
     found = Startup.blank(control, Followed(ZERO, ZERO), None, ZERO)
-    found.along = Dq(np.float64(1.0), ZERO)
+    found.along = Dq(number(1.0), ZERO)
     return found
 
 
@@ -88,11 +94,11 @@ def test_the_angle_of_the_ramp_is_the_integral_of_a_speed_that_reaches_its_end(
     direction: float,
 ) -> None:
     told, own, settings = _Told(), drive(), made()
-    steps, wanted = StartupSteps(told), np.float64(direction * 300.0)
+    steps, wanted = StartupSteps(told), number(direction * 300.0)
     speeds, angles = [], []
     for time in range(600):
         own.time = time
-        measured = Measured(Abc(ZERO, ZERO, ZERO), ZERO, ZERO, np.float64(300.0))
+        measured = Measured(Abc(ZERO, ZERO, ZERO), ZERO, ZERO, number(300.0))
         acted = AlphaBeta(ZERO, ZERO)
         with np.errstate(invalid="ignore"):  # no current, no active voltage
             steps.ramp(EXACT, gains(), settings, own, measured, acted, wanted)
@@ -114,9 +120,9 @@ def test_the_angle_of_the_ramp_is_the_integral_of_a_speed_that_reaches_its_end(
 def test_the_hand_over_keeps_current_and_voltage(omega: float) -> None:
     own, settings, control = drive(), made(), gains()
     theta, current, voltage = 0.7, complex(3.0, -2.0), complex(11.0, 4.0)
-    own.observer = Followed(np.float64(theta), np.float64(omega))
-    own.control.v = AlphaBeta(np.float64(voltage.real), np.float64(voltage.imag))
-    seen = AlphaBeta(np.float64(current.real), np.float64(current.imag))
+    own.observer = Followed(number(theta), number(omega))
+    own.control.v = AlphaBeta(number(voltage.real), number(voltage.imag))
+    seen = AlphaBeta(number(current.real), number(current.imag))
     StartupSteps(_Told()).turn_frame(EXACT, control, settings, own, seen)
     i = current * np.exp(-1j * theta)
     torque = (0.3 - 0.006 * i.real) * i.imag
@@ -138,7 +144,7 @@ def test_the_hand_over_keeps_current_and_voltage(omega: float) -> None:
 @pytest.mark.parametrize("omega", [400.0, -900.0])
 def test_the_current_of_a_short_circuit_is_that_of_its_differential_equation(omega: float) -> None:
     settings, duration = made(), 4 * T_S
-    found = StartupSteps(_Told()).shorted(EXACT, settings, np.float64(omega), np.float64(duration))
+    found = StartupSteps(_Told()).shorted(EXACT, settings, number(omega), number(duration))
     # d/dt (i_d, i_q, 1) of a machine with no voltage at its terminals
     system = np.array(
         [

@@ -25,17 +25,20 @@ from dqforge.reports.control.header import plain_control
 from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.observers.position_header import emitted, plain_observer
 from dqforge.reports.simulation.design_run import controller_files
-from dqforge.reports.start_up.float32_reading import StartUpRun
+from dqforge.reports.start_up.float32_reading import MEMBERS, StartUpRun
 from dqforge.reports.start_up.header import (
-    MEMBERS,
-    OUTPUTS,
-    SEEN,
     plain_start_observer,
     plain_start_up,
     settings_bytes,
     settings_of,
 )
-from dqforge.reports.start_up.tried import TriedStart, start_up_from, start_up_programme
+from dqforge.reports.start_up.tried import (
+    OUTPUTS,
+    SEEN,
+    TriedStart,
+    start_up_from,
+    start_up_programme,
+)
 from dqforge.reports.verification.cortex_m import run_on_target
 
 
@@ -156,12 +159,8 @@ def test_a_sample_that_is_no_number_ends_in_a_named_fault_in_every_state(channel
                 assert np.isfinite([spoilt.drive.theta_e, spoilt.drive.omega_e]).all()
                 if met == set(State):
                     return
-            run.step(
-                tuple(np.float32(x) for x in row[1:4]),
-                np.float32(row[4]),
-                np.float32(row[5]),
-                int(row[6]),
-            )  # type: ignore[arg-type]
+            i_a, i_b, i_c, v_dc, reference = map(np.float32, row[1:6])
+            run.step((i_a, i_b, i_c), v_dc, reference, int(row[6]))
     assert met == set(State)
 
 
