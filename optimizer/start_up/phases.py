@@ -583,7 +583,7 @@ class StartupPhases(StartupParts):
             (stalled, lambda: trips(StartupFault.STALLED)),
             (lost, lambda: trips(StartupFault.LOST)),
             (below, lambda: self._leaves(o, settings, drive, current, (theta, omega))),
-            otherwise=lambda: o.remark("it goes on"),
+            otherwise=lambda: o.remark("it continues"),
             changing=(drive,),
         )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, cast
 
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.names import Feedforward
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
@@ -234,7 +235,7 @@ class StartupParts:
         """Current references of a torque in N m."""
         if not self.by_torque:
             return o.outside(Dq, "current_reference", self.around.currents, torque, filled="usual")
-        per_ampere = (1.5 * gains.pole_pairs) * gains.psi_pm
+        per_ampere = torque_per_ampere(gains.pole_pairs, gains.psi_pm)
         return o.let("usual", Dq(o.full(0.0, torque), torque / per_ampere))
 
     def _integrals(self, gains: ControlGains, omega: Reals, i: Dq, v: Dq) -> tuple[Reals, Reals]:

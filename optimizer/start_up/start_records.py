@@ -128,22 +128,22 @@ class StartupSettings:
     boost_V: Annotated[Reals, Member("voltage of the voltage ramp at rest")]  # noqa: N815
     damping: Annotated[Reals, Member("rad/s per V of active voltage above its mean")]
     mean_share: Annotated[Reals, Member("of that mean, 50 ms")]
-    hand_over: Annotated[Reals, Member("the observer rules from here, rad/s")]
+    hand_over: Annotated[Reals, Member("the observer takes over from here, rad/s")]
     mix_from: Annotated[Reals, Member("its angle counts from here")]
-    back_below: Annotated[Reals, Member("it rules no more below, rad/s")]
+    back_below: Annotated[Reals, Member("it hands back below, rad/s")]
     ramp_end: Annotated[Reals, Member("the ramp ends here, rad/s")]
     agree_share: Annotated[Reals, Member("of the speed of the ramp")]
-    held_A: Annotated[Reals, Member("d current until the observer rules")]  # noqa: N815
+    held_A: Annotated[Reals, Member("d current until the observer takes over")]  # noqa: N815
     run_step: Annotated[Reals, Member("slope of the reference, rad/s per sample")]
     stall_below: Annotated[Reals, Member("rad/s")]
-    ratio_above: Annotated[Reals, Member("the EMF is looked at above, rad/s")]
+    ratio_above: Annotated[Reals, Member("the EMF is checked above, rad/s")]
     ratio_low: Annotated[Reals, Member("least EMF over omega psi")]
     ratio_high: Annotated[Reals, Member("largest EMF over omega psi")]
     ratio_share: Annotated[Reals, Member("of a new sample in its filter")]
     trip_A: Annotated[Reals, Member("overcurrent")]  # noqa: N815
-    v_dc_min_V: Annotated[Reals, Member("undervoltage; 0: not looked at")]  # noqa: N815
+    v_dc_min_V: Annotated[Reals, Member("undervoltage; 0: not checked")]  # noqa: N815
     catch_A: Annotated[Reals, Member("current that a pulse should reach")]  # noqa: N815
-    catch_slow: Annotated[Reals, Member("slower asks for a third pulse, rad/s")]
+    catch_slow: Annotated[Reals, Member("slower needs a third pulse, rad/s")]
     catch_least: Annotated[Reals, Member("slower is at rest, rad/s")]
     mix_step: Annotated[Reals, Member("change of the observer's share per sample")]
     polarity_share: Annotated[Reals, Member("least difference of the ripples over their sum")]
