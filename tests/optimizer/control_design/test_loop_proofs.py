@@ -135,6 +135,6 @@ def test_a_drive_between_the_corners_refuses_the_design(monkeypatch: pytest.Monk
     proof = prove_speed_loop(box, wild, gains.i_q)
     assert proof.unstable is not None
     assert set(proof.unstable) == {"r_s", "l_q", "v_dc", "torque over inertia"}
-    monkeypatch.setattr(loop_proofs, "prove_speed_loop", lambda *_, **__: proof)
+    monkeypatch.setattr("dqforge.optimizer.speed_box.prove_speed_loop", lambda *_, **__: proof)
     with pytest.raises(NoSolutionError, match=r"speed loop is unstable at r_s [+-].*narrow"):
         solve_gains(made)

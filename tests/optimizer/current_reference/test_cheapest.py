@@ -126,9 +126,8 @@ def test_bytes_are_the_constants_of_the_emitted_code(form: str) -> None:
     design = make_design(fit=FitSettings(form=form, degree=3, segments=2))  # type: ignore[arg-type]
     solution = solve(design)
     text = header_files(solution)["drive.h"].decode("ascii")
-    body = text[
-        text.index("static inline void drive_current_reference") : text.index("*i_d_A = i_d;")
-    ]
+    start = text.index("static inline void drive_current_reference")
+    body = text[start : text.index("\n}", start)]
     literals = re.findall(r"\d[\d.e-]*F\b", body)
     # A start of a segment stands in the comparison and in the subtraction; zeros are not constants.
     constants = {literal for literal in literals if float(literal[:-1]) != 0.0}
