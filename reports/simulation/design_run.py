@@ -23,6 +23,7 @@ from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.optimizer.start_up.start_records import StartupFault, StartupState
 from dqforge.reports.fixed_observers.fixed_observer_header import fixed_observer_files
 from dqforge.reports.main_header import header_files
 from dqforge.reports.observers.position_header import (
@@ -54,7 +55,6 @@ from dqforge.reports.single_headers.application import application_files
 from dqforge.reports.single_headers.field_weakening import weakening_files
 from dqforge.reports.single_headers.fixed_reference import reference_files
 from dqforge.reports.single_headers.speed_measurement import measurement_files
-from dqforge.reports.start_up.float32_model import Fault, State
 from dqforge.reports.start_up.header import every_start_file
 from dqforge.reports.waveforms.tables import waveform_files
 
@@ -206,7 +206,7 @@ def estimated(run: Simulation, record: StartRecord) -> np.ndarray[tuple[int], np
     Args:
         run, record: What was recorded.
     """
-    ruled = (record.start_state == State.RUN) & np.isfinite(run.omega_m_observed)
+    ruled = (record.start_state == StartupState.RUN) & np.isfinite(run.omega_m_observed)
     return np.asarray(ruled)
 
 
@@ -575,7 +575,7 @@ def start_figures(run: Simulation, record: StartRecord) -> StartFigures:
         run, record: What was recorded.
     """
     state, fault = record.start_state.astype(int), record.start_fault.astype(int)
-    running = state == State.RUN
+    running = state == StartupState.RUN
     first = int(np.argmax(running)) if np.any(running) else -1
     last = float(run.reference[-1])
     near = np.abs(run.omega_m - last) <= _NEAR * abs(last)
@@ -589,9 +589,9 @@ def start_figures(run: Simulation, record: StartRecord) -> StartFigures:
         step = float(np.max(np.abs(vector - vector[0])))
         speed, time = float(run.omega_m[first]), float(run.t[first])
     return StartFigures(
-        state=State(state[-1]).name,
-        fault=Fault(fault[-1]).name,
-        failed=tuple(Fault(code).name for code in sorted(set(fault.tolist()) - {0})),
+        state=StartupState(state[-1]).name,
+        fault=StartupFault(fault[-1]).name,
+        failed=tuple(StartupFault(code).name for code in sorted(set(fault.tolist()) - {0})),
         hand_over=time,
         speed=speed,
         angle_error=gap,
@@ -610,4 +610,4 @@ def spans(record: StartRecord) -> list[tuple[str, int, int]]:
     """
     state = record.start_state.astype(int)
     edges = [0, *(np.flatnonzero(np.diff(state)) + 1).tolist(), state.size]
-    return [(State(state[start]).name, start, end) for start, end in pairwise(edges)]
+    return [(StartupState(state[start]).name, start, end) for start, end in pairwise(edges)]

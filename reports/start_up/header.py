@@ -1,50 +1,74 @@
-"""The C header of the start-up, as text."""
+"""The C header of the start-up, as text; functions and types are written from its steps."""
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Mapping
-from dataclasses import field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, fields, is_dataclass, make_dataclass
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
+from dqforge.machines.names import Feedforward
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.curves.single_precision import SINGLE
+from dqforge.machines.transforms import leaves
+from dqforge.optimizer.float_control.records import (
+    NUMBERS,
+    Control,
+    ControlGains,
+    Pi,
+    PiGains,
+    References,
+)
+from dqforge.optimizer.start_up.start_parts import Neighbours
+from dqforge.optimizer.start_up.start_records import (
+    FAULTS,
+    STATES,
+    Followed,
+    FollowedFromRest,
+    Startup,
+    StartupFault,
+    StartupOutput,
+    StartupSample,
+    StartupSettings,
+    StartupState,
+)
+from dqforge.optimizer.start_up.step import StartupSteps
+from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Arithmetic, Dq
 from dqforge.reports.c_code.harness import title
-from dqforge.reports.c_code.numbers import float_literal
+from dqforge.reports.c_code.numbers import comment_text
 from dqforge.reports.observers.float32_model import EmittedTracker
 from dqforge.reports.observers.position_header import plain_tracker_gains, tracker_files
 from dqforge.reports.pages.templating import render
 from dqforge.reports.phase_control.emitted_integers import phase_control_of
 from dqforge.reports.plain_data import PlainData, shortest
-from dqforge.reports.start_up.float32_model import (
-    RESTING,
-    F,
-    Fault,
-    Settings,
-    StartUpModel,
-    State,
-    Vector,
-    first_drive,
-    observer_step,
-    off,
-    pair,
-    scalar,
-    trip,
-    vector_of,
+from dqforge.reports.start_up.float32_reading import MEMBERS
+from dqforge.reports.steps.blocks import Block, Functions
+from dqforge.reports.steps.record_text import (
+    c_name,
+    comment,
+    record_structs,
+    record_values,
+    said,
+    sentence,
+    whole_of,
 )
-from dqforge.reports.start_up.model_phases import Duties, Phases, follow_ramp
+from dqforge.reports.steps.step_reader import StepReader
+from dqforge.reports.steps.symbols import Condition, Expression
 
 if TYPE_CHECKING:
     from dqforge.optimizer.control_design.gain_set import GainSet
-    from dqforge.optimizer.curves.single_precision import SingleArray
     from dqforge.optimizer.solution import Solution
     from dqforge.optimizer.start_up.plan import StartUpPlan
     from dqforge.optimizer.start_up.solve import StartUp
 
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+_NUMBER: Any = 0.0  # Stands for any, where names and types of members are asked for alone.
 
 LOW_FILE = "start_observer"  # End of the file name of the estimator from standstill on.
 
@@ -101,17 +125,6 @@ def _preamble(found: StartUp, prefix: str) -> list[str]:
     ]
 
 
-def _setting_lines(found: StartUp) -> list[tuple[str, str]]:
-    values = settings_of(found.plan)
-    return [
-        (
-            f"{int(values[member.name])}U" if member.whole else float_literal(values[member.name]),
-            f"{member.name}{': ' if member.comment else ''}{member.comment}",
-        )
-        for member in MEMBERS
-    ]
-
-
 def estimator_at_speed(gains: GainSet) -> tuple[str, bool]:
     """Part of C names of the estimator that a drive runs on after its start, and whether it is told
     the sum of the phase voltages.
@@ -125,16 +138,21 @@ def estimator_at_speed(gains: GainSet) -> tuple[str, bool]:
     return gains.position.method.code, False
 
 
-def phase_parts(solution: Solution) -> PlainData | None:
-    """What of the control over the angle the start-up must know, None for other control.
-
-    Args:
-        solution: The solved design.
-    """
-    control = phase_control_of(solution)
-    if control is None:
-        return None
-    return {"by_torque": control.frame != "dq", "feedforward": control.feedforward}
+def _form(solution: Solution, found: StartUp) -> StartupForm:
+    """What the C of a start depends on."""
+    control, references = phase_control_of(solution), solution.gains.references
+    code, hears = estimator_at_speed(solution.gains)
+    moving = (False, False)
+    if references is not None:
+        moving = math.isfinite(references.torque_step), math.isfinite(references.current_step)
+    return StartupForm(
+        code,
+        low="" if found.low is None else found.low.tracker.code,
+        hears=hears,
+        feedforward=None if control is None else control.feedforward,
+        by_torque=control is not None and control.frame != "dq",
+        moving=moving,
+    )
 
 
 def start_up_files(solution: Solution, found: StartUp) -> dict[str, bytes]:
@@ -144,31 +162,24 @@ def start_up_files(solution: Solution, found: StartUp) -> dict[str, bytes]:
         solution: The solved design.
         found: Its start.
     """
-    design, gains = solution.design, solution.gains
-    prefix = design.export.prefix
-    code, hears = estimator_at_speed(gains)
-    references = gains.references
+    prefix = solution.design.export.prefix
+    form, settings = _form(solution, found), StartupSettings.of(found.plan)
+    files = ["control", "observer", *(["start_observer"] if found.low is not None else [])]
     context: PlainData = {
-        **title(design),
+        **title(solution.design),
+        "part": "startup",
+        "subject": "from standstill to speed without an encoder,",
         "preamble": _preamble(found, prefix),
-        "code": code,
-        "hears": hears,
-        "phases": phase_parts(solution),
-        "low": "" if found.low is None else found.low.tracker.code,
-        "members": MEMBERS,
-        "settings": _setting_lines(found),
-        "dynamic": None
-        if references is None
-        else {
-            "torque_step": references.torque_step
-            if math.isfinite(references.torque_step)
-            else None,
-            "current_step": references.current_step
-            if math.isfinite(references.current_step)
-            else None,
-        },
+        "includes": [
+            *(f'"{prefix}_{name}.h"' for name in files),
+            "<math.h> /* sqrtf, fabsf */",
+            "<stdbool.h>",
+            "<stdint.h>",
+        ],
+        "body": startup_text(form, settings, prefix, prefix.upper()),
+        "vectors": False,
     }
-    return {f"{prefix}_startup.h": render("start_up/startup.h.j2", context).encode("ascii")}
+    return {f"{prefix}_startup.h": render("c_code/header.h.j2", context).encode("ascii")}
 
 
 def start_observer_files(solution: Solution, found: StartUp) -> dict[str, bytes]:
@@ -217,411 +228,13 @@ def plain_start_observer(found: StartUp) -> PlainData | None:
     return None if low is None else plain_tracker_gains(EmittedTracker(low.tracker, low.gains))
 
 
-# Sequences that take the emitted state machine through every state and fault: a short-lived drive
-# in closed loop with its model, whose samples the C code gets as they were.
-#
-# Settings are data, so that a start takes some hundred samples: times are shortened, accelerations
-# raised, the inertia is chosen to fit.
-
-SEEN = 7  # Columns before the settings: start flag, i_a, i_b, i_c, v_dc, reference, command.
-OUTPUTS = 13
-HEARING = SEEN + 1  # The same with the mean sum of the phase voltages behind them.
-_LENGTH = 440
-_ZERO = F(0.0)
-_REST, _OVER = 8, (State.IDLE, State.FAULT)  # samples at rest after which nothing follows
-_QUICK = 3.0  # samples in which the whole torque reaches the hand-over
-
-_SHORT = {
-    "flying": 0, "retries": 1, "align_samples": 50, "agree_samples": 4, "patience_samples": 60,
-    "fade_samples": 12, "stall_samples": 6, "settled_samples": 6, "ratio_samples": 4,
-    "wait_samples": 6, "search_samples": 24, "polarity_samples": 8, "catch_samples": 4,
-    "pause_samples": 3,
-}  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Sequence:
-    """One start: what differs from the shortened settings, and what happens.
-
-    ``speeds`` are (sample, share of the hand-over speed), ``bad`` the samples that are no numbers;
-    ``blocked`` and ``collapse`` are samples from which the shaft stands or the dc link is low,
-    ``surge`` the one in which a current is far too large, ``stop`` the one from which the command
-    is gone. ``spin`` is the first speed over that of the hand-over; ``load`` and ``drag`` are
-    sliding friction, and viscous friction at that speed, over the largest torque. ``deaf`` are the
-    samples in which the sum of the phase voltages is no number.
-    """
-
-    settings: Mapping[str, float] = field(default_factory=dict)
-    speeds: tuple[tuple[int, float], ...] = ((0, 2.0),)
-    bad: tuple[int, ...] = ()
-    surge: int = -1
-    collapse: int = _LENGTH
-    blocked: int = _LENGTH
-    stop: int = _LENGTH
-    spin: float = 0.0
-    load: float = 0.1
-    drag: float = 0.15
-    deaf: tuple[int, ...] = ()
-
-
-def _common() -> tuple[Sequence, ...]:
-    ramp: Mapping[str, float] = {"method": 0, "alignment": 2}
-    there_and_back = ((0, 2.0), (260, 0.3))
-    return (
-        Sequence(ramp, there_and_back),
-        Sequence(ramp, ((0, -2.0),), stop=250),
-        Sequence({**ramp, "alignment": 1}, bad=(20, 300)),
-        Sequence({**ramp, "alignment": 0}, surge=90),
-        Sequence({**ramp, "alignment": 3}, collapse=200),
-        Sequence({"method": 1, "alignment": 3}, bad=(140,)),
-        Sequence({"method": 2, "alignment": 1}, blocked=150),
-        Sequence({"method": 2, "alignment": 1}, ((0, 0.4), (200, 2.0)), stop=330),
-        Sequence(ramp, blocked=0),
-        Sequence({**ramp, "flying": 1}, spin=1.6, stop=200, load=0.0, drag=0.0),
-        Sequence({**ramp, "flying": 1}, spin=-0.8, bad=(5,)),
-        Sequence({**ramp, "flying": 1}, spin=0.0),
-        Sequence(
-            {**ramp, "flying": 1, "ratio_low": 1.3, "ratio_above": 1.0},
-            spin=2.0,
-            load=0.0,
-            drag=0.0,
-        ),
-    )
-
-
-def _salient() -> tuple[Sequence, ...]:
-    own: Mapping[str, float] = {"method": 3, "alignment": 0, "polarity_share": -1.0}
-    return (
-        Sequence(own, ((0, 1.6), (240, 0.2), (330, 1.6))),
-        Sequence({**own, "polarity_share": 2.0}),
-        Sequence({**own, "alignment": 1}, ((0, -1.6),), stop=260),
-        Sequence({**own, "flying": 1}, spin=0.8, bad=(90,), load=0.0, drag=0.0),
-        Sequence(
-            {**own, "flying": 1}, ((0, 1.5), (120, 0.2)), spin=1.6, stop=350, load=0.0, drag=0.0
-        ),
-        Sequence(own, bad=(10, 40)),
-    )
-
-
-def _hearing() -> tuple[Sequence, ...]:
-    ramp: Mapping[str, float] = {"method": 0, "alignment": 2}
-    slowly: Mapping[str, float] = {**ramp, "agree_samples": 30}
-    return (
-        Sequence(slowly, ((0, 1.3), (330, 0.3)), deaf=(40, 170, 300), load=0.3),
-        Sequence(slowly, ((0, -1.3),), deaf=(180, 181)),
-        Sequence({**ramp, "agree_samples": 200}, blocked=0),
-    )
-
-
-def sequences(model: StartUpModel) -> tuple[Sequence, ...]:
-    """What is tried of a machine; starts by saliency where it has an estimator for them.
-
-    Args:
-        model: The machine.
-    """
-    if model.hears:
-        return _common() + _hearing()
-    return _common() if model.low is None else _common() + _salient()
-
-
-def shortened(model: StartUpModel, sequence: Sequence) -> dict[str, float]:
-    """Settings of a sequence, numbers of single precision.
-
-    Args:
-        model: The machine.
-        sequence: What differs.
-    """
-    own = dict(model.settings)
-    hand_over, most = own["hand_over"], max(own["align_A"], own["ramp_A"])
-    shorter: dict[str, float] = {
-        **_SHORT,
-        "align_A": most,
-        "ramp_A": most,
-        "ramp_A_step": 0.1 * most,
-        "ramp_step": hand_over / 60.0,
-        "ramp_jerk": hand_over / 1200.0,
-        "mean_share": 0.05,
-        "run_step": hand_over / 40.0,
-        "mix_step": 0.1,
-        "ratio_share": 0.1,
-        "agree_share": 0.3,
-        "ratio_low": -2.0,
-        "ratio_high": 4.0,
-        "polarity_A": 0.5 * most,
-    }
-    shorter["ratio_above"] = 1.2 * hand_over
-    given = {name: value for name, value in sequence.settings.items() if name != "ratio_above"}
-    if "ratio_above" in sequence.settings:
-        given["ratio_above"] = sequence.settings["ratio_above"] * hand_over
-    values = own | shorter | given
-    values["align_rise"] = 2.0 / values["align_samples"]
-    whole = {member.name for member in MEMBERS if member.whole}
-    return {
-        name: int(value) if name in whole else float(np.float32(value))
-        for name, value in values.items()
-    }
-
-
-class _Plant:
-    """A drive in double precision between two samples: its currents, speed and angle."""
-
-    def __init__(self, settings: Mapping[str, float], pole_pairs: float, v_dc: float) -> None:
-        """Take the machine from the settings; the inertia lets a start last 100 samples."""
-        self.s, self.v_dc, self.t_s = settings, v_dc, settings["t_s"]
-        torque = settings["torque_per_A"] * settings["ramp_A"]
-        self.per_torque = settings["hand_over"] / (_QUICK * self.t_s * torque)
-        self.load = torque
-        self.i_d = self.i_q = self.theta = self.omega = 0.0
-        self.pole_pairs = pole_pairs
-
-    def phases(self) -> tuple[float, float, float]:
-        """Phase currents in A."""
-        vector = complex(self.i_d, self.i_q) * np.exp(1j * self.theta)
-        return (
-            float(vector.real),
-            float((vector * np.exp(-2j * np.pi / 3)).real),
-            float((vector * np.exp(2j * np.pi / 3)).real),
-        )
-
-    def sum_flux(self, gains: Any) -> float:
-        """Integral of the sum of the phase voltages in V s, as a tracker knows it."""
-        return float(gains.amplitude * math.cos(3.0 * self.theta - gains.phase))
-
-    def go(self, duty: tuple[float, float, float], gate: int, sequence: Sequence) -> None:
-        """One period; without gate pulses the currents are gone at its end."""
-        s, steps = self.s, 4
-        h = self.t_s / steps
-        turn = np.exp(2j * np.pi / 3)
-        v = self.v_dc * (2.0 / 3.0) * (duty[0] + turn * duty[1] + turn.conjugate() * duty[2])
-        if not gate:
-            self.i_d = self.i_q = 0.0
-        for _ in range(steps):
-            along = v * np.exp(-1j * self.theta)
-            if gate:
-                d = (along.real - s["r_s_Ohm"] * self.i_d) / s["l_d_H"]
-                q = (along.imag - s["r_s_Ohm"] * self.i_q - self.omega * s["psi_pm_Wb"]) / s[
-                    "l_q_H"
-                ]
-                d += self.omega * s["l_q_H"] * self.i_q / s["l_d_H"]
-                q -= self.omega * s["l_d_H"] * self.i_d / s["l_q_H"]
-                self.i_d, self.i_q = self.i_d + h * d, self.i_q + h * q
-            torque = (s["torque_per_A"] + s["reluctance"] * self.i_d) * self.i_q
-            share = self.omega / s["hand_over"]
-            sliding = sequence.load * math.tanh(30.0 * share)
-            drag = self.load * (sliding + sequence.drag * share)
-            self.omega += h * (torque - drag) * self.per_torque
-            self.theta = math.remainder(self.theta + h * self.omega, 2.0 * math.pi)
-
-
-def _number(value: float) -> float:
-    return float(np.float32(value))
-
-
-def _row(sequence: Sequence, k: int, plant: _Plant, settings: Mapping[str, float]) -> list[float]:
-    """Samples, reference and command of an instant."""
-    phases = list(plant.phases())
-    if k in sequence.bad:
-        phases[k % 3] = math.nan
-    if k == sequence.surge:
-        phases = [3.0 * settings["trip_A"], *phases[1:]]
-    v_dc = 0.2 * plant.v_dc if k >= sequence.collapse else plant.v_dc
-    share = [value for start, value in sequence.speeds if start <= k][-1]
-    reference = share * settings["hand_over"] / plant.pole_pairs
-    run = 0.0 if k >= sequence.stop else 1.0
-    return [1.0 if k == 0 else 0.0, *(_number(x) for x in (*phases, v_dc, reference)), run]
-
-
-def _outputs(run: StartUpRun, duty: tuple[float, ...], gate: int) -> list[float]:
-    drive = run.drive
-    return [
-        *(float(x) for x in duty),
-        float(gate),
-        float(drive.state),
-        float(drive.fault),
-        float(drive.theta_e),
-        float(drive.omega_e),
-        float(scalar(drive.observer.theta_e)),
-        float(drive.reference),
-        *(float(x) for x in drive.made),
-        float(drive.emf),
-    ]
-
-
-def recorded(model: StartUpModel, v_dc: float) -> tuple[SingleArray, SingleArray]:
-    """What the C code is given, (N, 7 or 8 + settings), and what it must answer, shape (N, 13).
-
-    Args:
-        model: The machine.
-        v_dc: Voltage of the dc link in V.
-    """
-    pole_pairs = float(model.control.gains["pole_pairs"])
-    inputs, outputs = [], []
-    with np.errstate(all="ignore"):  # samples that are no numbers go in
-        for sequence in sequences(model):
-            settings = shortened(model, sequence)
-            settings["v_dc_min_V"] = _number(0.5 * v_dc)
-            settings["trip_A"] = _number(4.0 * settings["ramp_A"])
-            run, plant = StartUpRun(model, settings), _Plant(settings, pole_pairs, v_dc)
-            plant.omega = sequence.spin * settings["hand_over"]
-            plant.theta = 1.0 if settings["alignment"] == 2 else 0.2
-            tail = [settings[member.name] for member in MEMBERS]
-            waiting: tuple[tuple[float, float, float], int] = ((0.5, 0.5, 0.5), 0)
-            before = plant.sum_flux(model.gains) if model.hears else 0.0
-            for k in range(_LENGTH):
-                row = _row(sequence, k, plant, settings)
-                u = _ZERO
-                if model.hears:
-                    flux = plant.sum_flux(model.gains)
-                    u = F((flux - before) / plant.t_s) if k not in sequence.deaf else F("nan")
-                    before = flux
-                    row.append(float(u))
-                i_a, i_b, i_c = (F(x) for x in row[1:4])
-                duty, gate = run.step((i_a, i_b, i_c), F(row[4]), F(row[5]), int(row[6]), u)
-                inputs.append([*row, *tail])
-                outputs.append(_outputs(run, duty, gate))
-                plant.go(*waiting, sequence)
-                if run.drive.state in _OVER and run.drive.time > _REST:
-                    break
-                a, b, c = (float(x) for x in duty)
-                waiting = ((a, b, c), gate)
-                if k >= sequence.blocked:
-                    plant.omega = 0.0
-    return (
-        np.array(inputs, dtype=np.float32),
-        np.array(outputs, dtype=np.float32),
-    )
-
-
-# The members of ``<prefix>_startup_settings_t`` and their values: a plan in samples, as numbers of
-# single precision.
-
-METHODS = ("i-f", "v-f", "direct", "saliency")  # In the order of their numbers in the C code.
-
-# In the order of their numbers in the C code.
-ALIGNMENTS = ("none", "one-step", "two-step", "voltage")
-
-
-@dataclass(frozen=True, slots=True)
-class Member:
-    """One member: its C type (``float`` or ``uint32_t``), and its value by the plan."""
-
-    name: str
-    comment: str
-    value: Callable[[StartUpPlan], float]
-    whole: bool = False
-
-    @property
-    def kind(self) -> str:
-        """Its C type."""
-        return "uint32_t" if self.whole else "float"
-
-
-def _samples(time: float, plan: StartUpPlan, least: int = 1) -> int:
-    return max(least, min(round(time / plan.t_s), 2**31 - 1))
-
-
-def _share(time: float, plan: StartUpPlan) -> float:
-    """Share of a new sample in a filter of a time constant in s."""
-    return -math.expm1(-plan.t_s / time)
-
-
-def _count(name: str, comment: str, time: Callable[[StartUpPlan], float]) -> Member:
-    return Member(name, comment, lambda plan: _samples(time(plan), plan), whole=True)
-
-
-# The members in the order of the C structure.
-MEMBERS: tuple[Member, ...] = (
-    Member("method", "0 I-f, 1 V/f, 2 direct, 3 saliency", lambda p: METHODS.index(p.method), True),
-    Member(
-        "alignment",
-        "0 none, 1 one step, 2 two steps, 3 voltage",
-        lambda p: ALIGNMENTS.index(p.alignment),
-        True,
-    ),
-    Member("flying", "1: look for a rotor that turns already", lambda p: int(p.flying), True),
-    Member("retries", "further tries after a failed start", lambda p: p.retries, True),
-    _count("align_samples", "duration of the alignment", lambda p: p.align_time),
-    _count("agree_samples", "the observer's speed agrees for so long", lambda p: p.agree_time),
-    _count("patience_samples", "beyond the planned end", lambda p: p.patience),
-    _count("fade_samples", "in which the held current goes", lambda p: p.fade_time),
-    _count("stall_samples", "too slow for so long", lambda p: p.stall_time),
-    _count("settled_samples", "above ratio_above for so long", lambda p: p.ratio_settled),
-    _count("ratio_samples", "EMF outside its limits for so long", lambda p: p.ratio_time),
-    _count("wait_samples", "without current before the next try", lambda p: p.retry_pause),
-    _count("search_samples", "to find the axis by saliency", lambda p: p.search_time),
-    _count("polarity_samples", "per side of the axis", lambda p: p.polarity_time),
-    _count("catch_samples", "longest pulse of a flying start", lambda p: p.catch_longest),
-    Member("pause_samples", "between two of them", lambda p: _samples(p.catch_pause, p, 3), True),
-    Member("t_s", "sampling period, s", lambda p: p.t_s),
-    Member("r_s_Ohm", "phase resistance", lambda p: p.r_s),
-    Member("l_d_H", "", lambda p: p.l_d),
-    Member("l_q_H", "", lambda p: p.l_q),
-    Member("psi_pm_Wb", "", lambda p: p.psi_pm),
-    Member("torque_per_A", "3/2 p psi_pm, N m/A", lambda p: p.torque_per_ampere),
-    Member(
-        "reluctance", "3/2 p (L_d - L_q), N m/A^2", lambda p: 1.5 * p.pole_pairs * (p.l_d - p.l_q)
-    ),
-    Member("align_A", "current of the alignment", lambda p: p.align_current),
-    Member("align_V", "voltage of the alignment", lambda p: p.align_voltage),
-    Member(
-        "align_rise", "per sample, 0 to 1 in half of it", lambda p: 2.0 / _samples(p.align_time, p)
-    ),
-    Member("align_damping", "A against the turning rotor per rad/s", lambda p: p.align_damping),
-    Member("align_share", "of a new sample in its speed", lambda p: _share(p.align_filter, p)),
-    Member("ramp_A", "current of the ramp", lambda p: p.ramp_current),
-    Member(
-        "ramp_A_step",
-        "its change per sample",
-        lambda p: p.current_limit * p.t_s / min(0.05, p.align_time or 0.05),
-    ),
-    Member("ramp_step", "acceleration, rad/s per sample", lambda p: p.ramp_acceleration * p.t_s),
-    Member(
-        "ramp_jerk",
-        "change of ramp_step per sample",
-        lambda p: p.ramp_acceleration * p.t_s / _samples(p.ramp_rise, p),
-    ),
-    Member("boost_V", "voltage of the voltage ramp at rest", lambda p: p.boost),
-    Member("damping", "rad/s per V of active voltage above its mean", lambda p: p.damping),
-    Member("mean_share", "of that mean, 50 ms", lambda p: _share(0.05, p)),
-    Member("hand_over", "the observer rules from here, rad/s", lambda p: p.hand_over),
-    Member("mix_from", "its angle counts from here", lambda p: p.mix_from),
-    Member("back_below", "it rules no more below, rad/s", lambda p: p.back_below),
-    Member("ramp_end", "the ramp ends here, rad/s", lambda p: p.ramp_end),
-    Member("agree_share", "of the speed of the ramp", lambda p: p.agree_share),
-    Member("held_A", "d current until the observer rules", lambda p: p.held_current),
-    Member(
-        "run_step", "slope of the reference, rad/s per sample", lambda p: p.run_acceleration * p.t_s
-    ),
-    Member("stall_below", "rad/s", lambda p: p.stall_below),
-    Member("ratio_above", "the EMF is looked at above, rad/s", lambda p: p.ratio_above),
-    Member("ratio_low", "least EMF over omega psi", lambda p: p.ratio_low),
-    Member("ratio_high", "largest EMF over omega psi", lambda p: p.ratio_high),
-    Member("ratio_share", "of a new sample in its filter", lambda p: _share(p.ratio_filter, p)),
-    Member("trip_A", "overcurrent", lambda p: p.trip_current),
-    Member("v_dc_min_V", "undervoltage; 0: not looked at", lambda p: p.v_dc_min),
-    Member("catch_A", "current that a pulse should reach", lambda p: p.catch_current),
-    Member("catch_slow", "slower asks for a third pulse, rad/s", lambda p: 0.5 * p.base_speed),
-    Member("catch_least", "slower is at rest, rad/s", lambda p: p.catch_least),
-    Member("mix_step", "change of the observer's share per sample", lambda p: p.t_s / p.agree_time),
-    Member(
-        "polarity_share",
-        "least difference of the ripples over their sum",
-        lambda p: p.polarity_share,
-    ),
-    Member("polarity_A", "current of the test of the polarity", lambda p: p.polarity_current),
-)
-
-
 def settings_of(plan: StartUpPlan) -> dict[str, float]:
     """Values of all members by name, whole numbers as int.
 
     Args:
         plan: What the start needs.
     """
-    return {
-        member.name: int(member.value(plan)) if member.whole else float(member.value(plan))
-        for member in MEMBERS
-    }
+    return asdict(StartupSettings.of(plan))
 
 
 def settings_bytes(plan: StartUpPlan) -> bytes:
@@ -635,123 +248,275 @@ def settings_bytes(plan: StartUpPlan) -> bytes:
     return struct.pack(f"={form}", *(values[member.name] for member in MEMBERS))
 
 
-# The step of the start-up in single precision, as ``step.j2`` has it.
-
-_HALF = F(0.5)
+# The text of the C: its types, constants and functions.
 
 
-_MOST = 2_147_483_647
+class Duties(NamedTuple):
+    """Duty cycles of a control over the angle."""
+
+    a: Any
+    b: Any
+    c: Any
 
 
-def _guard(phases: Phases, i: Vector, v_dc: Any, wanted: Any, run: int) -> None:
-    """As ``<prefix>_startup_guard``."""
-    model, s, drive = phases.model, phases.s, phases.drive
-    square = (i[0] * i[0]) + (i[1] * i[1])
-    told = square < F(1e30) and abs(v_dc) < F(1e15) and abs(wanted) < F(1e15)
-    resting = drive.state in RESTING
-    if run == 0:
-        low = drive.state == State.LOW and s.method == 3
-        moving = (
-            drive.state == State.RUN
-            or (drive.state == State.RAMP and abs(drive.omega_e) > _ZERO)
-            or (low and (abs(drive.reference) > _ZERO or abs(drive.omega_e) > F(0.1) * s.hand_over))
-        )
-        if not moving:
-            off(model, drive, State.IDLE)
-            drive.fault, drive.tries = Fault.NO_FAULT, 0
-    if not resting:
-        if drive.state == State.IDLE:
-            return
-        if not told:
-            trip(model, s, drive, Fault.SAMPLE)
-        elif square > s.trip_A * s.trip_A:
-            trip(model, s, drive, Fault.OVERCURRENT)
-        elif v_dc < s.v_dc_min_V:
-            trip(model, s, drive, Fault.UNDERVOLTAGE)
-    elif run != 0 and told:
-        waited = drive.state == State.WAIT and drive.time >= s.wait_samples
-        if drive.state == State.IDLE or waited:
-            phases.begin(wanted)
+@dataclass(frozen=True, slots=True)
+class StartupForm:
+    """What the C of a start-up depends on, beside its settings.
+
+    Args:
+        code: Part of C names of the estimator at speed; ``low`` that of the one from standstill on,
+            empty without one.
+        hears: Whether the estimator at speed is told the sum of the phase voltages.
+        feedforward: That of the control over the angle, None for field-oriented control.
+        by_torque: Whether that control makes its currents of the torque.
+        moving: Which references of the control have slopes: those of torque and of current.
+    """
+
+    code: str
+    low: str = ""
+    hears: bool = False
+    feedforward: Feedforward | None = None
+    by_torque: bool = False
+    moving: tuple[bool, bool] = (False, False)
 
 
-class StartUpRun:
-    """One drive that starts, step by step; ``settings`` None for those of the model."""
+def startup_text(form: StartupForm, settings: StartupSettings, prefix: str, macro: str) -> str:
+    """What stands in the header behind what it includes.
 
-    def __init__(self, model: StartUpModel, settings: dict[str, float] | None = None) -> None:
-        """As ``<prefix>_startup_init``."""
-        own = Settings(model.settings if settings is None else settings)
-        self.model, self.drive = model, first_drive(model)
-        self.phases = Phases(model, own, self.drive)
+    Args:
+        form: What the start-up is made of.
+        settings: Values of the design.
+        prefix, macro: Before the names of functions and types, and before those of macros.
+    """
+    drive = _drive(form)
+    duty: type[Any] = Abc if form.feedforward is None else Duties
+    sample = StartupSample(Abc(_NUMBER, _NUMBER, _NUMBER), _NUMBER, _NUMBER if form.hears else None)
+    output = StartupOutput(duty(_NUMBER, _NUMBER, _NUMBER), _NUMBER)
+    functions = _functions(form, settings, drive, sample, prefix, duty)
+    known = {c_name(type(record)) for record, _ in leaves(drive)} - {"startup"}
+    known |= {"control", "references"}
+    parts = [
+        *_enumerations(prefix, macro),
+        *record_structs(settings, prefix),
+        *record_structs(sample, prefix),
+        *record_structs(output, prefix),
+        *record_structs(drive, prefix, known=known),
+        _constants(settings, prefix, macro),
+        *([text] for text in functions.texts.values()),
+    ]
+    return "\n\n".join("\n".join(lines) for lines in parts)
 
-    def _estimate(self, acted: Vector, current: Vector, u: Any) -> None:
-        model, s, drive = self.model, self.phases.s, self.drive
-        if model.low is not None:
-            done = (drive.state == State.SEARCH and drive.time >= s.search_samples) or (
-                drive.state == State.POLARITY and drive.time >= 2 * s.polarity_samples
-            )
-            if done:
-                self.phases.found()
-            if drive.state in (State.SEARCH, State.POLARITY) or (
-                drive.state == State.LOW and s.method == 3
-            ):
-                tracker, gains = model.low
-                assert drive.low is not None
-                drive.low = tracker.step(gains, drive.low, pair(*acted), pair(*current), (), SINGLE)
-                drive.control.added = drive.low.added
-        if model.hears and drive.state == State.RAMP and drive.agreed == 0:
-            follow_ramp(model, s, drive)
-        if drive.state in (State.RAMP, State.LOW, State.RUN):
-            drive.observer = observer_step(model, drive.observer, acted, current, u)
 
-    def _watch(self, acted: Vector, current: Vector, wanted: Any) -> Duties:
-        """Speed-driven changes; the currents for the controllers."""
-        drive, phases = self.drive, self.phases
-        seen = phases.phases
-        if drive.state == State.RAMP:
-            phases.watch_ramp(current, wanted)
-        elif drive.state == State.LOW:
-            if self.model.low is not None and phases.s.method == 3:
-                seen = phases.mix()
-            else:
-                drive.theta_e = scalar(drive.observer.theta_e)
-                drive.omega_e = scalar(drive.observer.omega_e)
-            phases.watch_low()
-        elif drive.state == State.RUN:
-            phases.watch_run(acted, current)
-        return seen
+def _drive(form: StartupForm) -> Startup:
+    """The members of the memory, whose records are named as in the headers of control and
+    estimators.
+    """
+    torque, current = form.moving
+    moving = References(
+        _NUMBER if torque else None, Dq(_NUMBER, _NUMBER) if current else None, None, None
+    )
+    turn = AlphaBeta(_NUMBER, _NUMBER)
+    control = Control(
+        d=Pi(_NUMBER),
+        q=Pi(_NUMBER),
+        speed=Pi(_NUMBER),
+        reference=Dq(_NUMBER, _NUMBER),
+        v=turn,
+        omega_m=_NUMBER,
+        torque=_NUMBER,
+        count=_NUMBER,
+        added=turn if form.low else None,
+        held=Dq(_NUMBER, _NUMBER),
+        references=moving if torque or current else None,
+    )
+    observer = _named(form.code, Followed)(_NUMBER, _NUMBER)
+    low = _named(form.low, FollowedFromRest)(turn, turn, _NUMBER, _NUMBER) if form.low else None
+    return Startup.blank(control, observer, low, _NUMBER)
 
-    def step(
-        self, i: Duties, v_dc: Any, reference: Any, run: int, u: Any = _ZERO
-    ) -> tuple[Duties, int]:
-        """Duty cycles and whether there are gate pulses, as ``<prefix>_startup_step``; ``u`` in V
-        is the mean sum of the phase voltages, for a tracker that is told it.
-        """
-        drive, phases, s = self.drive, self.phases, self.phases.s
-        acted, current = drive.acted, vector_of(i)
-        wanted = phases.pole_pairs * F(reference) if run != 0 else _ZERO
-        phases.phases, phases.v_dc = i, F(v_dc)
-        duty: Duties = (_HALF, _HALF, _HALF)
-        shorted = True
-        drive.acted = drive.made
-        _guard(phases, current, F(v_dc), wanted, run)
-        if drive.state == State.CATCH:
-            shorted = phases.catch(current)
-        if drive.state == State.ALIGN and (drive.time >= s.align_samples or s.alignment == 0):
-            phases.aligned(current, wanted)
-        self._estimate(acted, current, u)
-        seen = self._watch(acted, current, wanted)
-        if drive.state == State.ALIGN:
-            duty = phases.align(current, acted)
-        elif drive.state == State.RAMP:
-            duty = phases.ramp(current, acted, wanted)
-        elif drive.state in (State.SEARCH, State.POLARITY):
-            duty = phases.search(current)
-        elif drive.state == State.LOW:
-            duty = phases.speed(seen, wanted)
-        elif drive.state == State.RUN:
-            drive.theta_e = scalar(drive.observer.theta_e)
-            drive.omega_e = scalar(drive.observer.omega_e)
-            duty = phases.speed(seen, _ZERO if wanted * drive.omega_e < _ZERO else wanted)
-        resting = drive.state in RESTING or (drive.state == State.CATCH and not shorted)
-        drive.time = min(drive.time + 1, _MOST)
-        return duty, 0 if resting else 1
+
+def _named(code: str, kind: type[Any], end: str = "") -> type[Any]:
+    """A record of another name, that of an estimator in C."""
+    name = "".join(part.capitalize() for part in code.split("_"))
+    return make_dataclass(f"{name}{end}", [], bases=(kind,), frozen=bool(end))
+
+
+@dataclass(frozen=True, slots=True)
+class _Gains:
+    """Those of an estimator, which are handed on."""
+
+
+def _functions(
+    form: StartupForm,
+    settings: StartupSettings,
+    drive: Startup,
+    sample: StartupSample,
+    prefix: str,
+    duty: type[Any],
+) -> Functions:
+    steps = StartupSteps(Neighbours(), form.hears, form.feedforward, form.by_torque, duty)
+    own = [name for name in dir(StartupSteps) if callable(getattr(StartupSteps, name))]
+    names = {name: f"startup_{name}" for name in own if not name.startswith("_")}
+    around = {"observer": form.code, "standstill": form.low}
+    parts = [(begin, end) for begin in around for end in ("start", "step")]
+    names |= {f"{begin}_{end}": f"{around[begin]}_{end}" for begin, end in parts}
+    functions = Functions(names=names)
+    _declare(functions, form, drive, duty)
+    reader = RecordReader(prefix, functions, Block("", set()))
+    pi = PiGains(_NUMBER, _NUMBER, _NUMBER)
+    gains = ControlGains(pi, pi, pi, ratio=_NUMBER, **dict.fromkeys(NUMBERS, _NUMBER))
+    number, run = Expression("number"), Expression("run", kind="uint32_t")
+    observer = _named(form.code, _Gains, "Gains")()
+    reader.write("startup_init", steps.init, [drive])
+    if form.low:
+        low, step = _named(form.low, _Gains, "Gains")(), steps.step_from_standstill
+        given = [gains, settings, observer, low, drive, sample, number, run]
+        reader.write("startup_step", step, given, sentence(steps.step))
+    else:
+        given = [gains, settings, observer, drive, sample, number, run]
+        reader.write("startup_step", steps.step, given)
+    return functions
+
+
+def _declare(functions: Functions, form: StartupForm, drive: Startup, duty: type[Any]) -> None:
+    """Functions of the other headers, with what they change of their arguments."""
+    none, nothing = type(None), frozenset[str]()
+    control = frozenset(_places(drive.control))
+    observer = frozenset(_places(drive.observer))
+    told = [nothing] * (3 if form.hears else 2)
+    known: dict[str, tuple[type[Any], list[frozenset[str]]]] = {
+        "control_start": (none, [control]),
+        "reset_integrals": (none, [frozenset({"d.integral", "q.integral"})]),
+        "current_control": (duty, [nothing, control, nothing, nothing]),
+        "speed_control": (duty, [nothing, control, nothing, nothing]),
+        "duties": (duty, []),
+        f"{form.code}_start": (none, [observer, nothing, nothing]),
+        f"{form.code}_step": (none, [nothing, observer, *told]),
+    }
+    if drive.low is not None:
+        low = frozenset(_places(drive.low))
+        known[f"{form.low}_start"] = (none, [low, nothing, nothing])
+        known[f"{form.low}_step"] = (none, [nothing, low, nothing, nothing])
+    for name, (result, changes) in known.items():
+        functions.results[name] = result
+        functions.changes[name] = changes
+
+
+def _places(record: Any, before: str = "") -> Iterator[str]:
+    """Members of a record that are no records, as they are reached through it."""
+    for member in fields(record):
+        value = getattr(record, member.name)
+        if hasattr(value, "__dataclass_fields__"):
+            yield from _places(value, f"{before}{member.name}.")
+        elif value is not None:
+            yield f"{before}{member.name}"
+
+
+def _enumerations(prefix: str, macro: str) -> Iterator[list[str]]:
+    kinds: list[tuple[type[Any], Mapping[Any, str]]] = [
+        (StartupState, STATES),
+        (StartupFault, FAULTS),
+    ]
+    for kind, texts in kinds:
+        names = [f"{macro}_STARTUP_{one.name}" for one in kind]
+        names[0] += " = 0"
+        names = [f"{name}," for name in names[:-1]] + names[-1:]
+        most = max(map(len, names))
+        lines = [
+            f"    {name:{most}} /* {text} */" if text else f"    {name}"
+            for name, text in zip(names, texts.values(), strict=True)
+        ]
+        yield [
+            *comment(sentence(kind)),
+            "typedef enum {",
+            *lines,
+            f"}} {prefix}_{c_name(kind)}_t;",
+        ]
+
+
+def _constants(settings: StartupSettings, prefix: str, macro: str) -> list[str]:
+    """The settings of the design, each with its name and what it is."""
+    lines = []
+    for member, line in zip(fields(settings), record_values(settings, None), strict=True):
+        text = said(StartupSettings, member.name)
+        behind = f"{member.name}: {text}" if text else member.name
+        lines.append(f"{line} /* {comment_text(behind)} */")
+    return [
+        f"static const {prefix}_startup_settings_t {macro}_STARTUP_SETTINGS = {{",
+        *lines,
+        "};",
+    ]
+
+
+# Records that a function of the C keeps for itself.
+
+
+class RecordReader(StepReader):
+    """A reader whose functions declare records by `let`, in their outermost block; they change
+    them, hand them on by their address and return them.
+    """
+
+    def inside(self, function: Callable[..., Any], names: Sequence[str]) -> StepReader:  # noqa: ARG002
+        """The reader of a function with parameters of these names."""
+        return RecordReader(self.prefix, self.functions, Block("    ", set(names)))
+
+    def _named(self, name: str, value: Any, meaning: str) -> Any:
+        if not is_dataclass(value) or isinstance(value, Condition):
+            return self._local(name, value, meaning)
+        self.block.take(name)
+        self.block.variable(self.type_name(c_name(type(value))), name)
+        found = self._record(value, f"&{name}", f"{name}.", frozenset())
+        for member in fields(value):
+            setattr(found, member.name, getattr(value, member.name))
+        self.write_state()
+        return found
+
+    def _local(self, name: str, value: Any, meaning: str) -> Any:
+        """A constant where declarations still stand, behind statements a variable that is set."""
+        vector = isinstance(value, tuple) and hasattr(value, "_fields")
+        if self.block.declared is None or not (vector or isinstance(value, Expression | Condition)):
+            found = super()._named(name, value, meaning)
+            _written(value)
+            return found
+        kind = self._kind(value)
+        self.block.take(name)
+        self.block.variable(kind, name)
+        self._assign(name, value)
+        return self.vector(type(value), name) if vector else self.number_of(name, kind)
+
+    def _assign(self, name: str, value: Any) -> None:
+        super()._assign(name, value)
+        _written(value)
+
+    def call(
+        self,
+        function: Callable[Concatenate[Arithmetic, _P], _T],
+        *args: _P.args,
+        **kwargs: _P.kwargs,
+    ) -> _T:
+        """A call, whose result may be a condition."""
+        found = super().call(function, *args, **kwargs)
+        if isinstance(found, Condition) and self._open is not None:
+            (self._open,) = found.terms
+            self._open.uses[0] = 0
+        return found
+
+    def write_state(self) -> None:
+        """Write what the step has made of its state, vectors of calls as a whole."""
+        for kept in self._kept:
+            if kept.set_to is not kept.value:
+                _written(kept.set_to)
+        super().write_state()
+
+    def returned(self, result: Any, into: Sequence[str] = ()) -> tuple[str, list[str]]:
+        """Type of what a function returns, and the statements that return it."""
+        place = self._place(result)
+        if place is None:
+            return super().returned(result, into)
+        name = place[0].removeprefix("&")
+        return self.type_name(c_name(type(result))), [f"{self.block.indent}return {name};"]
+
+
+def _written(value: Any) -> None:
+    """Count that a vector of a call has been written as a whole."""
+    if isinstance(value, tuple) and whole_of(value):
+        value[0].uses[0] += 1

@@ -54,10 +54,19 @@ def whole_of(value: Any) -> str:
     return place if [getattr(part, "text", "") for part in value] == names else ""
 
 
+# Each function that a step calls needs the members of the same few records.
+_MEMBERS: dict[type[Any], dict[str, Member]] = {}
+
+
 def _member(kind: type[Any], name: str) -> Member | None:
-    hint = get_type_hints(kind, include_extras=True).get(name)
-    found = [item for item in getattr(hint, "__metadata__", ()) if isinstance(item, Member)]
-    return found[0] if found else None
+    if kind not in _MEMBERS:
+        _MEMBERS[kind] = {
+            place: item
+            for place, hint in get_type_hints(kind, include_extras=True).items()
+            for item in getattr(hint, "__metadata__", ())
+            if isinstance(item, Member)
+        }
+    return _MEMBERS[kind].get(name)
 
 
 def said(kind: type[Any], name: str) -> str:

@@ -19,6 +19,8 @@ from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.design.design import Design
 from dqforge.machines.plants.scenario import Profile, constant
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.optimizer.start_up.start_records import StartupFault as Fault
+from dqforge.optimizer.start_up.start_records import StartupState as State
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.observers.float32_model import EmittedTracker
@@ -36,7 +38,6 @@ from dqforge.reports.simulation.design_run import (
     spans,
 )
 from dqforge.reports.simulation.recorded_run import Simulator, simulate, simulator
-from dqforge.reports.start_up.float32_model import Fault, State
 from dqforge.reports.start_up.header import plain_start_up
 from dqforge.reports.start_up.tried import start_up_from, start_up_programme
 from dqforge.reports.verification.cortex_m import run_on_target

@@ -17,23 +17,28 @@ from start_designs import INJECTION, start_design
 from static_checks import DEVIATIONS, program
 
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.optimizer.start_up.start_records import RESTING
+from dqforge.optimizer.start_up.start_records import StartupFault as Fault
+from dqforge.optimizer.start_up.start_records import StartupState as State
 from dqforge.reports.c_code.harness import single_from
 from dqforge.reports.control.header import plain_control
 from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.observers.position_header import emitted, plain_observer
 from dqforge.reports.simulation.design_run import controller_files
-from dqforge.reports.start_up.float32_model import RESTING, F, Fault, State
+from dqforge.reports.start_up.float32_reading import MEMBERS, StartUpRun
 from dqforge.reports.start_up.header import (
-    MEMBERS,
-    OUTPUTS,
-    SEEN,
-    StartUpRun,
     plain_start_observer,
     plain_start_up,
     settings_bytes,
     settings_of,
 )
-from dqforge.reports.start_up.tried import TriedStart, start_up_from, start_up_programme
+from dqforge.reports.start_up.tried import (
+    OUTPUTS,
+    SEEN,
+    TriedStart,
+    start_up_from,
+    start_up_programme,
+)
 from dqforge.reports.verification.cortex_m import run_on_target
 
 
@@ -143,18 +148,19 @@ def test_a_sample_that_is_no_number_ends_in_a_named_fault_in_every_state(channel
                 run = StartUpRun(tried().model, settings)
             if run.drive.state not in met:
                 met.add(run.drive.state)
-                bad = [F(value) for value in row[1:5]]
-                bad[channel] = F("nan")
+                bad = [np.float32(value) for value in row[1:5]]
+                bad[channel] = np.float32("nan")
                 spoilt = deepcopy(run)
                 resting = run.drive.state in RESTING
-                _, gate = spoilt.step((bad[0], bad[1], bad[2]), bad[3], F(row[5]), 1)
+                _, gate = spoilt.step((bad[0], bad[1], bad[2]), bad[3], np.float32(row[5]), 1)
                 assert gate == 0
                 assert spoilt.drive.state in RESTING
                 assert resting or spoilt.drive.fault == Fault.SAMPLE
                 assert np.isfinite([spoilt.drive.theta_e, spoilt.drive.omega_e]).all()
                 if met == set(State):
                     return
-            run.step(tuple(F(x) for x in row[1:4]), F(row[4]), F(row[5]), int(row[6]))  # type: ignore[arg-type]
+            i_a, i_b, i_c, v_dc, reference = map(np.float32, row[1:6])
+            run.step((i_a, i_b, i_c), v_dc, reference, int(row[6]))
     assert met == set(State)
 
 
