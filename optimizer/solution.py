@@ -29,7 +29,7 @@ from dqforge.optimizer.operating_points.solve import Curves, current_choice, sol
 
 if TYPE_CHECKING:
     from dqforge.optimizer.application import ApplicationPlan
-    from dqforge.optimizer.current_feedback import CurrentFeedback
+    from dqforge.optimizer.current_feedback.regulator_runs import CurrentFeedback
     from dqforge.optimizer.current_reference.forms import Emitted
     from dqforge.optimizer.current_reference.solve import Trial
     from dqforge.optimizer.field_weakening.fit import WeakeningFit
@@ -235,7 +235,7 @@ def _start_up(design: Design) -> StartUp | None:
 def _current_feedback(design: Design) -> CurrentFeedback | None:
     if not design.control.current_loop.switches:
         return None
-    from dqforge.optimizer.current_feedback import solve_current_feedback
+    from dqforge.optimizer.current_feedback.regulator_runs import solve_current_feedback
 
     return solve_current_feedback(design)
 

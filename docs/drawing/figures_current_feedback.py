@@ -23,7 +23,7 @@ from dqforge.machines.plants.current_feedback import (
     simulate_currents,
 )
 from dqforge.machines.plants.fed_machine import BridgeDrive, CurrentTrace
-from dqforge.optimizer.current_feedback import (
+from dqforge.optimizer.current_feedback.regulator_runs import (
     METHODS,
     RegulatorRun,
     regulator_plan,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +24,8 @@ from dqforge.machines.plants.regulator_rules import (
     COMMUTATIONS,
     LEGS,
     Codes,
+    NextCodes,
     RuleConstants,
-    RuleInputs,
-    SampledRule,
     codes_of,
 )
 from dqforge.machines.records import dataclass
@@ -41,15 +39,15 @@ class Sampled:
     Args:
         rule: ``predictive``, ``circle`` or ``look-up-table`` (paper 001, 6.2.4.4 and 6.2.4.3).
         t_s: Sampling period in s.
+        next_codes: What the rule names.
         band, outer_band: As in `RuleConstants`, in A.
-        real: Precision: single is that of the emitted C.
     """
 
     rule: SampledRuleName
     t_s: float
+    next_codes: NextCodes
     band: float = 0.0
     outer_band: float = 0.0
-    real: Any = np.float32
 
     def constants(self, drive: BridgeDrive) -> RuleConstants:
         """What the rule knows of a drive."""
@@ -159,7 +157,7 @@ def further_start(
     the voltages of the references suggest.
     """
     if isinstance(scheme, Sampled):
-        rule = DelayedRule(scheme.constants(plant.drive), legs, scheme.real)
+        rule = DelayedRule(scheme.constants(plant.drive), scheme.next_codes, legs)
         return rule, plant.start(legs), legs
     if isinstance(scheme, Circle):
         controller = CircleController(
@@ -595,17 +593,17 @@ class CircleController:
 
 
 class DelayedRule(LegByLeg):
-    """Controller of `follow` around a `SampledRule`.
+    """Controller of `follow` around a sampled rule.
 
     Args:
         constants: The rule and what it knows of the drive.
+        next_codes: What the rule names.
         legs: Switching states (N, 3) of the first sampling period.
-        real: Precision of the rule; single precision is the model of the emitted C.
     """
 
-    def __init__(self, constants: RuleConstants, legs: BoolArray, real: Any = np.float32) -> None:
+    def __init__(self, constants: RuleConstants, next_codes: NextCodes, legs: BoolArray) -> None:
         self.interval, self.scale = constants.t_s, 1.0
-        self._rule = SampledRule(constants, real)
+        self._constants, self._next = constants, next_codes
         self._named: Codes = codes_of(legs)
 
     def margin(
@@ -620,7 +618,9 @@ class DelayedRule(LegByLeg):
         """The state named a sample ago; the next one is named meanwhile."""
         now = self._named[plant.number]
         theta = np.mod(plant.omega_e * time, 2.0 * math.pi)
-        told = RuleInputs(
+        self._named[plant.number] = self._next(
+            self._constants,
+            now,
             plant.i_d,
             plant.i_q,
             state[:, I_D],
@@ -630,5 +630,4 @@ class DelayedRule(LegByLeg):
             plant.omega_e,
             np.full(now.shape, plant.drive.v_dc),
         )
-        self._named[plant.number] = self._rule.next_codes(now, told)
         return np.asarray(LEGS[now])

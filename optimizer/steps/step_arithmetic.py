@@ -194,6 +194,10 @@ class Arithmetic(Floats):
             of: Changes the state; its argument counts from 0 and has the name of what counts.
             until: Whether the loop ends, asked after each time; None where nothing ends it.
         """
+        if until is None:
+            for number in range(count):
+                of(number)
+            return
         places = [] if state is None else list(leaves(state))
         going: Any = np.ones((), dtype=np.bool_)
         for number in range(count):
@@ -202,8 +206,7 @@ class Arithmetic(Floats):
             for (record, member), old in zip(places, before, strict=True):
                 new = getattr(record, member)
                 setattr(record, member, old if new is old else self._merged(going, new, old))
-            if until is not None:
-                going = going & ~until()
+            going = going & ~until()
             if not np.any(going):
                 break
 

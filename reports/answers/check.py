@@ -38,7 +38,7 @@ def answer_check(design: Design) -> Answer:
     first, others = _values(design), []
     first = replace(first, notes=(*first.notes, *leaving)) if leaving else first
     if design.control.current_loop.switches:
-        from dqforge.optimizer.current_feedback import regulator_plan
+        from dqforge.optimizer.current_feedback.regulator_runs import regulator_plan
         from dqforge.reports.single_headers.current_feedback import settings_table
 
         others.append(settings_table(regulator_plan(design)))

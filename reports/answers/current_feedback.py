@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.current_feedback import (
+from dqforge.optimizer.current_feedback.regulator_runs import (
     load_points,
     regulator_plan,
     run_regulator,

@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import SampledRuleName
-from dqforge.machines.plants.regulator_rules import (
-    ACTIVE,
-    FAR,
-    RuleConstants,
-    RuleInputs,
-    SampledRule,
-    switching_table,
-    unit_vectors,
-)
+from dqforge.machines.plants.regulator_rules import ACTIVE, RuleConstants
 from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
+from dqforge.optimizer.current_feedback.sampled_rules import (
+    MOVES,
+    TABLE,
+    FeedbackEnds,
+    FeedbackInputs,
+    FeedbackPair,
+    SampledRule,
+    next_codes,
+)
 from dqforge.optimizer.losses.drive_budget import PARTS
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
@@ -32,14 +33,18 @@ from dqforge.reports.c_code.harness import (
     single_from,
     title,
 )
-from dqforge.reports.c_code.numbers import float_literal
+from dqforge.reports.c_code.numbers import comment_text, float_literal
 from dqforge.reports.capability import Capability, Draw, Passage, ReportPart, Rows
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import SERIES, new_figure, style
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
 from dqforge.reports.pages.templating import CURRENT_FEEDBACK as CHAPTER
 from dqforge.reports.pages.templating import render
-from dqforge.reports.plain_data import PlainData, shortest
+from dqforge.reports.plain_data import PlainData
+from dqforge.reports.steps.blocks import Block, Functions
+from dqforge.reports.steps.record_text import comment, record_structs, vector_struct
+from dqforge.reports.steps.symbols import Expression
+from dqforge.reports.steps.word_reader import WordReader
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,7 +53,7 @@ if TYPE_CHECKING:
 
     from dqforge.machines.arrays import FloatArray
     from dqforge.machines.design.design import Design
-    from dqforge.optimizer.current_feedback import (
+    from dqforge.optimizer.current_feedback.regulator_runs import (
         CurrentFeedback,
         DesignPattern,
         LoadRuns,
@@ -244,9 +249,7 @@ def rule_inputs(constants: RuleConstants, count: int, seed: int) -> NDArray[np.f
 
 def rule_outputs(constants: RuleConstants, rows: NDArray[np.float32]) -> NDArray[np.uint32]:
     """What the compiled rule must return for rows of `rule_inputs`, shape (N, 1)."""
-    told = RuleInputs(*(rows[:, column] for column in range(1, 9)))
-    with np.errstate(all="ignore"):
-        codes = SampledRule(constants, np.float32).next_codes(rows[:, 0].astype(np.int64), told)
+    codes = next_codes(constants, rows[:, 0].astype(np.int64), *rows[:, 1:].T)
     return codes.astype(np.uint32)[:, None]
 
 
@@ -278,6 +281,7 @@ def _speed_lines(design: Design, found: CurrentFeedback) -> list[str]:
     macro = design.export.prefix.upper()
     speed, per_sample = found.speed, "/* per sample, N m s/rad */"
     return [
+        "",
         "/* Speed loop over this regulator: torque = kp e + integral, parallel form. */",
         f"#define {macro}_FEEDBACK_SPEED_KP ({float_literal(speed.kp)}) /* N m s/rad */",
         f"#define {macro}_FEEDBACK_SPEED_KI_TS ({float_literal(speed.ki_ts)}) {per_sample}",
@@ -285,46 +289,89 @@ def _speed_lines(design: Design, found: CurrentFeedback) -> list[str]:
     ]
 
 
-def _common(design: Design, found: CurrentFeedback) -> PlainData:
-    return {
+def _header(
+    design: Design, found: CurrentFeedback, includes: list[str], body: list[str]
+) -> dict[str, bytes]:
+    """Name and bytes of the header with a body."""
+    context: PlainData = {
         **title(design),
-        "method": found.plan.method,
+        "part": "current_feedback",
+        "subject": f"{found.plan.method} regulator of the phase currents",
         "preamble": emitted_lines(design, found),
-        "speed_lines": _speed_lines(design, found),
+        "includes": includes,
+        "vectors": False,
+        "body": "\n".join([*body, *_speed_lines(design, found)]),
     }
+    text = render("c_code/header.h.j2", context)
+    return {f"{design.export.prefix}_current_feedback.h": text.encode("ascii")}
 
 
 def rule_files(design: Design, found: CurrentFeedback) -> dict[str, bytes]:
     """Name and bytes of the header of a sampled regulator; none of others."""
-    constants = found.rule
+    constants, prefix = found.rule, design.export.prefix
     if constants is None:
         return {}
-    rule = SampledRule(constants, np.float32)
-    vectors = unit_vectors().astype(np.float32)
-    context = _common(design, found) | {
-        "rule": constants.rule,
-        "t_s": constants.t_s,
-        "band": rule.band,
-        "outer_band": rule.outer,
-        "square": rule.square,
-        "alpha": list(vectors[:, 0]),
-        "beta": list(vectors[:, 1]),
-        "active": list(ACTIVE),
-        "table": [list(row) for row in switching_table()],
-        "gain_d": rule.gain_d,
-        "gain_q": rule.gain_q,
-        "r_s": rule.r_s,
-        "l_d": rule.l_d,
-        "l_q": rule.l_q,
-        "psi_pm": rule.psi_pm,
-        "half": rule.half,
-        "sixth": np.float32(1.0 / 6.0),
-        "third": np.float32(1.0 / 3.0),
-        "root": np.float32(0.5 * math.sqrt(3.0)),
-        "far": FAR,
-    }
-    text = render("single_headers/current_feedback/rule.h.j2", context)
-    return {f"{design.export.prefix}_current_feedback.h": text.encode("ascii")}
+    includes = ["<stdint.h>"] if constants.rule == "predictive" else ["<math.h>", "<stdint.h>"]
+    return _header(design, found, includes, rule_text(constants, prefix))
+
+
+def rule_text(constants: RuleConstants, prefix: str) -> list[str]:
+    """Macros, types, tables and functions of a rule.
+
+    Args:
+        constants: The rule.
+        prefix: Before all names.
+    """
+    macro, zero = f"{prefix.upper()}_FEEDBACK", cast("Any", 0.0)
+    inputs = FeedbackInputs(*(zero,) * 8)
+    pair = FeedbackPair(zero, zero)
+    reader = WordReader(prefix, Functions(), Block("", set()))
+    rule = SampledRule(constants)
+    reader.write("next_state", rule.next_state, [Expression("state", kind="uint32_t"), inputs])
+    tables = [
+        _words(
+            f"{macro}_MOVES",
+            MOVES,
+            "Legs that commutate, by the bits that change: bit 0 leg a, bit 1 leg b, bit 2 leg c.",
+        )
+    ]
+    numbers = [("T_S", constants.t_s, "sampling period, s")]
+    if constants.rule == "circle":
+        numbers.append(("RADIUS_A", constants.band, "largest error of the current vector, A"))
+    if constants.rule == "look-up-table":
+        numbers += [
+            ("BAND_A", constants.band, "error of a phase that keeps the state, A"),
+            ("OUTER_BAND_A", constants.outer_band, "error of a phase that is a transient, A"),
+        ]
+        tables += [
+            _words(f"{macro}_ACTIVE", ACTIVE, "States along the error, by its region."),
+            [
+                "/* States by sector of the voltage and region of the error. */",
+                f"static const uint32_t {macro}_TABLE[6][6] = {{",
+                *(f"    {{ {', '.join(f'{code}U' for code in row)} }}," for row in TABLE),
+                "};",
+            ],
+        ]
+    defines = [
+        f"#define {macro}_{name} ({float_literal(value)}) /* {meaning} */"
+        for name, value, meaning in numbers
+    ]
+    ends = [] if constants.rule == "look-up-table" else [FeedbackEnds((pair,) * len(MOVES))]
+    blocks = [
+        defines,
+        *record_structs(inputs, prefix),
+        vector_struct(FeedbackPair, prefix),
+        *(lines for end in ends for lines in record_structs(end, prefix)),
+        *tables,
+        *([text] for text in reader.functions.texts.values()),
+    ]
+    return "\n\n".join("\n".join(lines) for lines in blocks).split("\n")
+
+
+def _words(name: str, values: Sequence[int], meaning: str) -> list[str]:
+    """A table of words."""
+    told = ", ".join(f"{value}U" for value in values)
+    return [f"/* {meaning} */", f"static const uint32_t {name}[{len(values)}] = {{ {told} }};"]
 
 
 def settings_files(design: Design, found: CurrentFeedback) -> dict[str, bytes]:
@@ -349,21 +396,47 @@ def settings_files(design: Design, found: CurrentFeedback) -> dict[str, bytes]:
         ]
     else:
         numbers.append(("FEEDBACK_T_S", plan.t_s, "sampling period of the error, s"))
-    most = max((len(pattern.angles) for pattern in found.patterns), default=0)
-    patterns = [_pattern(pattern, most) for pattern in found.patterns]
-    context = _common(design, found) | {"numbers": numbers, "patterns": patterns, "most": most}
-    text = render("single_headers/current_feedback/settings.h.j2", context)
-    return {f"{design.export.prefix}_current_feedback.h": text.encode("ascii")}
+    macro = design.export.prefix.upper()
+    body = [
+        f"#define {macro}_{name} ({value if isinstance(value, int) else float_literal(value)}) "
+        f"/* {comment_text(meaning)} */"
+        for name, value, meaning in numbers
+    ]
+    return _header(design, found, [], [*body, *_pattern_lines(design, found.patterns)])
 
 
-def _pattern(pattern: DesignPattern, most: int) -> PlainData:
-    padding = [0.0] * (most - len(pattern.angles))
-    return {
-        "index": shortest(np.float32(pattern.index)),
-        "sign": float(pattern.sign),
-        "angles": [*pattern.angles, *padding],
-        "count": len(pattern.angles),
-    }
+_PATTERN = (
+    "Patterns: amplitude over v_dc/2, level of a leg behind the angle 0 of its voltage's sine, "
+    "angles of a quarter in rad."
+)
+
+
+def _pattern_lines(design: Design, patterns: Sequence[DesignPattern]) -> list[str]:
+    """Type and table of pulse patterns; nothing without one."""
+    if not patterns:
+        return []
+    prefix, most = design.export.prefix, max(len(pattern.angles) for pattern in patterns)
+    rows = []
+    for pattern in patterns:
+        angles = [*pattern.angles, *[0.0] * (most - len(pattern.angles))]
+        index, level = float_literal(pattern.index), float_literal(pattern.sign)
+        told = ", ".join(map(float_literal, angles))
+        rows.append(f"    {{ {index}, {level}, {{ {told} }}, {len(pattern.angles)}U }},")
+    name = f"{prefix}_pulse_pattern_t"
+    return [
+        "",
+        *comment(_PATTERN),
+        "typedef struct {",
+        "    float index;",
+        "    float first_level;",
+        f"    float angles[{most}];",
+        "    unsigned int count;",
+        f"}} {name};",
+        "",
+        f"static const {name} {prefix}_pulse_patterns[{len(patterns)}] = {{",
+        *rows,
+        "};",
+    ]
 
 
 # Current-feedback PWM in words.

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from dqforge.reports.c_code.numbers import comment_text, float_literal
-from dqforge.reports.steps.record_text import kind_fields
+from dqforge.reports.steps.record_text import kind_fields, kind_of
 from dqforge.reports.steps.state_text import Kept
 from dqforge.reports.steps.symbols import Condition, Expression, expression, folded, joined
 
@@ -89,7 +89,10 @@ def item(table: Any, place: Any, *inner: Any) -> Any:
         return joined(own.whole + behind, own, *places, atom=True, kind=own.kind)
     text = _array_of(table) + behind
     axes = zip(kind_fields(first), zip(*table, strict=True), strict=True)
-    found = [joined(f"{text}.{axis}", *of, places[0], atom=True, whole=text) for axis, of in axes]
+    found = [
+        joined(f"{text}.{axis}", *of, places[0], atom=True, whole=text, kind=of[0].kind)
+        for axis, of in axes
+    ]
     kind: Any = type(first)
     return kind(*found)
 
@@ -268,17 +271,19 @@ def repeated(
     """
     reader.write_state()
     outer = reader.block
-    own = [
-        Kept(state, member.name, member.name, expression(getattr(state, member.name)))
-        for member in (() if state is None else fields(state))
-    ]
+    own = list[Kept]()
+    for member in () if state is None else fields(state):
+        kind = kind_of(type(state), member.name)
+        kind = _counted(reader) if kind == "float" else kind
+        begin = expression(getattr(state, member.name), kind)
+        own.append(Kept(state, member.name, member.name, begin, kind))
     for kept in own:
         reader.take([kept.value])
         outer.take(kept.place)
-        outer.variable(_counted(reader), kept.place)
+        outer.variable(kept.kind, kept.place)
     for kept in own:
         outer.work(folded(f"{kept.place} = ", kept.value.bare(), ";", outer.indent))
-        kept.value = reader.number_of(kept.place, _counted(reader))
+        kept.value = reader.number_of(kept.place, kept.kind)
         kept.renewed()
     known += own
 
@@ -294,4 +299,4 @@ def repeated(
     _turns(reader, count.operand() if isinstance(count, Index) else f"{count}U", of, body)
     del known[len(known) - len(own) :]
     for kept in own:
-        setattr(state, kept.member, reader.number_of(kept.place, _counted(reader)))
+        setattr(state, kept.member, reader.number_of(kept.place, kept.kind))

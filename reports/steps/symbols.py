@@ -136,6 +136,10 @@ class Expression:
         """The rest of a division of whole numbers from 0 on."""
         return self._with("%", other)
 
+    def __xor__(self, other: Any) -> Expression:
+        """The bits in which whole numbers from 0 on differ."""
+        return self._with("^", other)
+
     def __neg__(self) -> Expression:
         """The negative."""
         return joined(f"-{self.operand()}", self)

@@ -1,10 +1,12 @@
-"""The circle, the look-up table, sampled prediction and trajectory tracking, against geometry,
-brute force and the published table.
+"""The circle, the switching table, sampled rules in the loop and trajectory tracking, against
+geometry and the published table.
 """
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,15 +14,13 @@ import pytest
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
-from dqforge.machines.names import SampledRuleName
-from dqforge.machines.plants.current_feedback import best_states, simulate_currents
+from dqforge.machines.plants.current_feedback import simulate_currents
 from dqforge.machines.plants.fed_machine import I_D, I_Q, BridgeDrive, build_plant
 from dqforge.machines.plants.regulator_rules import (
     ACTIVE,
     LEGS,
+    Codes,
     RuleConstants,
-    RuleInputs,
-    SampledRule,
     codes_of,
     switching_table,
     unit_vectors,
@@ -114,97 +114,6 @@ def test_circle_takes_the_longest_predicted_time_and_some_state_always_leads_bac
             assert (size < 0.05) == inside
 
 
-def sample(count: int, seed: int) -> tuple[RuleInputs, FloatArray]:
-    generator = np.random.default_rng(seed)
-    draw = generator.uniform
-    theta = draw(0.0, 2.0 * math.pi, count)
-    told = RuleInputs(
-        draw(-3.0, 0.0, count), draw(-4.0, 4.0, count), draw(-4.0, 1.0, count),
-        draw(-5.0, 5.0, count), np.cos(theta), np.sin(theta), draw(-900.0, 900.0, count),
-        np.full(count, 180.0),
-    )  # fmt: skip
-    return told, theta
-
-
-RULES: tuple[SampledRuleName, ...] = ("predictive", "circle", "look-up-table")
-
-
-def constants(rule: SampledRuleName, t_s: float = 20e-6, band: float = 0.6) -> RuleConstants:
-    return RuleConstants(
-        rule, SALIENT.r_s, SALIENT.l_d, SALIENT.l_q, SALIENT.psi_pm, t_s, band, 3.0 * band
-    )
-
-
-def test_sampled_prediction_is_the_exact_best_state_one_sample_later() -> None:
-    """The rule's short model against the exact solution over two samples."""
-    count, t_s = 300, 20e-6
-    told, theta = sample(count, 11)
-    codes = np.random.default_rng(1).integers(0, 8, count)
-    named = SampledRule(constants("predictive", t_s)).next_codes(codes, told)
-    agreeing = 0
-    for k in range(count):
-        plant = build_plant(
-            DRIVE, told.i_d_ref[k : k + 1], told.i_q_ref[k : k + 1], told.omega_e[k : k + 1]
-        )
-        time = theta[k : k + 1] / told.omega_e[k]
-        state = plant.start(LEGS[codes[k : k + 1]])
-        state[:, I_D], state[:, I_Q] = told.i_d[k], told.i_q[k]
-        state = plant.switched(state, theta[k : k + 1], LEGS[codes[k : k + 1]])
-        later = plant.advance(state, t_s)
-        best = best_states(plant, later, time + t_s, LEGS[codes[k : k + 1]], t_s)
-        agreeing += int(codes_of(best)[0] == named[k])
-    assert agreeing >= 0.98 * count
-
-
-def test_rules_in_both_precisions_name_the_same_and_survive_nan() -> None:
-    told, _ = sample(400, 12)
-    codes = np.random.default_rng(2).integers(0, 8, 400)
-    for rule in RULES:
-        named = [SampledRule(constants(rule), real).next_codes(codes, told)
-                 for real in (np.float64, np.float32)]  # fmt: skip
-        assert np.mean(named[0] == named[1]) > 0.99
-        assert len(set(named[0].tolist())) >= 6
-        lost = RuleInputs(*(np.full(400, math.nan) for _ in range(8)))
-        np.testing.assert_array_equal(SampledRule(constants(rule)).next_codes(codes, lost), codes)
-
-
-def test_table_rule_finds_sector_region_and_both_bands() -> None:
-    """Sector and region by angles of complex numbers, without the comparisons of the rule."""
-    told, theta = sample(500, 13)
-    codes = np.random.default_rng(3).integers(0, 8, 500)
-    known = constants("look-up-table", 1e-9)  # so short that nothing moves meanwhile
-    named = SampledRule(known).next_codes(codes, told)
-    turn = np.exp(1j * theta)
-    error = ((told.i_d_ref - told.i_d) + 1j * (told.i_q_ref - told.i_q)) * turn
-    v_d, v_q = SALIENT.voltage(told.i_d_ref, told.i_q_ref, told.omega_e)
-    sector = (np.angle((v_d + 1j * v_q) * turn, deg=True) % 360.0 // 60.0).astype(int)
-    region = (np.round(np.angle(error, deg=True) / 60.0) % 6).astype(int)
-    phases = np.abs(np.real(error[:, None] * np.exp(-2j * math.pi / 3.0 * np.arange(3))))
-    largest = np.max(phases, axis=-1)
-    for k in range(500):
-        if largest[k] <= 0.6:
-            expected = {int(codes[k])}
-        elif largest[k] > 1.8:
-            expected = {ACTIVE[region[k]]}
-        else:
-            entry = switching_table()[sector[k]][region[k]]
-            expected = {entry} if entry else {0, 7}
-        assert int(named[k]) in expected
-    assert np.sum(largest <= 0.6) > 5
-    assert np.sum((largest > 0.6) & (largest <= 1.8)) > 30
-
-
-@pytest.mark.slow
-def test_fast_sampled_circle_stays_in_the_circle() -> None:
-    """With samples that move the error by a twelfth of the radius it never leaves."""
-    trace = simulate_currents(
-        DRIVE, Sampled("circle", 5e-6, 1.5, real=np.float64), 0.0, 2.0, 250.0, settling=1
-    )
-    error = np.hypot(trace.state[..., I_D], trace.state[..., I_Q] - 2.0)
-    assert np.max(error) <= 1.5 * 1.005
-    assert np.max(error) > 1.35
-
-
 def test_patterns_make_their_fundamental_and_keep_their_widths() -> None:
     for count, index in ((1, 0.4), (3, 0.8), (5, 1.0)):
         pattern = optimal_pattern(count, index)
@@ -266,15 +175,40 @@ def test_trajectory_has_the_frequency_and_fundamental_of_its_pattern() -> None:
     np.testing.assert_allclose(power.dc_link - power.copper, power.shaft + power.stored, rtol=1e-9)
 
 
+def kept(_constants: RuleConstants, codes: Codes, *_told: Any) -> Codes:
+    """A rule that never commutates."""
+    return codes
+
+
+def test_a_sampled_rule_acts_a_sample_later_and_is_told_what_is_there() -> None:
+    asked = []
+
+    def turning(_constants: RuleConstants, codes: Codes, *told: Any) -> Codes:
+        asked.append((codes.copy(), told))
+        return np.array(
+            [ACTIVE[(ACTIVE.index(int(code)) + 1) % 6] if code else 1 for code in codes]
+        )
+
+    trace = simulate_currents(DRIVE, Sampled("predictive", 20e-6, turning), -0.5, 2.0, 250.0)
+    for (now, _), (later, _) in pairwise(asked):
+        assert later[0] == (ACTIVE[(ACTIVE.index(int(now[0])) + 1) % 6] if now[0] else 1)
+    assert {codes_of(legs)[0] for legs in trace.legs} == set(ACTIVE)
+    for _, (i_d_ref, i_q_ref, _d, _q, cosine, sine, omega_e, v_dc) in asked[:50]:
+        assert (i_d_ref[0], i_q_ref[0], omega_e[0], v_dc[0]) == (-0.5, 2.0, 750.0, 180.0)
+        assert cosine[0] ** 2 + sine[0] ** 2 == pytest.approx(1.0)
+    turned = np.unwrap([math.atan2(told[5][0], told[4][0]) for _, told in asked[:50]])
+    np.testing.assert_allclose(np.diff(turned), 750.0 * 20e-6, rtol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("scheme", "omega_m", "words"),
     [
         (Circle(0.0), 100.0, "radius: expected a positive number in A"),
         (Circle(1e-6), 100.0, "wider band"),
         (Circle(0.3), 800.0, "the bridge makes 103.9 V"),
-        (Sampled("predictive", 0.0), 100.0, "t_s"),
-        (Sampled("circle", 20e-6), 100.0, "band"),
-        (Sampled("look-up-table", 20e-6, 0.4, 0.2), 100.0, "outer_band"),
+        (Sampled("predictive", 0.0, kept), 100.0, "t_s"),
+        (Sampled("circle", 20e-6, kept), 100.0, "band"),
+        (Sampled("look-up-table", 20e-6, kept, 0.4, 0.2), 100.0, "outer_band"),
         (Trajectory(0, 20e-6), 100.0, "angles"),
         (Trajectory(2, 20e-6), -100.0, "positive speeds"),
     ],

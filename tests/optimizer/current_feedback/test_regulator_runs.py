@@ -9,7 +9,7 @@ import pytest
 from current_feedback_design import feedback_design
 
 from dqforge.machines.names import FeedbackMethod
-from dqforge.optimizer.current_feedback import (
+from dqforge.optimizer.current_feedback.regulator_runs import (
     METHODS,
     WorkingPoints,
     load_points,

@@ -15,7 +15,7 @@ from dqforge.machines.plants.current_feedback import (
     slope_ratio,
 )
 from dqforge.optimizer.control_design.gain_set import gains_or_reason, solve_gains
-from dqforge.optimizer.current_feedback import (
+from dqforge.optimizer.current_feedback.regulator_runs import (
     bridge_of,
     load_points,
     regulator_plan,

@@ -11,7 +11,7 @@ from dqforge.machines.losses.bridge_tables import bridge_averages, bridge_tables
 from dqforge.machines.plants.current_feedback import RampComparison, simulate_currents
 from dqforge.machines.plants.fed_machine import BridgeDrive
 from dqforge.machines.plants.regulator_schemes import Trajectory
-from dqforge.optimizer.current_feedback import trace_losses
+from dqforge.optimizer.current_feedback.regulator_runs import trace_losses
 
 MACHINE = LinearMachine(pole_pairs=3, r_s=0.4, l_d=1.7e-3, l_q=1.7e-3, psi_pm=0.06, i_max=20.0)
 IGBT = SwitchDevice(

@@ -15,7 +15,7 @@ from static_checks import DEVIATIONS, program
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.names import FeedbackMethod, SampledRuleName
-from dqforge.optimizer.current_feedback import (
+from dqforge.optimizer.current_feedback.regulator_runs import (
     CurrentFeedback,
     design_patterns,
     emitted_rule,

@@ -36,6 +36,7 @@ from dqforge.machines.plants.regulator_schemes import (
 )
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import linear_voltage
+from dqforge.optimizer.current_feedback.sampled_rules import next_codes
 from dqforge.optimizer.loops.loop_gains import LoopGains, analyse_current_loop, tune_speed_loop
 from dqforge.optimizer.losses.drive_budget import (
     BudgetOptions,
@@ -145,7 +146,7 @@ class RegulatorPlan:
             )
         if self.method == "trajectory":
             return Trajectory(self.angles(electrical), self.t_s)
-        return Sampled(self.method, self.t_s, self.band, self.outer_band)
+        return Sampled(self.method, self.t_s, next_codes, self.band, self.outer_band)
 
     def angles(self, electrical: float) -> int:
         """Angles in a quarter of a pattern at an electrical frequency in Hz: as many pulses as the
