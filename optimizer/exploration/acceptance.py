@@ -220,7 +220,8 @@ def empty_front(goals: int) -> Front:
 
 
 def front_of(index: NDArray[np.int64], goals: FloatArray) -> Front:
-    """The front of rows; those with a goal that is no number are out.
+    """The front of rows; those with a goal that is no number are out. Goals that agree to 12 digits
+    are equal: the last digits of a row depend on the rows that were computed with it.
 
     Args:
         index: Indices of the rows, shape (n,), each once.
@@ -232,12 +233,19 @@ def front_of(index: NDArray[np.int64], goals: FloatArray) -> Front:
     if not index.size:
         return empty_front(goals.shape[1])
     # By the first goal, then the next, then the index: whoever beats a row stands before it.
-    order = np.lexsort((index, *goals.T[::-1]))
-    sorted_goals = goals[order]
+    held = _to_twelve_digits(goals)
+    order = np.lexsort((index, *held.T[::-1]))
+    sorted_goals = held[order]
     kept = _by_steps(sorted_goals) if goals.shape[1] <= 2 else _by_blocks(sorted_goals)
     chosen = order[kept]
     by_index = chosen[np.argsort(index[chosen])]
     return Front(index[by_index], goals[by_index])
+
+
+def _to_twelve_digits(goals: FloatArray) -> FloatArray:
+    """Goals with 40 bits of their mantissa."""
+    mantissa, exponent = np.frexp(goals)
+    return np.asarray(np.ldexp(np.round(np.ldexp(mantissa, 40)), exponent - 40))
 
 
 def _by_steps(goals: FloatArray) -> IndexArray:

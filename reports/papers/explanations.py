@@ -10,13 +10,14 @@ from __future__ import annotations
 import itertools
 import math
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.plants.scenario import Profile
 from dqforge.machines.records import dataclass
@@ -177,7 +178,7 @@ def plain_explanation(found: Explanation) -> PlainData:
 # Paper 000, Table 2: nodes, breakpoints and base of the printed coefficients.
 
 Coefficients = dict[tuple[str, int], tuple[tuple[float, ...], tuple[float, ...]]]
-Breakpoints = dict[int, tuple[float, ...]]
+Breakpoints = Mapping[int, tuple[float, ...]]
 Nodes = Callable[[int], FloatArray]
 
 _END = 5.0  # Of the per-unit torque.
@@ -187,7 +188,7 @@ _BASES = np.linspace(-0.01, 0.01, 21)  # By how much both bases may be off the i
 
 def _stretched(count: int) -> FloatArray:
     nodes = chebyshev_nodes(count)
-    return nodes / nodes[-1]
+    return np.asarray(nodes / nodes[-1])
 
 
 def _extrema(count: int) -> FloatArray:
@@ -242,10 +243,10 @@ class _Row:
 
     polynomials: tuple[FloatArray, ...]
     scale: FloatArray
-    held: FloatArray
+    held: NDArray[np.int8]
 
     def coefficients(self, kind: int, base: int, place: int) -> FloatArray:
-        return self.polynomials[kind][place] * self.scale[base]
+        return np.asarray(self.polynomials[kind][place] * self.scale[base])
 
 
 def _row(
@@ -388,6 +389,7 @@ def explain_transients(place: ProgramBench) -> Explanation:
     reversal = Profile((0.0, _REVERSED), (TARGET * RPM, -TARGET * RPM))
     climb = Profile((0.0, 0.3), (TARGET * RPM, _UNREACHED * RPM))
     plant, alternatives = place.drive, []
+    linear, own = linearised(plant.machine), plant.machine.inertia or math.nan
     for (v_words, v_dc, v_fitted), (f_words, friction, f_fitted) in itertools.product(
         _LINKS, _FRICTIONS
     ):
@@ -398,7 +400,7 @@ def explain_transients(place: ProgramBench) -> Explanation:
         for (j_words, inertia, j_fitted), (i_words, limit, i_fitted) in itertools.product(
             _INERTIAS, _LIMITS
         ):
-            machine = replace(plant.machine, inertia=inertia * plant.machine.inertia)
+            machine = replace(linear, inertia=inertia * own)
             found = replace(place, drive=replace(supplied, machine=machine)).run(
                 _ENDS, reversal, Constants(max_w=codes_of(limit)), friction=friction
             )

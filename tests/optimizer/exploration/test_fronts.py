@@ -97,3 +97,14 @@ def test_a_hundred_thousand_rows_are_held_against_the_front_and_not_against_each
     assert isinstance(found, Front)
     assert 50 < found.count < 300
     assert sum(compared) < 4e7
+
+
+def test_rows_that_differ_in_their_last_digits_are_equal() -> None:
+    """The first of them stays, whichever way the rounding fell; a real difference counts."""
+    goals = np.array([[1.0, 3.0], [1.0 * (1.0 - 1e-15), 3.0 * (1.0 + 1e-15)], [2.0, 1.0]])
+    assert front_of(np.arange(3), goals).index.tolist() == [0, 2]
+    assert front_of(np.arange(3), goals[:, ::-1]).index.tolist() == [0, 2]
+    goals[1] = [1.0 - 1e-9, 3.0 + 1e-9]
+    assert front_of(np.arange(3), goals).index.tolist() == [0, 1, 2]
+    huge = np.array([[np.inf, 1.0], [1e300, 2.0], [1e-300, 3.0]])
+    assert front_of(np.arange(3), huge).index.tolist() == [0, 1, 2]

@@ -147,7 +147,7 @@ def test_a_search_finds_the_front_of_the_shipped_grid(call: Call) -> None:
     carriers = listed(np.geomspace(8e3, 1e5, 20))
     grid, count = re.subn(r"\{range: \{from: 8 kHz.*\}\}", carriers, text)
     assert count == 1
-    search = "search: {population: 40, generations: 30, seed: 4}\n"
+    search = "search: {population: 40, generations: 30, seed: 5}\n"
     front, whole, tried = check_fronts(call, f"{grid}outputs: [losses.total]\n", search)
     assert (front, whole) == (20, 1440)
     assert tried < 0.55 * whole

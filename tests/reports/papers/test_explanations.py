@@ -10,6 +10,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_currents, per_unit_base
 from dqforge.reports.papers.explanations import (
     Alternative,
+    Coefficients,
     Explanation,
     Printed,
     explain,
@@ -56,12 +57,12 @@ def found_words(found: Explanation) -> list[str]:
     return [of.assumed for of in found.alternatives]
 
 
-def planted(machine: LinearMachine, edges: dict[str, float]) -> dict:
+def planted(machine: LinearMachine, edges: dict[str, float]) -> Coefficients:
     """Three digits of degree 3 through the Chebyshev extrema of both segments, by numpy in N m."""
     torque = per_unit_base(machine).torque
-    table = {}
+    table: Coefficients = {}
     for axis, edge in edges.items():
-        rows = []
+        rows: list[tuple[float, ...]] = []
         for low, high in ((0.0, edge), (edge, 5.0)):
             middle, half = 0.5 * (low + high), 0.5 * (high - low)
             at = torque * (middle - half * np.cos(np.pi * np.arange(4) / 3))
@@ -69,7 +70,7 @@ def planted(machine: LinearMachine, edges: dict[str, float]) -> dict:
             fitted = np.polyfit(at, current, 3)
             fitted[3] = 0.0 if low == 0.0 else fitted[3]
             rows.append(tuple(float(f"{value:.2e}") for value in fitted))
-        table[axis, 3] = tuple(rows)
+        table[axis, 3] = (rows[0], rows[1])
     return table
 
 
