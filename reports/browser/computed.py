@@ -14,7 +14,6 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.errors import DqforgeError
 from dqforge.machines.records import dataclass
 from dqforge.reports import answers
-from dqforge.reports.answers.library import NewRequest, answer_new, recorded
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -95,7 +94,7 @@ def begun(folder: Path, sent: Sent) -> dict[str, Any]:
     with TemporaryDirectory(prefix="dqforge-") as held:
         place = Path(held)
         try:
-            answer = answer_new(folder, _request(folder, place, sent))
+            answer = answers.library.answer_new(folder, _request(folder, place, sent))
         except DqforgeError as error:
             return {"error": _as_named(str(error), place)}
         assert answer.files is not None
@@ -103,7 +102,7 @@ def begun(folder: Path, sent: Sent) -> dict[str, Any]:
         return {"contents": dict(answer.files.contents), "notes": notes}
 
 
-def _request(folder: Path, place: Path, sent: Sent) -> NewRequest:
+def _request(folder: Path, place: Path, sent: Sent) -> answers.library.NewRequest:
     captures = [_laid(place, name, content) for name, content in sent.captures.items()]
     flux_map = None
     if sent.flux_map is not None:
@@ -111,15 +110,10 @@ def _request(folder: Path, place: Path, sent: Sent) -> NewRequest:
         there = folder / name
         same = there.is_file() and there.read_bytes() == content
         flux_map = there if same else _laid(place / "map", name, content)
-    return NewRequest(
-        None,
-        None,
-        None,
-        dict(sent.sheet),
-        False,
-        None,
-        *recorded(captures, flux_map, sent.axes, sent.scale, line_to_line=sent.line_to_line),
+    measured = answers.library.recorded(
+        captures, flux_map, sent.axes, sent.scale, line_to_line=sent.line_to_line
     )
+    return answers.library.NewRequest(None, None, None, dict(sent.sheet), False, None, *measured)
 
 
 def _laid(place: Path, name: str, content: bytes) -> Path:

@@ -238,7 +238,7 @@ def everything(page: Page) -> list[Path]:
     return sorted(page.folder.parent.rglob("*"))
 
 
-SAID = (
+SAID: tuple[tuple[dict[str, Any], str], ...] = (
     ({}, "the form is empty"),
     ({"sheet": {"machine.kv": "60"}}, "a design needs more of the data sheet; give --"),
     ({"sheet": {"export.prefix": "x"}}, "a data sheet has no 'export.prefix'"),
