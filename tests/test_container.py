@@ -1,4 +1,4 @@
-"""What the Containerfile says holds in this tree: versions, files, users, as far as no image tells."""
+"""What the Containerfile says holds in this tree: versions, files and users, without an image."""
 
 from __future__ import annotations
 
