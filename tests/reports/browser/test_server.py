@@ -387,6 +387,15 @@ def test_a_flux_map_is_never_replaced(page: Page) -> None:
     assert "error" not in page.new([("map", "map.csv", flux_map())], sheet=OF_MAP)[1]
 
 
+def test_a_capture_that_needs_an_option_of_bemf_has_a_way_out(page: Page) -> None:
+    content = ("a,b,c\n" + rows(VOLTS)).encode()
+    said = page.new([("capture", "x.csv", content)], sheet=OF_FILES)[1]["error"]
+    assert "--interval" in said
+    assert said.endswith(
+        "'dqforge bemf' takes it: give the magnet flux that it finds by --magnet-flux"
+    )
+
+
 def test_files_of_one_name_are_refused(page: Page) -> None:
     two = [("capture", "a.csv", CAPTURE)] * 2
     assert "two files have the name a.csv" in page.new(two, sheet=OF_FILES)[1]["error"]
