@@ -388,7 +388,7 @@ def test_a_flux_map_is_never_replaced(page: Page) -> None:
 
 
 def test_a_capture_that_needs_an_option_of_bemf_has_a_way_out(page: Page) -> None:
-    content = ("a,b,c\n" + rows(VOLTS)).encode()
+    content = ("a,b,c\n" + rows((*VOLTS,))).encode()
     said = page.new([("capture", "x.csv", content)], sheet=OF_FILES)[1]["error"]
     assert "--interval" in said
     assert said.endswith(
