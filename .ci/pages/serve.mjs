@@ -1,8 +1,9 @@
 // Walks through the page of `dqforge serve` by the keyboard alone: node serve.mjs ADDRESS FOLDER
 //
-// From an empty form to the VESC file of a hub motor; axe-core looks at every state at two widths, light and dark.
+// From an empty form to the VESC file of a hub motor, of which the magnet flux comes from a capture; axe-core looks at every
+// state at two widths, light and dark. Files are dropped on their zones, and chosen in their fields, which Tab reaches.
 import { execFileSync, spawnSync } from "node:child_process";
-import { readFileSync } from "node:fs";
+import { mkdirSync, readFileSync, readdirSync } from "node:fs";
 import { createRequire } from "node:module";
 import { chromium } from "playwright-core";
 
@@ -10,7 +11,7 @@ const [address, folder] = process.argv.slice(2);
 const require = createRequire(import.meta.url);
 const AXE = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
 const SHEET = [
-  ["sheet-pole-pairs", "15"], ["sheet-kv", "60 rpm/V"], ["sheet-v-dc", "48 V"], ["sheet-max-current", "40 A rms"],
+  ["sheet-pole-pairs", "15"], ["sheet-v-dc", "48 V"], ["sheet-max-current", "40 A rms"],
   ["sheet-resistance", "100 mOhm line-to-line"], ["sheet-inductance", "200 uH line-to-line"],
 ];
 const findings = [];
@@ -44,14 +45,43 @@ async function look(state) {
 }
 const idle = () => page.waitForFunction(() => document.getElementById("busy").textContent === "", null, { timeout: 120000 });
 
+mkdirSync(folder, { recursive: true });
 await page.goto(address);
 await look("the empty form");
 for (const [id, text] of SHEET) {
   await reach(id);
   await page.keyboard.type(text);
 }
+
+// A file that is no capture, dropped: refused in one line, nothing kept. Then the capture, chosen in the field.
+const samples = Array.from({ length: 2000 }, (_, k) => k * 2e-5);
+const volts = (time, phase) => (3 * Math.cos(2 * Math.PI * 50 * time - (phase * 2 * Math.PI) / 3)).toFixed(6).replace(".", ",");
+const capture = ["time_s;e_a_V;e_b_V;e_c_V", ...samples.map((time) => [time.toFixed(6).replace(".", ","), ...[0, 1, 2].map((k) => volts(time, k))].join(";"))].join("\n");
+async function drop(id, name, content) {
+  await page.evaluate(([wanted, called, text]) => {
+    const dataTransfer = new DataTransfer();
+    dataTransfer.items.add(new File([text], called));
+    const zone = document.getElementById(wanted).closest(".drop");
+    for (const kind of ["dragover", "drop"]) zone.dispatchEvent(new DragEvent(kind, { dataTransfer, bubbles: true, cancelable: true }));
+  }, [id, name, content]);
+}
+await drop("capture", "notes.csv", "\u0000\u0001\u0002 no capture");
+if (!(await page.evaluate(() => document.getElementById("capture-taken").textContent)).includes("notes.csv")) findings.push("the zone does not say what was dropped");
+await reach("sheet-pole-pairs");
+await page.keyboard.press("Enter");
+await page.waitForSelector("#problem:not([hidden])");
+const said = await page.evaluate(() => document.getElementById("problem").textContent);
+if (!said.startsWith("notes.csv") || said.includes("\n")) findings.push(`no line on a file that is no capture: ${said}`);
+await look("a file refused");
+if (readdirSync(folder, { recursive: true }).length) findings.push("a refused file was kept");
+await page.evaluate(() => document.activeElement.blur());
+await reach("map");
+await reach("capture");
+await page.setInputFiles("#capture", { name: "scope (1).csv", mimeType: "text/csv", buffer: Buffer.from(capture) });
+await reach("sheet-pole-pairs");
 await page.keyboard.press("Enter");
 await page.waitForSelector("#work:not([hidden])");
+if (!(await page.evaluate(() => document.getElementById("said").textContent)).includes("magnet flux 9.549 mWb")) findings.push("nothing is said of the capture");
 await idle();
 await look("check");
 await page.evaluate(() => document.activeElement.blur());

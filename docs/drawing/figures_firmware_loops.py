@@ -49,7 +49,7 @@ def _margin(loop: PiLoop) -> float:
 
 @style()
 def firmware_loops(path: Path) -> None:
-    """Phase margin over the bandwidth that is asked for, and steps of the speed at 30.9 Hz."""
+    """Phase margin over the bandwidth that is requested, and steps of the speed at 30.9 Hz."""
     figure = new_figure(
         "firmware-loops",
         2.9,
@@ -67,7 +67,7 @@ def firmware_loops(path: Path) -> None:
         # The drive's speed itself: after both integrals and the current.
         right.step(times, states[:, 3], where="post", label=label)
     left.axhline(0.0, color=MUTED, linewidth=0.8)
-    left.set(xlabel="Bandwidth asked for in Hz", ylabel="Phase margin in deg", ylim=(-40.0, 90.0))
+    left.set(xlabel="Requested bandwidth in Hz", ylabel="Phase margin in deg", ylim=(-40.0, 90.0))
     left.legend(loc="lower left")
     right.set(xlabel="Time in ms", ylabel="Speed after a step of 1 rad/s", ylim=(-1.0, 3.0))
     save(figure, path)

@@ -213,7 +213,7 @@ def simplefoc(path: Path) -> None:
 
 @style()
 def odrive(path: Path) -> None:
-    """Phase margin and sensitivity over the bandwidth at 8 kHz; what is asked for and written."""
+    """Phase margin and sensitivity over the bandwidth at 8 kHz; what is requested and written."""
     fit = page_fit("moteus", "odrive")
     winding, current = q_winding(fit), fit.profile.current
     asked = bandwidth_asked(fit.asked)
@@ -234,7 +234,7 @@ def odrive(path: Path) -> None:
     right.plot(grid, peaks, color=BLUE)
     right.axhline(MOST_SENSITIVITY, color=INK, linewidth=0.9, linestyle="--")
     right.text(7900.0, MOST_SENSITIVITY - 0.06, "limit", ha="right", va="top")
-    for bandwidth, words, colour in ((written, "written", TEAL), (asked, "asked for", ORANGE)):
+    for bandwidth, words, colour in ((written, "written", TEAL), (asked, "requested", ORANGE)):
         one = held_margins(loop(bandwidth))
         assert one is not None
         left.plot(bandwidth, math.degrees(one.phase_margin), "o", color=colour, label=words)

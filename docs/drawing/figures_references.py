@@ -67,7 +67,7 @@ def voltage_feedback(path: Path) -> None:
             current.plot(run.t, run.i_d, color=colour, linewidth=1.2)
             dashes = (0, (3.0, 2.0))
             current.plot(run.t, run.i_d_reference, color=colour, linewidth=0.8, linestyle=dashes)
-        torque.plot(run.t, run.reference, color=INK, linewidth=0.8, label="asked for")
+        torque.plot(run.t, run.reference, color=INK, linewidth=0.8, label="requested")
     torque.set_ylabel("Torque in N m")
     torque.legend()
     current.set(xlabel="Time in s", ylabel="$i_d$ in A", xlim=(0.0, 0.6))

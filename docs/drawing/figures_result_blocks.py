@@ -81,7 +81,7 @@ def _told(result: dict[str, Any], dotted: str) -> tuple[str, str]:
     for name in dotted.split("."):
         value = value[name]
     if value is None:
-        return "null", "not asked for"
+        return "null", "not requested"
     if isinstance(value, list):
         return str(len(value)), "sentences"
     if isinstance(value, dict):

@@ -185,7 +185,10 @@ def _add_capture(
         scale=capture.scale,
         pole_pairs=int(pairs) if pairs.isdigit() and int(pairs) > 0 else None,
     )
-    reading = read_capture(capture.files, request)
+    try:
+        reading = read_capture(capture.files, request)
+    except InputError as error:
+        raise _with_way_out(error) from error
     result, source = reading.result, reading.name
     sheet[_FLUX] = f"{1e3 * result.psi_pm:.4g} mWb peak"
     shares = result.amplitudes.max(axis=0) / result.amplitudes[:, 0].mean()
@@ -201,6 +204,19 @@ def _add_capture(
     first = f"magnet flux {1e3 * result.psi_pm:.4g} mWb, the fundamental of the capture"
     said = (f"{source}: {sentence}" for sentence in (first, *reading.findings))
     return (*said, *([more] * bool(loud))), {_FLUX: f"fundamental of the capture {shown(source)}"}
+
+
+# Options of `dqforge bemf` that `dqforge new` has not.
+_OF_BEMF = ("--interval", "--columns", "--speed")
+
+
+def _with_way_out(error: InputError) -> InputError:
+    """A refusal of a capture, with what to do where it asks for an option of `dqforge bemf`."""
+    if not any(option in str(error) for option in _OF_BEMF):
+        return error
+    return InputError(
+        f"{error}; 'dqforge bemf' takes it: give the magnet flux that it finds by --magnet-flux"
+    )
 
 
 def design_files(text: bytes) -> Files:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import io
+import os
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.errors import DqforgeError
+from dqforge.machines.records import dataclass
 from dqforge.reports import answers
 
 if TYPE_CHECKING:
@@ -59,6 +63,69 @@ ASKED: dict[str, Callable[[Design, Options], Answer]] = {
     "dqy": _dqy,
     "simulate": _simulate,
 }
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """What a form holds for a new design.
+
+    Args:
+        sheet: By the dotted key, what a data sheet says.
+        flux_map: Name and content, or None.
+        captures: Files of a capture of the back-EMF by their names.
+        axes, scale, line_to_line: As the options of `dqforge new`.
+    """
+
+    sheet: Mapping[str, str]
+    flux_map: tuple[str, bytes] | None
+    captures: Mapping[str, bytes]
+    axes: str | None
+    scale: str | None
+    line_to_line: bool
+
+
+def begun(folder: Path, sent: Sent) -> dict[str, Any]:
+    """Files of a new design, and what `dqforge new` says of it; or ``error``, what is wrong.
+
+    What was sent is read outside the folder, which gets nothing before the design is one.
+    """
+    if not (sent.sheet or sent.flux_map or sent.captures):
+        return {"error": "the form is empty; write what the data sheet says"}
+    with TemporaryDirectory(prefix="dqforge-") as held:
+        place = Path(held)
+        try:
+            answer = answers.library.answer_new(folder, _request(folder, place, sent))
+        except DqforgeError as error:
+            return {"error": _as_named(str(error), place)}
+        assert answer.files is not None
+        notes = [_as_named(note, place) for note in answer.notes]
+        return {"contents": dict(answer.files.contents), "notes": notes}
+
+
+def _request(folder: Path, place: Path, sent: Sent) -> answers.library.NewRequest:
+    captures = [_laid(place, name, content) for name, content in sent.captures.items()]
+    flux_map = None
+    if sent.flux_map is not None:
+        name, content = sent.flux_map
+        there = folder / name
+        same = there.is_file() and there.read_bytes() == content
+        flux_map = there if same else _laid(place / "map", name, content)
+    measured = answers.library.recorded(
+        captures, flux_map, sent.axes, sent.scale, line_to_line=sent.line_to_line
+    )
+    return answers.library.NewRequest(None, None, None, dict(sent.sheet), False, None, *measured)
+
+
+def _laid(place: Path, name: str, content: bytes) -> Path:
+    place.mkdir(exist_ok=True)
+    path = place / name
+    path.write_bytes(content)
+    return path
+
+
+def _as_named(text: str, place: Path) -> str:
+    """A sentence with files as they were named where they came from."""
+    return text.replace(f"{place / 'map'}{os.sep}", "").replace(f"{place}{os.sep}", "")
 
 
 def answered(path: str, kind: str, settings: Sequence[str], options: Options) -> dict[str, Any]:

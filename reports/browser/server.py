@@ -28,8 +28,8 @@ from tornado.httputil import HTTPServerRequest
 from tornado.web import Application, HTTPError, RequestHandler
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.sheet_values import SHEET_VALUES
-from dqforge.machines.errors import DqforgeError, InputError
+from dqforge.machines.design.sheet_values import BY_KEY, SHEET_VALUES
+from dqforge.machines.errors import DqforgeError, InputError, shown
 from dqforge.machines.files.library_files import DESIGN_SCHEMA, schema_bytes
 from dqforge.machines.files.positioned_yaml import YamlValue, edited, parse_yaml, written
 from dqforge.machines.records import dataclass
@@ -40,12 +40,14 @@ from dqforge.reports.firmware.target import TARGETS
 from dqforge.reports.pages.answer import write_all
 from dqforge.reports.pages.templating import render, resource
 
-# The one state of `dqforge serve`: a design file in a folder, with what was uploaded beside it.
+# The one state of `dqforge serve`: a design file in a folder, with its flux map beside it.
 
-# Bytes of the largest file that is taken: maps and captures.
+# Bytes of the files that are taken at once: maps and captures.
 LARGEST_UPLOAD = 64_000_000
+# Bytes of the form around them.
+_FORM = 1_000_000
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,99}")
+_NAME = re.compile(r"\w[\w ()+._-]{0,99}")
 
 
 class ChangedElsewhereError(Exception):
@@ -78,60 +80,48 @@ class DesignFolder:
             ChangedElsewhereError: The file is not of that revision.
             InputError: The text is no design; says where and why.
         """
-        self._require(revision)
+        self.require(revision)
         content = text.encode("utf-8")
         catalogue.load_text(content, str(self.path), self.folder)
         write_all(self.folder, {NEW_DESIGN: content})
 
     def change(self, settings: Sequence[str], revision: str) -> None:
         """Set keys of the design, as ``--set`` does; comments stay. Raises as `save`."""
-        self._require(revision)
+        self.require(revision)
         data = catalogue.parse_design(self.text().encode("utf-8"), str(self.path)).data
         changed = copy.deepcopy(data)
         for setting in settings:
             catalogue.put(changed, catalogue.read_override(setting))
         self.save(edited(self.text(), data, changed), revision)
 
-    def begin(self, sheet: Mapping[str, str], revision: str) -> None:
-        """Make the design of a data sheet. Raises as `save`."""
-        from dqforge.machines.design.sheet_judged import checked_text
-
-        known = {value.key for value in SHEET_VALUES} | {"machine.flux_map"}
-        given = {key: text.strip() for key, text in sheet.items() if text.strip()}
-        unknown = sorted(set(given) - known)
-        if unknown:
-            raise InputError(f"a data sheet has no {unknown[0]}")
-        self._require(revision)
-        self._begin(checked_text(given, self.folder, {}).encode("utf-8"))
+    def begin(self, contents: Mapping[str, bytes], revision: str) -> None:
+        """Keep the files of a new design. Raises `ChangedElsewhereError` as `save`."""
+        self.require(revision)
+        write_all(self.folder, contents)
 
     def template(self, machine: str, revision: str) -> None:
         """Begin with a drive or motor of the library. Raises as `save`."""
-        self._require(revision)
-        self._begin(catalogue.template(machine))
+        self.require(revision)
+        text = catalogue.template(machine)
+        write_all(self.folder, answers.library.design_files(text).contents)
 
-    def upload(self, name: str, content: bytes) -> str:
-        """Keep a file beside the design, such as a flux map; its name.
-
-        Raises:
-            InputError: The name is no plain file name, or another file has it.
-        """
-        if not _NAME.fullmatch(name) or name in {NEW_DESIGN, DESIGN_SCHEMA}:
-            raise InputError(
-                f"{name!r} cannot be the name of a file here; rename it: letters, digits"
-            )
-        path = self.folder / name
-        if path.exists() and path.read_bytes() != content:
-            raise InputError(f"{name} is there with another content; rename one of the two")
-        write_all(self.folder, {name: content})
-        return name
-
-    def _require(self, revision: str) -> None:
+    def require(self, revision: str) -> None:
+        """Raise `ChangedElsewhereError` where the file is not of a revision."""
         if revision != self.revision():
             raise ChangedElsewhereError
 
-    def _begin(self, text: bytes) -> None:
-        """Write what `dqforge new` writes."""
-        write_all(self.folder, answers.library.design_files(text).contents)
+
+def given_sheet(sheet: Mapping[str, Any]) -> dict[str, str]:
+    """What is written in a form of a data sheet, without its empty fields.
+
+    Raises:
+        InputError: A data sheet has no such value.
+    """
+    given = {str(key): str(text).strip() for key, text in sheet.items() if str(text).strip()}
+    unknown = sorted(set(given) - set(BY_KEY))
+    if unknown:
+        raise InputError(f"a data sheet has no {shown(unknown[0])}")
+    return given
 
 
 # The form: each key of the design with what the schema says of it.
@@ -367,15 +357,34 @@ class _Guarded(_Plain):
         self.set_header("Content-Type", "application/json; charset=utf-8")
         self.finish(json.dumps(found))
 
-    def asked(self) -> dict[str, Any]:
-        """The data of the request."""
+    def asked(self, text: str | bytes | None = None) -> dict[str, Any]:
+        """The data of the request, or of a part of it."""
         try:
-            found = json.loads(self.request.body)
+            found = json.loads(self.request.body if text is None else text)
         except ValueError:
             raise HTTPError(400) from None
         if not isinstance(found, dict):
             raise HTTPError(400)
         return found
+
+    def state(self) -> dict[str, Any]:
+        """What the design file says, and what is wrong with it."""
+        text = self.folder.text()
+        try:
+            fields = [asdict(field) for field in fields_of(text)]
+        except DqforgeError as error:
+            return {
+                "text": text,
+                "revision": self.folder.revision(),
+                "fields": [],
+                "error": str(error),
+            }
+        return {"text": text, "revision": self.folder.revision(), "fields": fields}
+
+    def stale(self) -> dict[str, Any]:
+        """The same, for a page that did not know it."""
+        said = "the design was changed elsewhere; this is its present content"
+        return self.state() | {"error": said, "stale": True}
 
 
 class _Enter(_Plain):
@@ -399,6 +408,7 @@ class _Page(_Guarded):
             "library": [*catalogue.names(), *catalogue.motors()],
             "keys": known_keys(),
             "folder": str(self.folder.folder),
+            "largest": LARGEST_UPLOAD,
         }
         self.finish(render("browser/page.html.j2", context))
 
@@ -416,7 +426,7 @@ class _Part(_Guarded):
 class _State(_Guarded):
     def get(self) -> None:
         """What the design file says."""
-        self.answer(self._state())
+        self.answer(self.state())
 
     def post(self, what: str) -> None:
         """Change it."""
@@ -427,34 +437,70 @@ class _State(_Guarded):
                 self.folder.save(str(asked["text"]), revision)
             elif what == "set":
                 self.folder.change([str(one) for one in asked["settings"]], revision)
-            elif what == "new":
-                sheet = {str(key): str(text) for key, text in dict(asked["sheet"]).items()}
-                self.folder.begin(sheet, revision)
             else:
                 self.folder.template(str(asked["machine"]), revision)
         except ChangedElsewhereError:
-            state = self._state()
-            said = "the design was changed elsewhere; this is its present content"
-            self.answer(state | {"error": said, "stale": True})
+            self.answer(self.stale())
         except DqforgeError as error:
             self.answer({"error": str(error)})
         except (KeyError, TypeError, ValueError):
             raise HTTPError(400) from None
         else:
-            self.answer(self._state())
+            self.answer(self.state())
 
-    def _state(self) -> dict[str, Any]:
-        text = self.folder.text()
+
+class _New(_Guarded):
+    async def post(self) -> None:
+        """Make the design of a data sheet and of files of measurements."""
+        asked = self.asked(self.get_body_argument("asked", ""))
+        revision = str(asked.get("revision", ""))
         try:
-            fields = [asdict(field) for field in fields_of(text)]
+            sent = self._sent(asked)
+            self.folder.require(revision)
+            found = await self.work.done(computed.begun, self.folder.folder, sent)
+            if "error" not in found:
+                self.folder.begin(found["contents"], revision)
+                found = self.state() | {"notes": found["notes"]}
+        except ChangedElsewhereError:
+            found = self.stale()
         except DqforgeError as error:
-            return {
-                "text": text,
-                "revision": self.folder.revision(),
-                "fields": [],
-                "error": str(error),
-            }
-        return {"text": text, "revision": self.folder.revision(), "fields": fields}
+            found = {"error": str(error)}
+        self.answer(found)
+
+    def _sent(self, asked: dict[str, Any]) -> computed.Sent:
+        """Data and files of the form; raises as `_files` and `given_sheet`."""
+        sheet = asked.get("sheet", {})
+        if not isinstance(sheet, dict):
+            raise HTTPError(400)
+        maps, captures = self._files("map"), self._files("capture")
+        if len(maps) > 1:
+            raise InputError("one flux map makes a design; take one of the files away")
+        return computed.Sent(
+            given_sheet(sheet),
+            next(iter(maps.items()), None),
+            captures,
+            str(asked.get("axes") or "") or None,
+            str(asked.get("scale") or "").strip() or None,
+            bool(asked.get("line_to_line")),
+        )
+
+    def _files(self, field: str) -> dict[str, bytes]:
+        """Contents of the files of a field by their names.
+
+        Raises:
+            InputError: A name is no plain one, or two have the same.
+        """
+        found: dict[str, bytes] = {}
+        for one in self.request.files.get(field, ()):
+            name = one["filename"]
+            if not _NAME.fullmatch(name) or name in {NEW_DESIGN, DESIGN_SCHEMA}:
+                raise InputError(
+                    f"{shown(name)} cannot be the name of a file here; rename it: letters, digits"
+                )
+            if name in found:
+                raise InputError(f"two files have the name {name}; rename one of them")
+            found[name] = one["body"]
+        return found
 
 
 class _Answer(_Guarded):
@@ -473,15 +519,6 @@ class _Answer(_Guarded):
         texts = {str(key): str(value) for key, value in options.items()}
         made = [str(one) for one in settings]
         self.answer(await self.work.done(computed.answered, path, kind, made, texts))
-
-
-class _Upload(_Guarded):
-    def post(self, name: str) -> None:
-        """Take a file."""
-        try:
-            self.answer({"name": self.folder.upload(name, self.request.body)})
-        except DqforgeError as error:
-            self.answer({"error": str(error)})
 
 
 class _Files(_Guarded):
@@ -534,9 +571,9 @@ class Server:
                 (r"/", _Page, parts),
                 (r"/(page\.css|page\.js)", _Part, parts),
                 (r"/api/state", _State, parts),
-                (r"/api/(text|set|new|template)", _State, parts),
+                (r"/api/(text|set|template)", _State, parts),
+                (r"/api/new", _New, parts),
                 (r"/api/answer", _Answer, parts),
-                (r"/api/upload/([^/]+)", _Upload, parts),
                 (r"/files\.zip", _Files, parts),
                 (r"/report", _Report, parts),
             ],
@@ -547,7 +584,7 @@ class Server:
 
     async def serve(self, ended: asyncio.Event) -> None:
         """Answer until the event is set."""
-        server = HTTPServer(self._application, max_buffer_size=LARGEST_UPLOAD)
+        server = HTTPServer(self._application, max_buffer_size=LARGEST_UPLOAD + _FORM)
         server.add_sockets([self._socket])
         try:
             await ended.wait()

@@ -42,7 +42,7 @@ _UNITS = (
 )
 
 _SYMBOL = re.compile(
-    r"(?<![\w.])(i|k|B|L|M|R|T|t|u|v|\u03c8|\u03c9)_(d|q|s|p|i|e|m|PM|dc|sw|u)(?!\w)"
+    r"(?<![\w.])(i|k|B|L|M|R|T|t|u|v|\u03c8|\u03c9)_(d|q|0|a|b|c|n|s|p|i|e|m|PM|dc|sw|u)(?!\w)"
 )
 
 _SHARES = ((1e-4, 1e2, "%"), (1e-6, 1e6, "ppm"), (0.0, 1e9, "ppb"))

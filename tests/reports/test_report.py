@@ -275,6 +275,10 @@ def test_other_machines_and_forms_have_a_report(solution: Solution, variant: str
         (share(1e-14), "below 0.01\u202fppb"),
         (share(0.0), "0\u202f%"),
         (str(symbols("i_d < l_d")), "<i>i</i><sub>d</sub> &lt; l_d"),
+        (
+            str(symbols("i_0 and u_a, not i_00")),
+            "<i>i</i><sub>0</sub> and <i>u</i><sub>a</sub>, not i_00",
+        ),
     ],
 )
 def test_numbers_read_well(text: str, expected: str) -> None:

@@ -16,10 +16,15 @@ function complain(text) {
   place('problem').hidden = !text;
 }
 
+function say(notes) {
+  place('said').textContent = (notes || []).join('\n');
+  place('said').hidden = !(notes || []).length;
+}
+
 async function told(path, options = {}) {
   try {
     const answer = await fetch(path, options);
-    if (!answer.ok) return { error: (await answer.text()).trim() };
+    if (!answer.ok) return { error: (await answer.text()).trim() || 'this was refused; what was saved is kept' };
     return await answer.json();
   } catch {
     return { error: "no answer: start 'dqforge serve' once more; what was saved is kept" };
@@ -33,9 +38,11 @@ const posted = (path, data) => told(path, {
 
 // The design: its fields and its text.
 
-async function change(path, data) {
-  const found = await posted(path, data);
+const change = async (path, data) => settled(await posted(path, data));
+
+function settled(found) {
   complain(found.error);
+  say(found.notes);
   if (found.text === undefined) return false;
   take(found);
   if (found.stale) return false;
@@ -178,15 +185,55 @@ function tabled(table) {
 place('sheet').addEventListener('submit', async (event) => {
   event.preventDefault();
   const sheet = Object.fromEntries([...new FormData(event.target)].filter(([, text]) => typeof text === 'string' && text.trim()));
-  const file = place('map').files[0];
-  if (file) {
-    const found = await told(`/api/upload/${encodeURIComponent(file.name)}`, { method: 'POST', body: file });
-    complain(found.error);
-    if (found.error) return;
-    sheet['machine.flux_map'] = found.name;
+  const form = new FormData();
+  form.append('asked', JSON.stringify({
+    sheet, revision: state.revision, axes: place('axes').value, scale: place('scale').value, line_to_line: Boolean(place('channels').value),
+  }));
+  try {
+    for (const field of ['map', 'capture']) for (const file of place(field).files) form.append(field, await held(file), file.name);
+  } catch (error) {
+    complain(error.message);
+    return;
   }
-  if (await change('/api/new', { sheet })) place('design-title').scrollIntoView();
+  place('busy-new').textContent = 'reading ...';
+  const found = await told('/api/new', { method: 'POST', body: form });
+  place('busy-new').textContent = '';
+  if (settled(found)) place('design-title').scrollIntoView();
 });
+
+// The content of a file as it is now: what was chosen may have changed since, or be a folder.
+async function held(file) {
+  const largest = Number(place('sheet').dataset.largest);
+  const many = [...place('map').files, ...place('capture').files].reduce((sum, one) => sum + one.size, 0);
+  if (many > largest) throw new Error(`${file.name}: ${(many / 1e6).toFixed(0)} MB are too much; files of ${largest / 1e6} MB together are taken here, larger ones by 'dqforge new'`);
+  try {
+    return new Blob([await file.arrayBuffer()]);
+  } catch {
+    throw new Error(`${file.name} cannot be read; choose the file once more`);
+  }
+}
+
+// A file that misses its zone is not opened in place of the page.
+for (const kind of ['dragover', 'drop']) document.addEventListener(kind, (event) => event.preventDefault());
+for (const zone of document.querySelectorAll('.drop')) {
+  const input = zone.querySelector('input');
+  const tell = () => { place(`${input.id}-taken`).textContent = [...input.files].map((file) => `${file.name}, ${Math.ceil(file.size / 1e3)} kB`).join('; '); };
+  zone.addEventListener('dragover', () => zone.classList.add('over'));
+  zone.addEventListener('dragleave', () => zone.classList.remove('over'));
+  zone.addEventListener('drop', (event) => {
+    zone.classList.remove('over');
+    const { files } = event.dataTransfer;
+    if (!files.length) return;
+    if (files.length > 1 && !input.multiple) {
+      complain(`${files.length} files were dropped; one flux map makes a design`);
+      return;
+    }
+    complain('');
+    input.files = files;
+    tell();
+  });
+  input.addEventListener('change', tell);
+}
 place('library').addEventListener('submit', (event) => {
   event.preventDefault();
   change('/api/template', { machine: place('machine').value.trim() });
