@@ -14,6 +14,8 @@ commutations); the table: `dqforge.machines.plants.regulator_rules`.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -315,6 +317,53 @@ class SampledRule:
         return o.call(self.feedback_circle, inputs, now, i, ends)
 
 
+# Up to so many drives it takes less time to ask for one after the other than for arrays of them.
+_FEW = 6
+
+# The states, as places of an array that is filled at once.
+_PLACES = np.arange(len(MOVES))
+
+
+@cache
+def _converted(number: str, values: tuple[float, ...]) -> Any:
+    return np.asarray(values, dtype=number)
+
+
+class _OneDrive(Arithmetic):
+    """The operations of another arithmetic on single numbers, with less to do for each.
+
+    A loop that only fills an array runs once, for all of its places.
+    """
+
+    def table(self, name: str, values: Sequence[float]) -> Any:  # noqa: ARG002
+        """Constant numbers, converted once."""
+        return _converted(self.number.__name__, tuple(values))
+
+    def at(self, table: Sequence[Any], place: Any, *inner: Any) -> Any:
+        """What stands at a place, which is a whole number, or at all places at once."""
+        if isinstance(place, int):
+            found = table[place]
+            return found[inner[0]] if inner else found
+        return super().at(table, place, *inner)
+
+    def repeated(
+        self,
+        state: Any,
+        count: Any,
+        of: Callable[[Any], None],
+        until: Callable[[], Any] | None = None,
+    ) -> None:
+        """As of arrays; without a state no time depends on one before it."""
+        if state is None:
+            of(_PLACES[:count])
+        else:
+            super().repeated(state, count, of, until)
+
+    def with_item(self, array: tuple[Any, ...], place: Any, value: Any) -> tuple[Any, ...]:  # noqa: ARG002
+        """All items of an array, from their values at all places."""
+        return tuple(map(type(value), *value))
+
+
 def next_codes(
     constants: RuleConstants, codes: Codes, *told: Reals, o: Arithmetic = SINGLE
 ) -> Codes:
@@ -326,6 +375,11 @@ def next_codes(
         told: Members of `FeedbackInputs` in their order, shape (N,) each.
         o: Single precision is that of the emitted C.
     """
-    inputs = FeedbackInputs(*(np.asarray(column).astype(o.number) for column in told))
+    rule, columns = SampledRule(constants), [np.asarray(column).astype(o.number) for column in told]
     with np.errstate(all="ignore"):  # what is not finite keeps the state
-        return np.asarray(SampledRule(constants).next_state(o, codes, inputs))
+        if codes.size > _FEW:
+            return np.asarray(rule.next_state(o, codes, FeedbackInputs(*columns)))
+        one = _OneDrive(o.number, o.wrap, o.rotation)
+        rows = zip(codes.tolist(), *columns, strict=True)
+        named = [int(rule.next_state(one, code, FeedbackInputs(*row))) for code, *row in rows]
+    return np.asarray(named, dtype=np.int64)

@@ -87,6 +87,28 @@ def test_rules_in_both_precisions_name_the_same_and_survive_nan() -> None:
         np.testing.assert_array_equal(next_codes(constants(rule), codes, *lost), codes)
 
 
+def test_drives_alone_are_told_what_they_are_told_together() -> None:
+    told, _ = sample(300, 16)
+    near = np.arange(300) % 3 == 0
+    told = replace(
+        told,
+        i_d=np.where(near, told.i_d_ref + 0.2, told.i_d),
+        i_q=np.where(near, told.i_q_ref - 0.1, told.i_q),
+    )
+    told.i_q[::50], told.omega_e[7::50] = math.nan, math.inf
+    codes = np.random.default_rng(5).integers(0, 12, 300)
+    for rule in RULES:
+        for o in (EXACT, SINGLE):
+            together = next_codes(constants(rule), codes, *columns(told), o=o)
+            alone = [
+                next_codes(
+                    constants(rule), codes[k : k + 3], *(c[k : k + 3] for c in columns(told)), o=o
+                )
+                for k in range(0, 300, 3)
+            ]
+            np.testing.assert_array_equal(np.concatenate(alone), together)
+
+
 def test_table_rule_finds_sector_region_and_both_bands() -> None:
     """Sector and region by angles of complex numbers, without the comparisons of the rule."""
     told, theta = sample(500, 13)
