@@ -97,12 +97,12 @@ def faults(drives: list[SweptDrive], figures: Summary) -> list[str]:
 
 
 def pulses_are_small(drive: SweptDrive, neutral: float) -> bool:
-    """Whether pulses leave the mean alone: none drive a current (r.m.s.) through the diodes of a
-    neutral, none meet the resonance of a split link with L_0 above a fortieth of the sampling.
+    """Whether pulses leave the mean alone: none drive a current (r.m.s.), beside that of the load,
+    through the diodes of a neutral, none meet the resonance of a split link with L_0 above a fortieth of the sampling.
     """
     inverter, t_s = drive.design.inverter, drive.drawn.t_s
     if TOPOLOGIES[inverter.topology].diodes:
-        return neutral < 0.01 * drive.design.i_max
+        return neutral < 0.01 * abs(drive.drawn.share) * drive.design.i_max
     if inverter.midpoint_capacitance is None:
         return True
     square = drive.control.inductances[2] * inverter.midpoint_capacitance / 3.0
