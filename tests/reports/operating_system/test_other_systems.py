@@ -7,6 +7,7 @@ the place of the program a script that has the emulator run it.
 
 from __future__ import annotations
 
+import fcntl
 import io
 import os
 import re
@@ -121,7 +122,9 @@ def abroad(
     if other.emulator == "wine":  # its first start makes a system, for some time
         started = os.environ | wine
         first = [tmp_path / f"{c.name}.exe"]
-        subprocess.run(first, cwd=tmp_path, env=started, check=True, timeout=600)
+        with (cache / "wine.lock").open("w") as lock:  # two first starts at once fail
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            subprocess.run(first, cwd=tmp_path, env=started, check=True, timeout=600)
     return other, os.environ | wine | {"DQFORGE_CC": str(c), "DQFORGE_CXX": str(cpp)}
 
 

@@ -98,7 +98,8 @@ def faults(drives: list[SweptDrive], figures: Summary) -> list[str]:
 
 def pulses_are_small(drive: SweptDrive, neutral: float) -> bool:
     """Whether pulses leave the mean alone: none drive a current (r.m.s.), beside that of the load,
-    through the diodes of a neutral, none meet the resonance of a split link with L_0 above a fortieth of the sampling.
+    through the diodes of a neutral, none meet the resonance of a split link with L_0 above a
+    fortieth of the sampling.
     """
     inverter, t_s = drive.design.inverter, drive.drawn.t_s
     if TOPOLOGIES[inverter.topology].diodes:
