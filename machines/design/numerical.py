@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
-from dqforge.machines.errors import DqforgeError, NoSolutionError, Places, about
+from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError, Places, about
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -102,6 +102,22 @@ def located(places: Places | None, section: str) -> Iterator[None]:
         raise
 
 
+def require_design(given: object) -> None:
+    """Refuse what stands where a design must, as from Python.
+
+    Raises:
+        InputError: Says how a design is made of it.
+    """
+    from dqforge.machines.design.design import Design
+
+    if isinstance(given, Design):
+        return
+    made = "load_design(...) for a file or a drive of the library"
+    if not isinstance(given, str | Path):
+        made = "make_design(machine, v_dc=..., f_sw=...) for a machine, " + made
+    raise InputError(f"design: expected a Design, got {type(given).__name__}; write {made}")
+
+
 def on_design(
     section: str,
 ) -> Callable[
@@ -119,6 +135,7 @@ def on_design(
         def entry(
             design: Design, /, *arguments: _Arguments.args, **options: _Arguments.kwargs
         ) -> _Result:
+            require_design(design)
             with located(design.places, section):
                 return function(design, *arguments, **options)
 

@@ -151,7 +151,10 @@ def _answer_new_of(asked: NewRequest, path: Path) -> Answer:
     if found is not None:
         sheet |= {FLUX_MAP: found.name} | ({FLUX_AXES: asked.axes} if asked.axes else {})
     source = None if found is None else found.parent
-    files = design_files(checked_text(sheet, source, origins).encode("utf-8"))
+    try:
+        files = design_files(checked_text(sheet, source, origins).encode("utf-8"))
+    except InputError as error:
+        raise _with_headings(error) from error
     checked = answer_check(load_text(files.contents[NEW_DESIGN], str(path), source))
     following = f"dqforge tune {path}"
     notes = (*said, *checked.notes, f"{path} written; next: {following}")
@@ -216,6 +219,16 @@ def _with_way_out(error: InputError) -> InputError:
         return error
     return InputError(
         f"{error}; 'dqforge bemf' takes it: give the magnet flux that it finds by --magnet-flux"
+    )
+
+
+def _with_headings(error: InputError) -> InputError:
+    """A refusal of a flux map, with what to do where it asks for a key that `new` has not."""
+    if "columns: {" not in str(error):
+        return error
+    return InputError(
+        f"{error} under machine.flux_map of a design file; 'dqforge new' reads the headings: name "
+        "them in the file, such as i_d [A]"
     )
 
 

@@ -631,7 +631,7 @@ def certify(asked: Design | Fit) -> Fit:
     Raises:
         NoSolutionError: No bounds could be proven.
     """
-    found = fit(asked) if isinstance(asked, Design) else asked
+    found = asked if isinstance(asked, Fit) else fit(asked)
     proof = _proof(found.design, found)
     if proof is None:
         raise NoSolutionError(

@@ -15,7 +15,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.back_emf.capture import analyse
 from dqforge.machines.back_emf.columns import MOST_BYTES, BemfResult, CaptureOptions, read_captures
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.numerical import on_design
+from dqforge.machines.design.numerical import on_design, require_design
 from dqforge.machines.design.settings import AnyStrategy, LoadPoint, LossSettings, LossStrategy
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.files.input_files import read_regular_file
@@ -267,6 +267,7 @@ def losses(
         InputError: A name is unknown, a number is not finite, or the design names no points and
             none are given.
     """
+    require_design(design)
     settings = design.losses
     if (torque is None) != (omega_m is None):
         raise InputError(
@@ -331,6 +332,7 @@ def loss_map(
         InputError: A name is unknown, or more than 4 million budgets are asked for.
         NoSolutionError: The limits leave no speed at all.
     """
+    require_design(design)
     sizes = whole(torques, "torques", 2, _MOST_CELLS), whole(speeds, "speeds", 2, _MOST_CELLS)
     settings = design.losses
     asked = Alternatives(
@@ -549,6 +551,7 @@ def waveforms(
         InputError: The back-EMF of the machine is sinusoidal, or an argument is none that can be.
         NoSolutionError: No currents keep the limits; says what would have to give.
     """
+    require_design(design)
     changes: dict[str, Any] = {}
     for name, value, unit in (
         ("torque", torque, "N m"),
@@ -662,6 +665,7 @@ def emit(design: Design, folder: str | Path | None = None) -> Emission:
     Raises:
         InputError, NoSolutionError: As `solve`.
     """
+    require_design(design)
     files = export_design(design, verify=False).files
     made = Emission(design, {name: content.decode("utf-8") for name, content in files.items()})
     if folder is not None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.numerical import require_design
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
@@ -380,4 +381,5 @@ def simulate(
     """
     from dqforge.reports.firmware.design_simulation import simulate_with_firmware
 
+    require_design(design)
     return SimulatedDrive(simulate_with_firmware(design, switched=switched, progress=progress))

@@ -115,6 +115,8 @@ def test_a_flux_map_is_copied_beside_the_design(tmp_path: Path) -> None:
     ]
     file = tmp_path / "map.csv"
     file.write_text("\n".join(["i_d [A];i_q [A];psi_d [mVs];psi_q [mVs]", *lines]), "ascii")
+    unknown = tmp_path / "unknown.csv"
+    unknown.write_text("one,two,three,four\n0,0,0.1,0\n1,0,0.11,0\n0,1,0.1,0.02\n1,1,0.1,0.02\n")
     asked = NewRequest(sheet=SHEET, flux_map=file)
     answer = answer_new(tmp_path / "hub", asked)
     assert answer.files is not None
@@ -133,6 +135,7 @@ def test_a_flux_map_is_copied_beside_the_design(tmp_path: Path) -> None:
     for bad, words in (
         (replace(asked, axes="q"), "--axes: expected one of magnet-d, reluctance"),
         (replace(asked, flux_map=tmp_path / "none.csv"), "--map: there is no file 'none.csv'"),
+        (replace(asked, flux_map=unknown), "'dqforge new' reads the headings: name them in the"),
         (replace(asked, machine="vdyno-trampa-6340"), "both define the design"),
     ):
         with pytest.raises(InputError, match=words):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 
 import numpy as np
 import pytest
+from drives import IPM
 
 import dqforge
 
@@ -49,3 +51,27 @@ def test_refusals_name_the_key() -> None:
         dqforge.load_design(NAME, {"fit.degree": 99})
     with pytest.raises(dqforge.InputError, match="no-such-drive"):
         dqforge.load_design("no-such-drive")
+
+
+def of_a_design() -> list[str]:
+    """Public functions whose first argument is a design."""
+    found = []
+    for name in dqforge.__all__:
+        public = getattr(dqforge, name)
+        if inspect.isfunction(public):
+            first = next(iter(inspect.signature(public).parameters), "")
+            found += [name] if first in {"design", "asked"} else []
+    return found
+
+
+@pytest.mark.parametrize("name", of_a_design())
+@pytest.mark.parametrize("given", ["abb-ipmsm-2k2", IPM, None], ids=["text", "machine", "nothing"])
+def test_what_is_no_design_is_refused_with_the_way_to_one(name: str, given: object) -> None:
+    more = {"firmware": "vesc"} if name == "export_for" else {}
+    wanted = "load_design" if isinstance(given, str) else "make_design.*load_design"
+    with pytest.raises(dqforge.InputError, match=f"design: expected a Design, got .*{wanted}"):
+        getattr(dqforge, name)(given, **more)
+
+
+def test_every_answer_to_a_design_is_tried() -> None:
+    assert len(of_a_design()) >= 10
