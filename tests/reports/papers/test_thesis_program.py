@@ -211,9 +211,10 @@ def test_every_figure_is_found_or_named(found: Program) -> None:
 
 @pytest.mark.slow
 def test_tables_plain_data_and_figures_show_it(found: Program) -> None:
-    first, second = program_tables.program_tables(found)
+    first, explained, shown = program_tables.program_tables(found)
     assert len(first.rows) == len(found.transients)
-    assert {row[0] for row in second.rows} == {row.numbers for row in found.findings}
+    assert found.explanation.winner.assumed in explained.rows[0]
+    assert {row[0] for row in shown.rows} == {row.numbers for row in found.findings}
     plain = program_tables.plain_program(found)
     assert plain["figures"][1]["found"][0]["value"] == found.transients[0].seconds
     for plot in (
