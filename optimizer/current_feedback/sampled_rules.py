@@ -31,7 +31,7 @@ from dqforge.machines.plants.regulator_rules import (
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.curves.single_precision import SINGLE
-from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Member
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Member, where
 
 _FAR = float(np.finfo(np.float32).max)
 _ROOT = 0.5 * math.sqrt(3.0)
@@ -84,10 +84,6 @@ class _Longest:
     best: Reals
     chosen: Annotated[Any, Member("", whole=True)]
     stays: Annotated[Any, Member("", whole=True)]
-
-
-def _nothing() -> None:
-    """Nothing changes."""
 
 
 def feedback_turned(
@@ -160,7 +156,7 @@ class SampledRule:
                 found.best, found.fewest, found.chosen = error, moves, state
 
             less = (error < found.best) | ((error <= found.best) & (moves < found.fewest))
-            o.cases("", (less, better), otherwise=_nothing, changing=(found,))
+            where(o, less, better, found)
 
         o.repeated(found, len(MOVES), compared)
         return found.chosen
@@ -195,7 +191,7 @@ class SampledRule:
                     found.stays = 1
 
                 ends_in = last_d * last_d + last_q * last_q <= square
-                o.cases("", (ends_in, kept), otherwise=_nothing, changing=(found,))
+                where(o, ends_in, kept, found)
 
             def other() -> None:
                 a = o.let("a", along * along + across * across)
@@ -210,10 +206,10 @@ class SampledRule:
                         found.best, found.chosen = score, state
 
                     better = (time >= 1.0) & (score > found.best)
-                    o.cases("", (better, longer), otherwise=_nothing, changing=(found,))
+                    where(o, better, longer, found)
 
                 crosses = (a > 0.0) & (under >= 0.0) & ((inside <= 0.0) | (b < 0.0))
-                o.cases("", (crosses, meets), otherwise=_nothing, changing=(found,))
+                where(o, crosses, meets, found)
 
             o.cases("", (o.equal(state, now), present), otherwise=other, changing=(found,))
 

@@ -30,7 +30,7 @@ from dqforge.optimizer.field_weakening.form import (
 )
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
-from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Dq
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Dq, where
 
 # Share of the design's voltage from which the errors of the voltage are stated.
 LEAST_VOLTAGE = 0.8
@@ -470,7 +470,7 @@ class DropReference:
 
         def tried(k: Any) -> None:
             last = (k >= trials - 1) & (now.t <= 0.0)
-            o.cases("", (last, none), otherwise=lambda: None, changing=[now])
+            where(o, last, none, now)
             left = o.multiply_add(o.negative(per_torque), now.trial, room)
             flux = o.let("flux", o.call(self.weakening_least_flux, left, omega))
             limit = o.call(self.weakening_limit, flux)
@@ -531,7 +531,7 @@ class DropReference:
             delta = o.let("delta", o.choose(taken > now.flux, taken - now.flux, 0.0))
             weak = self.surface.weakened(o, t, delta, base)
             now.weak_d, now.weak_q = weak
-            o.cases("", (n < self.passes - 1, again), otherwise=lambda: None, changing=[now])
+            where(o, n < self.passes - 1, again, now)
 
         o.repeated(now, self.passes, passed)
         return now.weak_d, now.weak_q

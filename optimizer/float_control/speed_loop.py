@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.float_control.records import UNKNOWN, Control, ControlGains, Pi, PiGains
-from dqforge.optimizer.steps.step_arithmetic import Arithmetic, limited
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, limited, where
 
 
 def pi_output(o: Arithmetic, gains: PiGains, state: Pi, error: Reals) -> Reals:  # noqa: ARG001
@@ -34,12 +34,7 @@ def speed_loop(
     later = o.let("later", state.count + 1)
     due = (state.count < 1) & (o.magnitude(reference) < UNKNOWN)
     state.omega_m = speed
-    o.cases(
-        "",
-        (due, _controlled(o, gains, state, speed, reference)),
-        otherwise=lambda: None,
-        changing=(state,),
-    )
+    where(o, due, _controlled(o, gains, state, speed, reference), state)
     state.count = o.choose(later < gains.ratio, later, o.full(0, later))
     return o.let("torque", state.torque)
 

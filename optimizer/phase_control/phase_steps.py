@@ -35,7 +35,7 @@ from dqforge.optimizer.phase_control.shape_references import (
 )
 from dqforge.optimizer.phase_control.torque_limits import LimitedSteps, LimitSteps, TorqueSteps
 from dqforge.optimizer.steps.angle_functions import FAR, small_rotation, turned
-from dqforge.optimizer.steps.step_arithmetic import AlphaBeta, Arithmetic, Dq, Rotation
+from dqforge.optimizer.steps.step_arithmetic import AlphaBeta, Arithmetic, Dq, Rotation, where
 
 Numbers = Callable[..., Iterable[Any]]  # From numbers to the numbers of a vector.
 
@@ -365,7 +365,7 @@ class PhaseSteps:
             if made.multiples:
                 far = o.magnitude(error.alpha) + o.magnitude(error.beta)
                 near = far + o.magnitude(error.zero) <= gains.harmonic_error_max
-                o.cases("", (near, learn), otherwise=lambda: None, changing=(state,))
+                where(o, near, learn, state)
             return v
 
         def known() -> Alphabetazero:

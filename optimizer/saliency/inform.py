@@ -9,7 +9,6 @@ converter to itself. A sequence with a sample that is no number corrects nothing
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Annotated, Any
@@ -55,6 +54,7 @@ from dqforge.optimizer.steps.step_arithmetic import (
     Member,
     Pair,
     limited,
+    where,
 )
 
 LAST = 7  # Place in a sequence at which the answer to its last pulse is seen.
@@ -192,9 +192,9 @@ class PulseSteps:
             observer.z = AlphaBeta(z.alpha + cosine * pair, z.beta - sine * pair)
             return sample
 
-        _where(o, observer, o.negated(o.equal(observer.started, 0)), ahead)
+        where(o, o.negated(o.equal(observer.started, 0)), ahead, observer)
         observer.started = 1
-        _where(o, observer, o.equal(n, 0), begun)
+        where(o, o.equal(n, 0), begun, observer)
         observer.whole = o.choose(known, observer.whole, 0)
         odd = o.equal(n % 2, 1)
         told = o.cases(
@@ -204,7 +204,7 @@ class PulseSteps:
             otherwise=first,
             changing=(observer,),
         )
-        _where(o, observer, o.equal(n, LAST), lambda: _corrected(o, gains, observer, told))
+        where(o, o.equal(n, LAST), lambda: _corrected(o, gains, observer, told), observer)
 
         def pulse() -> AlphaBeta:
             k = o.let("k", n // 2)
@@ -220,10 +220,6 @@ class PulseSteps:
         period = o.constant(f"{self.code.upper()}_PERIOD", self.period)
         later = o.let("later", n + 1)
         observer.n = o.choose(later < period, later, 0)
-
-
-def _where(o: Arithmetic, observer: Inform, condition: Any, change: Callable[[], None]) -> None:
-    o.cases("", (condition, change), otherwise=lambda: None, changing=(observer,))
 
 
 def _corrected(o: Arithmetic, gains: InformGains, observer: Inform, told: AlphaBeta) -> None:

@@ -37,7 +37,7 @@ from dqforge.optimizer.six_step.sector_step import (
     six_step_seen,
 )
 from dqforge.optimizer.six_step.sectors import FED, RETURN
-from dqforge.optimizer.steps.step_arithmetic import Abc, Arithmetic, Member
+from dqforge.optimizer.steps.step_arithmetic import Abc, Arithmetic, Member, where
 
 STOPPED, CATCHING, ALIGNING, RAMP, RUNNING, FAULT = range(6)
 
@@ -219,12 +219,8 @@ def six_step_catch(o: Arithmetic, gains: SixStepGains, drive: SixStep, v: Abc) -
             changing=(drive,),
         )
 
-    _where(o, drive, o.equal(count, gains.settle), first)
-    _where(o, drive, count >= gains.settle + gains.gap, second)
-
-
-def _where(o: Arithmetic, drive: SixStep, condition: Any, change: Any) -> None:
-    o.cases("", (condition, change), otherwise=lambda: None, changing=(drive,))
+    where(o, o.equal(count, gains.settle), first, drive)
+    where(o, count >= gains.settle + gains.gap, second, drive)
 
 
 def six_step_force(o: Arithmetic, gains: SixStepGains, drive: SixStep) -> None:
@@ -243,8 +239,8 @@ def six_step_force(o: Arithmetic, gains: SixStepGains, drive: SixStep) -> None:
             drive.rate, drive.phase = zero, zero
             drive.stage = _stage(o, RAMP)
 
-        _where(o, drive, o.equal(count, gains.align), on)
-        _where(o, drive, count >= 2 * gains.align, aligned)
+        where(o, o.equal(count, gains.align), on, drive)
+        where(o, count >= 2 * gains.align, aligned, drive)
 
     def ramp() -> None:
         drive.rate = rate = o.let("rate", drive.rate + gains.rise)
@@ -258,8 +254,8 @@ def six_step_force(o: Arithmetic, gains: SixStepGains, drive: SixStep) -> None:
             drive.ramped = 1
             o.call(six_step_begin, drive, _stage(o, CATCHING))
 
-        _where(o, drive, phase >= 1.0, passed)
-        _where(o, drive, rate >= gains.rate, ended)
+        where(o, phase >= 1.0, passed, drive)
+        where(o, rate >= gains.rate, ended, drive)
 
     aligns = o.equal(drive.stage, _stage(o, ALIGNING))
     o.cases("", (aligns, aligning), otherwise=ramp, changing=(drive,))
@@ -344,7 +340,7 @@ def six_step_speed_control(
         omega = drive.observer.omega_e
         slow = o.let("slow", o.choose(omega >= 0.0, omega, -omega))
         ended = o.negated(o.equal(drive.observer.lost, 0)) | (slow < gains.omega_caught)
-        _where(o, drive, ended, lambda: o.call(six_step_begin, drive, _stage(o, STOPPED)))
+        where(o, ended, lambda: o.call(six_step_begin, drive, _stage(o, STOPPED)), drive)
         drive.asked, drive.speed_integral = zero, zero
 
     def controls() -> None:
@@ -354,7 +350,7 @@ def six_step_speed_control(
         o.remark("between two samples of the speed")
 
     def stopped() -> None:
-        _where(o, drive, wanted, lambda: o.call(six_step_begin_start, drive, way))
+        where(o, wanted, lambda: o.call(six_step_begin_start, drive, way), drive)
 
     def running() -> None:
         other = o.negated(wanted) | o.negated(o.equal(way, drive.direction))
@@ -398,7 +394,7 @@ def _regulated(
         drive.speed_integral = drive.speed_integral + gain * error
 
     free = ((asked < most) | (error < 0.0)) & ((asked > 0.0) | (error > 0.0))
-    _where(o, drive, free, integrated)
+    where(o, free, integrated, drive)
     below = o.let("below", o.choose(asked > most, most, asked))
     given = o.let("given", o.choose(below > 0.0, below, zero))
     return o.choose(way > 0, given, -given)
@@ -411,7 +407,7 @@ def six_step_torque_control(o: Arithmetic, drive: SixStep, reference: Reals) -> 
     stopped = o.equal(drive.stage, _stage(o, STOPPED))
     way = o.let("way", o.choose(reference > 0.0, 1, -1))
     starts = stopped & ((reference > 0.0) | (reference < 0.0))
-    _where(o, drive, starts, lambda: o.call(six_step_begin_start, drive, way))
+    where(o, starts, lambda: o.call(six_step_begin_start, drive, way), drive)
     given = o.choose(o.is_number(reference), reference, o.full(0.0, reference))
     drive.asked = asked = o.let("asked", given)
     return asked
@@ -433,7 +429,7 @@ def six_step_step(
     def estimated() -> None:
         o.call(block_step, gains.observer, drive.observer, v)
         drive.sector = drive.observer.sector
-        _where(o, drive, o.negated(o.equal(drive.observer.lost, 0)), lost)
+        where(o, o.negated(o.equal(drive.observer.lost, 0)), lost, drive)
 
     def forced() -> None:
         o.call(six_step_force, gains, drive)

@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.six_step.sectors import FED, FLOATING, RETURN
-from dqforge.optimizer.steps.step_arithmetic import Abc, Arithmetic, Member
+from dqforge.optimizer.steps.step_arithmetic import Abc, Arithmetic, Member, where
 
 _LARGEST = 1e6  # V
 SIXTH = 1.0471975511965976  # pi/3
@@ -241,7 +241,7 @@ def block_step(o: Arithmetic, gains: BlockGains, observer: BlockState, v: Abc) -
 
     o.remark("what is no number is not seen")
     within = (y < _LARGEST) & (y > -_LARGEST)
-    o.cases("", (within, known), otherwise=lambda: None, changing=(observer,))
+    where(o, within, known, observer)
     elapsed, mean = o.let("elapsed", observer.elapsed), o.let("mean", observer.mean)
     observer.lost = o.choose(elapsed > gains.patience * mean, 1, observer.lost)
     turn = o.let("turn", SIXTH / o.choose(elapsed > mean, elapsed, mean))
@@ -259,7 +259,7 @@ def block_step(o: Arithmetic, gains: BlockGains, observer: BlockState, v: Abc) -
         observer.crossed, observer.armed = 0, 0
 
     over = o.let("over", o.call(due, gains, observer))
-    o.cases("", (over, handed_on), otherwise=lambda: None, changing=(observer,))
+    where(o, over, handed_on, observer)
 
 
 def six_step_seen(o: Arithmetic, v: Abc, direction: Any) -> SixStepSeen:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.speed_measurement import counted
-from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Member
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Member, where
 
 _SIGNED = "int32_t"
 
@@ -150,7 +150,7 @@ def _waited(o: Arithmetic, gains: SpeedMeasurementGains, state: SpeedMeasurement
         state.idle = state.idle + 1
 
     short = state.idle < gains.patience
-    o.cases("", (short, longer), otherwise=lambda: None, changing=(state,))
+    where(o, short, longer, state)
 
 
 # Speeds of edges and what they took, which both measurements keep.

@@ -7,7 +7,7 @@ from typing import Any
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.float_control.records import ControlGains
-from dqforge.optimizer.start_up.start_parts import StartupParts, fault_of, state_of, where
+from dqforge.optimizer.start_up.start_parts import StartupParts, fault_of, state_of
 from dqforge.optimizer.start_up.start_records import (
     ALIGNMENTS,
     METHODS,
@@ -17,7 +17,7 @@ from dqforge.optimizer.start_up.start_records import (
     StartupSettings,
     StartupState,
 )
-from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Arithmetic, Dq
+from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Arithmetic, Dq, where
 
 _PULSES = 16  # Steps of the current in a short circuit.
 _DYING = 3  # Samples in which the current of the last pulse dies.

@@ -19,7 +19,7 @@ from dqforge.optimizer.start_up.start_records import (
     StartupSettings,
     StartupState,
 )
-from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Arithmetic, Dq
+from dqforge.optimizer.steps.step_arithmetic import Abc, AlphaBeta, Arithmetic, Dq, where
 
 # The angle of a vector over the ratio of its smaller to its larger component, odd powers from the
 # first on: within 1e-5 rad from 0 to 1.
@@ -291,13 +291,3 @@ def state_of(o: Arithmetic, state: StartupState) -> Any:
 def fault_of(o: Arithmetic, fault: StartupFault) -> Any:
     """A fault by its name."""
     return o.constant(f"STARTUP_{fault.name}", fault)
-
-
-def where(o: Arithmetic, condition: Any, change: Any, *changing: Any) -> None:
-    """What is done where a condition holds.
-
-    Args:
-        condition, change: As of a branch of `Arithmetic.cases`.
-        changing: What the change sets.
-    """
-    o.cases("", (condition, change), otherwise=lambda: None, changing=changing)

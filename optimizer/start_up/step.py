@@ -13,7 +13,7 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.float_control.records import ControlGains
 from dqforge.optimizer.start_up.phases import StartupPhases, aligned_by, started_by
-from dqforge.optimizer.start_up.start_parts import fault_of, state_of, where
+from dqforge.optimizer.start_up.start_parts import fault_of, state_of
 from dqforge.optimizer.start_up.start_records import (
     RESTING,
     Measured,
@@ -24,7 +24,7 @@ from dqforge.optimizer.start_up.start_records import (
     StartupSettings,
     StartupState,
 )
-from dqforge.optimizer.steps.step_arithmetic import AlphaBeta, Arithmetic
+from dqforge.optimizer.steps.step_arithmetic import AlphaBeta, Arithmetic, where
 
 # Beyond these a squared current in A^2, and a voltage in V or a speed, count as unknown; so does
 # not-a-number.

@@ -403,3 +403,13 @@ def at_least(o: Arithmetic, value: Reals, floor: Any) -> Reals:
 def limited(o: Arithmetic, value: Reals, limit: Any) -> Reals:
     """A value within -limit to limit."""
     return o.choose(value > limit, limit, o.choose(value < -limit, -limit, value))
+
+
+def where(o: Arithmetic, condition: Any, change: Any, *changing: Any) -> None:
+    """What is done where a condition holds.
+
+    Args:
+        condition, change: As of a branch of `Arithmetic.cases`.
+        changing: What the change sets.
+    """
+    o.cases("", (condition, change), otherwise=lambda: None, changing=changing)

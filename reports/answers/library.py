@@ -154,7 +154,7 @@ def _answer_new_of(asked: NewRequest, path: Path) -> Answer:
     try:
         files = design_files(checked_text(sheet, source, origins).encode("utf-8"))
     except InputError as error:
-        raise _with_headings(error) from error
+        raise _with_way_out(error) from error
     checked = answer_check(load_text(files.contents[NEW_DESIGN], str(path), source))
     following = f"dqforge tune {path}"
     notes = (*said, *checked.notes, f"{path} written; next: {following}")
@@ -209,27 +209,29 @@ def _add_capture(
     return (*said, *([more] * bool(loud))), {_FLUX: f"fundamental of the capture {shown(source)}"}
 
 
-# Options of `dqforge bemf` that `dqforge new` has not.
-_OF_BEMF = ("--interval", "--columns", "--speed")
+# What a refusal of a capture or a flux map asks for and `dqforge new` has not: options of `dqforge
+# bemf` and a key of a design, with the way out.
+_ELSEWHERE = (
+    (
+        ("--interval", "--columns", "--speed"),
+        "; 'dqforge bemf' takes it: give the magnet flux that it finds by --magnet-flux",
+    ),
+    (
+        ("columns: {",),
+        (
+            " under machine.flux_map of a design file; 'dqforge new' reads the headings: name them "
+            "in the file, such as i_d [A]"
+        ),
+    ),
+)
 
 
 def _with_way_out(error: InputError) -> InputError:
-    """A refusal of a capture, with what to do where it asks for an option of `dqforge bemf`."""
-    if not any(option in str(error) for option in _OF_BEMF):
-        return error
-    return InputError(
-        f"{error}; 'dqforge bemf' takes it: give the magnet flux that it finds by --magnet-flux"
-    )
-
-
-def _with_headings(error: InputError) -> InputError:
-    """A refusal of a flux map, with what to do where it asks for a key that `new` has not."""
-    if "columns: {" not in str(error):
-        return error
-    return InputError(
-        f"{error} under machine.flux_map of a design file; 'dqforge new' reads the headings: name "
-        "them in the file, such as i_d [A]"
-    )
+    """A refusal, with what to do where it asks for what `dqforge new` has not."""
+    for asked, way_out in _ELSEWHERE:
+        if any(words in str(error) for words in asked):
+            return InputError(f"{error}{way_out}")
+    return error
 
 
 def design_files(text: bytes) -> Files:

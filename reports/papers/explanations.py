@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
-from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.plants.scenario import Profile
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.fitting import chebyshev_nodes
@@ -32,9 +31,8 @@ from dqforge.reports.papers.paper001_emitted_control import (
     codes_of,
     held_rpm,
 )
-from dqforge.reports.papers.transients import RPM, settling_time
+from dqforge.reports.papers.transients import RPM, settled_or_nan
 from dqforge.reports.plain_data import PlainData
-from dqforge.reports.simulation.recorded_run import Simulation
 
 _WIDTH = 118
 _SHOWN = 8  # Alternatives in the table; plain data has all of them.
@@ -113,7 +111,7 @@ def explain(
     ranked = sorted(
         found.alternatives, key=lambda one: (-found.beyond(one), found.missed(one), one.fitted)
     )
-    return Explanation(title, found.printed, tuple(ranked), bounds)
+    return replace(found, alternatives=tuple(ranked))
 
 
 def explanation_table(found: Explanation) -> Table:
@@ -375,13 +373,6 @@ _LIMITS = (
 )
 
 
-def _settled(found: Simulation, start: float, end: float, target: float) -> float:
-    try:
-        return settling_time(found, start, end, target * RPM, BAND)
-    except NoSolutionError:
-        return math.nan
-
-
 def explain_transients(place: ProgramBench) -> Explanation:
     """Start, reversal and largest speed over what the thesis does not state, with its program's
     integers in the loop.
@@ -404,8 +395,8 @@ def explain_transients(place: ProgramBench) -> Explanation:
             found = replace(place, drive=replace(supplied, machine=machine)).run(
                 _ENDS, reversal, Constants(max_w=codes_of(limit)), friction=friction
             )
-            start = _settled(found, 0.0, _REVERSED, TARGET)
-            back = _settled(found, _REVERSED, _ENDS, -TARGET)
+            start = settled_or_nan(found, 0.0, _REVERSED, TARGET * RPM, BAND)
+            back = settled_or_nan(found, _REVERSED, _ENDS, -TARGET * RPM, BAND)
             alternatives.append(
                 Alternative(
                     f"{v_words}; {j_words}; {f_words}; {i_words}",

@@ -16,7 +16,6 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
-from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import NumberFormat
 from dqforge.machines.plants.scenario import (
     CurrentSensor,
@@ -31,7 +30,7 @@ from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control.header import gain_bytes, plain_control
 from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, TEAL, new_figure, style
 from dqforge.reports.pages.templating import render
-from dqforge.reports.papers.transients import RPM, settling_time
+from dqforge.reports.papers.transients import RPM, settled_or_nan, settling_time
 from dqforge.reports.simulation.design_run import drive_of, emitted_files, observers_of
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import Simulation, Simulator, simulate, simulator
@@ -118,10 +117,7 @@ def _figures(found: Simulation, name: str) -> EmittedRun:
 
 def _settling(found: Simulation, start: float, target: float) -> float:
     """Time in s, nan where the speed does not settle."""
-    try:
-        return settling_time(found, start, start + _REVERSAL, target * RPM, _BAND)
-    except NoSolutionError:
-        return float("nan")
+    return settled_or_nan(found, start, start + _REVERSAL, target * RPM, _BAND)
 
 
 def emitted_control() -> EmittedControl:

@@ -78,3 +78,13 @@ def settling_time(found: Simulation, start: float, end: float, target: float, ba
             f"the speed does not stay within {100.0 * band:g} % of {target:.4g} rad/s"
         )
     return float(found.t[chosen][outside[-1] + 1] - start)
+
+
+def settled_or_nan(
+    found: Simulation, start: float, end: float, target: float, band: float
+) -> float:
+    """As `settling_time`, nan where the speed does not settle."""
+    try:
+        return settling_time(found, start, end, target, band)
+    except NoSolutionError:
+        return float("nan")

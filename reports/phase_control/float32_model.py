@@ -28,7 +28,7 @@ from dqforge.optimizer.phase_control.phase_records import (
 )
 from dqforge.optimizer.phase_control.phase_steps import PhaseSteps, open_phase, phase_steps
 from dqforge.optimizer.phase_control.torque_limits import Limited, LimitedSteps
-from dqforge.optimizer.steps.step_arithmetic import Abc, Dq
+from dqforge.optimizer.steps.step_arithmetic import Abc, Dq, where
 from dqforge.reports.c_code.harness import single_from
 from dqforge.reports.control.header import three_leg_duties
 from dqforge.reports.plain_data import PlainData, shortest
@@ -176,7 +176,7 @@ def opened(state: Control, phase: NDArray[np.uint32], chosen: NDArray[np.bool_])
     def now() -> None:
         open_phase(SINGLE, state, phase)
 
-    SINGLE.cases("", (chosen, now), otherwise=lambda: None, changing=(state,))
+    where(SINGLE, chosen, now, state)
 
 
 def plain_limited(limited: LimitedShapes | None) -> PlainData | None:
