@@ -14,8 +14,8 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
 from dqforge.machines.records import dataclass
 
 # What leads the rotor: the start-up without an encoder, or an encoder whose edges are captured, or
-# counted.
-Kind = Literal["start-up", "edges", "counts"]
+# counted, or whose angle the speed observer sees.
+Kind = Literal["start-up", "edges", "counts", "observer"]
 _OFFSET_TIME, _OFFSET_LIMIT = 0.1, 0.05  # in s; of the current limit
 _TRIP = 1.5  # over the current limit
 _LOW_LINK, _HIGH_LINK = 0.5, 1.3  # over the dc link's voltage
@@ -65,8 +65,22 @@ def _kind(design: Design) -> Kind:
     if control.start_up is not None:
         return "start-up"
     assert control.speed_loop is not None
-    assert control.speed_loop.measurement is not None
-    return "counts" if control.speed_loop.measurement.method == "counts" else "edges"
+    measurement = control.speed_loop.measurement
+    if measurement is None:
+        return "observer"
+    return "counts" if measurement.method == "counts" else "edges"
+
+
+def _lines(design: Design) -> int:
+    """Lines of the encoder per revolution, 0 without one."""
+    if design.control.start_up is not None:
+        return 0
+    assert design.control.speed_loop is not None
+    measurement = design.control.speed_loop.measurement
+    if measurement is not None:
+        return measurement.lines
+    assert design.simulation is not None
+    return design.simulation.encoder.lines
 
 
 def application_plan(design: Design) -> ApplicationPlan | None:
@@ -81,7 +95,6 @@ def application_plan(design: Design) -> ApplicationPlan | None:
         return None
     assert control.speed_loop is not None
     kind, linear = _kind(design), linearised(machine)
-    own = control.speed_loop.measurement
     largest = control.bases.speed if machine.omega_m_max is None else machine.omega_m_max
     align = _ALIGN_SHARE * design.i_max
     time = alignment_time(linear, align)
@@ -96,7 +109,7 @@ def application_plan(design: Design) -> ApplicationPlan | None:
         align_current=align,
         align_samples=math.ceil(time / control.t_s),
         align_damping=machine.pole_pairs * alignment_damping(linear, align, _DAMPING),
-        counts=0 if own is None else 4 * own.lines,
+        counts=4 * _lines(design),
         pole_pairs=machine.pole_pairs,
         stop_step=largest * control.t_s / _STOP_TIME,
         rest=_REST * largest,

@@ -222,7 +222,13 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
         BlockSections(file.control, file.inverter, file.export, file.simulation, named_sections),
         document,
     )
-    check_application(file.control, file.export, document, any_back_emf=found.phases is not None)
+    check_application(
+        file.control,
+        file.export,
+        document,
+        any_back_emf=found.phases is not None,
+        lines=0 if file.simulation is None else file.simulation.encoder.lines,
+    )
     asked = Asked(
         file.control, file.inverter, file.operation, file.export, file.simulation is not None
     )
@@ -237,7 +243,7 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     check_start_up(
         file.control,
         machine,
-        file.export.control,
+        file.export.formats,
         document,
         any_back_emf=found.phases is not None,
     )
@@ -249,7 +255,7 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     )
     inverter = read_inverter(file.inverter, machine.i_max, reading)
     check_overmodulation(
-        file.operation, inverter, file.export.control, found.phases is not None, document
+        file.operation, inverter, file.export.formats, found.phases is not None, document
     )
     operation = read_operation(file.operation)
     inverter = replace(
@@ -263,7 +269,7 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     check_fit(file.fit, file.operation, machine, i_max, document)
     simulated = file.simulation is not None
     check_waveform(file.waveform, file.machine, file.inverter, document)
-    used_by = "export.control" * bool(file.export.control) or "simulation" * simulated
+    used_by = "export.control" * bool(file.export.formats) or "simulation" * simulated
     check_topology(file.inverter, file.operation, file.modulation_choice, used_by, document)
     check_phase_control(file.control, found.phases, file.inverter.topology, file.export, document)
     rated_speed = si_of(file.machine.rated.speed)
@@ -276,7 +282,7 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
         reading,
         any_back_emf=found.phases is not None,
     )
-    needed = bool(file.export.control or file.export.firmware) or simulated
+    needed = bool(file.export.formats or file.export.firmware) or simulated
     named = "control" in file.model_fields_set
     wish = "none" if blocks else read_gain_wish(file.control, named, needed, document)
     control = replace(control, gains=wish)

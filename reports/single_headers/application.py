@@ -19,7 +19,7 @@ from dqforge.reports.plain_data import PlainData
 SUFFIXES = ("hardware.h", "application.h", "main.c")  # Ends of the names of its files.
 
 
-def _settings(plan: ApplicationPlan) -> list[tuple[str, str]]:
+def _settings(plan: ApplicationPlan, t_s: float) -> list[tuple[str, str]]:
     """Values in C and what they are, in the order of the structure."""
     common = [
         (f"{plan.offset_samples}U", "offset_samples"),
@@ -41,7 +41,15 @@ def _settings(plan: ApplicationPlan) -> list[tuple[str, str]]:
         (float_literal(turn), "turn"),
         (float_literal(plan.stop_step), "stop_step"),
         (float_literal(plan.rest), "rest"),
+        *_counted_speed(plan, turn, t_s),
     ]
+
+
+def _counted_speed(plan: ApplicationPlan, turn: float, t_s: float) -> list[tuple[str, str]]:
+    """The speed of one count in a speed period, before the observer runs."""
+    if plan.kind != "observer":
+        return []
+    return [(float_literal(turn / (plan.pole_pairs * plan.ratio * t_s)), "count_speed")]
 
 
 def application_context(solution: Solution, plan: ApplicationPlan) -> PlainData:
@@ -56,10 +64,11 @@ def application_context(solution: Solution, plan: ApplicationPlan) -> PlainData:
     return {
         **title(design),
         "preamble": lines,
-        "settings": _settings(plan),
+        "settings": _settings(plan, design.control.t_s),
         "start_up": plan.kind == "start-up",
         "encoder": plan.kind != "start-up",
         "edges": plan.kind == "edges",
+        "observed": plan.kind == "observer",
         "code": "" if position is None else position.method.code,
         "low": "" if start is None or start.low is None else start.low.tracker.code,
         "f_sw": format_quantity(design.inverter.f_sw, "Hz"),
@@ -85,6 +94,7 @@ _KINDS = {
     "start-up": "without an encoder, by the start-up",
     "edges": "by an encoder whose edges are captured",
     "counts": "by an encoder that is counted",
+    "observer": "by an encoder that is counted, the speed by the observer",
 }
 
 

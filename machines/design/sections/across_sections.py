@@ -19,7 +19,7 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError, KeyPath
 from dqforge.machines.files.positioned_yaml import YamlDocument
-from dqforge.machines.names import SIX_STEP_METHODS, FeedbackMethod, Topology
+from dqforge.machines.names import SIX_STEP_METHODS, SPEED_OBSERVER, FeedbackMethod, Topology
 from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine, SalientPhaseMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import (
@@ -101,28 +101,41 @@ def _misplaced(key: str, what: str, name: Topology, document: YamlDocument) -> I
 # What ``export.application`` needs of the other sections.
 
 
+def _sees_the_angle(control: ControlSection) -> bool:
+    """Whether the observer makes the speed from the angle of an encoder."""
+    return control.observer is not None and control.observer.method == SPEED_OBSERVER
+
+
 def check_application(
-    control: ControlSection, export: ExportSection, document: YamlDocument, *, any_back_emf: bool
+    control: ControlSection,
+    export: ExportSection,
+    document: YamlDocument,
+    *,
+    any_back_emf: bool,
+    lines: int,
 ) -> None:
     """Check that the program around the functions has what it calls.
 
-    ``any_back_emf`` says that the machine is one of model: waveform. Raises `InputError` with a
-    position.
+    ``any_back_emf`` says that the machine is one of model: waveform; ``lines`` are those of the
+    simulated encoder, 0 without one. Raises `InputError` with a position.
     """
     if export.application is None:
         return
     loop = control.speed_loop
     if any_back_emf:
         message = "the program is for machines with a sinusoidal back-EMF; remove it"
-    elif "float32" not in export.control or loop is None:
+    elif "float32" not in export.formats or loop is None:
         message = (
             "the program calls the speed control in float32; write export.control: float32 and "
             "control.speed_loop"
         )
-    elif control.six_step is not None or (control.start_up is None and loop.measurement is None):
+    elif control.six_step is not None or not (
+        control.start_up or loop.measurement or (_sees_the_angle(control) and lines)
+    ):
         message = (
-            "the program needs control.start_up, or an encoder by control.speed_loop.measurement; "
-            "write one of them"
+            "the program needs control.start_up, or an encoder by control.speed_loop.measurement, "
+            "or by simulation.encoder.lines where control.observer makes the speed; write one of "
+            "them"
         )
     else:
         return

@@ -14,7 +14,7 @@ from dqforge.machines.entries.kinds import (
     Prefix,
     Section,
 )
-from dqforge.machines.names import Application
+from dqforge.machines.names import Application, NumberFormat
 
 _EXPORT = ExportSettings(prefix="motor")
 
@@ -47,9 +47,15 @@ class ExportSection(Section):
         default=None,
         description=(
             "skeleton: a program with interrupts, offsets, alignment or start, stop and faults "
-            "around the control functions; default none"
+            "around the control functions, which are in float32 then; default none"
         ),
     )
+
+    @property
+    def formats(self) -> tuple[NumberFormat, ...]:
+        """Formats of the control functions, each once: the program calls those in float32."""
+        asked = ("float32",) if self.application and not self.control else self.control
+        return tuple(dict.fromkeys(asked))
 
 
 def read_export(section: ExportSection) -> ExportSettings:
@@ -57,6 +63,6 @@ def read_export(section: ExportSection) -> ExportSettings:
     return settings_from(
         ExportSettings,
         section,
-        control=tuple(dict.fromkeys(section.control)),
+        control=section.formats,
         firmware=tuple(dict.fromkeys(section.firmware)),
     )

@@ -33,8 +33,11 @@ from application_replay import (
 )
 from numpy.typing import NDArray
 
+from dqforge.machines.design.catalogue import load
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.application import ApplicationPlan, application_plan
+from dqforge.optimizer.solution import solve
+from dqforge.reports.run import emitted_files
 from dqforge.reports.simulation.design_run import simulate_design
 from dqforge.reports.verification.cross_tools import build, emulate
 
@@ -173,6 +176,7 @@ def test_the_fault_of_the_start_up_is_passed_on(programs: dict[str, HostProgram]
     assert out[-1, 5] == START
 
 
+ENCODERS = {"start-up": ", encoder: none", "observer": ", encoder: {lines: 1024}"}
 SCENARIO = (
     "simulation={duration: 2.2 s, speed: {points: [{time: 0 s, speed: 1200 rpm}]}, current_sensor: "
     "{offset: [100 mA, -50 mA, 20 mA], bits: 12, full_scale: 8 A}, initial: {angle: 100 deg}, "
@@ -183,9 +187,7 @@ SCENARIO = (
 @pytest.mark.thinned
 @pytest.mark.parametrize("kind", KINDS)
 def test_from_power_up_to_stop_in_the_simulated_drive(kind: str) -> None:
-    found = simulate_design(
-        design(kind, SCENARIO % (", encoder: none" if kind == "start-up" else ""))
-    )
+    found = simulate_design(design(kind, SCENARIO % ENCODERS.get(kind, "")))
     run, record = found.run, found.run.application
     assert record is not None
     order = record.application_state
@@ -201,11 +203,22 @@ def test_from_power_up_to_stop_in_the_simulated_drive(kind: str) -> None:
         assert abs(run.omega_m[-1]) < 2.0
 
 
+def test_the_program_of_the_bench_needs_one_key() -> None:
+    drive = load("paper001-pmsm-bench", ["export.application=skeleton"])
+    assert drive.export.control == ("float32",)
+    plan = application_plan(drive)
+    assert plan is not None
+    assert (plan.kind, plan.counts) == ("observer", 4096)
+    assert "bench001_main.c" in emitted_files(solve(drive))
+
+
 def test_what_it_needs_is_said_where_it_stands() -> None:
     with pytest.raises(InputError, match=r"export\.application: the program needs control\.start"):
         design("nothing")
     with pytest.raises(InputError, match="calls the speed control in float32"):
         design("integers")
+    with pytest.raises(InputError, match=r"or by simulation\.encoder\.lines"):
+        design("observer", "simulation.encoder={lines: 0}")
 
 
 @pytest.mark.slow
