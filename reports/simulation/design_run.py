@@ -359,7 +359,7 @@ def require_scenario(design: Design, *, switched: bool = False) -> Scenario:
     if design.simulation is None:
         raise InputError(
             "the design requests no simulation; add a section such as simulation: "
-            "{duration: 0.5 s, speed: {points: [{time: 0 s, speed: 1000 rpm}]}}"
+            "{duration: 0.5 s, speed: 1000 rpm}"
         )
     return replace(design.simulation, inverter="switched") if switched else design.simulation
 

@@ -109,9 +109,7 @@ def _references(
             f"simulation needs one of speed, torque and current as its reference, {found}; write "
             "one"
         )
-        raise reading.document.error(
-            f"{message}, such as speed: {{points: [...]}}", _PATH, key=True
-        )
+        raise reading.document.error(f"{message}, such as speed: 1000 rpm", _PATH, key=True)
     if section.speed is not None:
         return "speed", _profile(section.speed, "speed", "speed", reading), Profile()
     if section.torque is not None:
@@ -418,6 +416,7 @@ _POINTS = (
 
 
 _MOST = 100_000
+_ALONE = "as a profile or as one value that stays"
 
 
 _ENCODER, _SENSOR = Encoder(), CurrentSensor()
@@ -478,6 +477,16 @@ class TorqueProfileSection(Section):
     )
     amplitude: PointTorque | None = Field(default=None, description="of a sine on top (N m)")
     frequency: ProfileFrequency | None = Field(default=None, description="of that sine (Hz)")
+
+
+def _constant(key: str) -> BeforeValidator:
+    """A validator that takes a value alone for a profile that keeps it: `speed: 750 rpm`."""
+
+    def profile(value: object) -> object:
+        plain = isinstance(value, str | float | int) and not isinstance(value, bool)
+        return {"points": [{"time": "0 s", key: value}]} if plain else value
+
+    return BeforeValidator(profile)
 
 
 class LoadSection(TorqueProfileSection):
@@ -625,19 +634,23 @@ class SimulationSection(Section):
     """
 
     duration: Duration = Field(description="simulated time (s)")
-    speed: SpeedProfileSection | None = Field(
-        default=None, description="reference of the speed controller"
+    speed: Annotated[SpeedProfileSection | None, _constant("speed")] = Field(
+        default=None, description=f"reference of the speed controller, {_ALONE}"
     )
-    torque: TorqueProfileSection | None = Field(default=None, description="torque reference")
+    torque: Annotated[TorqueProfileSection | None, _constant("torque")] = Field(
+        default=None, description=f"torque reference, {_ALONE}"
+    )
     current: CurrentProfileSection | None = Field(default=None, description="current references")
-    load: LoadSection = Field(
-        default_factory=LoadSection, description="load torque, against positive speed"
+    load: Annotated[LoadSection, _constant("torque")] = Field(
+        default_factory=LoadSection,
+        description=f"load torque, against positive speed, {_ALONE}",
     )
-    shaft: SpeedProfileSection | None = Field(
-        default=None, description="speed that a load machine imposes; default: the shaft is free"
+    shaft: Annotated[SpeedProfileSection | None, _constant("speed")] = Field(
+        default=None,
+        description=f"speed that a load machine imposes, {_ALONE}; default: the shaft is free",
     )
-    v_dc: VoltageProfileSection | None = Field(
-        default=None, description="DC-link voltage; default inverter.v_dc"
+    v_dc: Annotated[VoltageProfileSection | None, _constant("voltage")] = Field(
+        default=None, description=f"DC-link voltage, {_ALONE}; default inverter.v_dc"
     )
     inverter: InverterModel = Field(
         default="averaged",

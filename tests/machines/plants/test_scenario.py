@@ -166,6 +166,27 @@ def test_currents_and_torques_are_references_too() -> None:
     ).reference == constant(-0.2)
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "long"),
+    [
+        ("speed", "750 rpm", "speed"),
+        ("torque", "-0.2 N m", "torque"),
+        ("load", "0.1 N m", "torque"),
+        ("shaft", "200 rad/s", "speed"),
+        ("v_dc", "200 V", "voltage"),
+    ],
+)
+def test_a_value_alone_is_a_profile_that_stays(key: str, value: str, long: str) -> None:
+    rest = () if key in ("speed", "torque") else (SPEED,)
+    short = read("duration: 1 s", *rest, f"{key}: {value}")
+    assert short == read(
+        "duration: 1 s", *rest, f"{key}: {{points: [{{time: 0 s, {long}: {value}}}]}}"
+    )
+    with pytest.raises(InputError, match="expected a") as caught:
+        read("duration: 1 s", *rest, f"{key}: 3 kg")
+    assert caught.value.line == 18 + len(rest)
+
+
 SPEED = "speed: {points: [{time: 0 s, speed: 1000 rpm}]}"
 
 
