@@ -20,7 +20,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.phase_machines.frame_transforms import thesis_shapes, to_frame
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.machines.plants.scenario import Profile, Scenario, constant
+from dqforge.machines.plants.scenario import Profile, Scenario, Sensorless, constant
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.current_reference.solve import solve_fit
@@ -48,6 +48,7 @@ from dqforge.reports.phase_control.header import (
     plain_phase_control,
     preamble,
 )
+from dqforge.reports.simulation.design_run import angle_error, simulate_design
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import Simulation, Simulator, simulate, simulator
 
@@ -108,10 +109,33 @@ class LoopRun:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LedRun:
+    """dqy on four legs with its angle from an encoder or from an observer.
+
+    From 750 rpm without load to 1 N m. ``time`` in s from the step, ``torque`` (means over control
+    periods) in N m, ``speed`` in rad/s and ``angle_error`` of the observer in rad (electrical),
+    shape (N,) each. Of the last 0.1 s: ``mean`` of the torque and ``ripple`` of its means, peak to
+    peak, in N m; ``bias`` and ``swing`` of the angle error, mean and peak to peak, in rad.
+    """
+
+    led_by: str
+    mean: float
+    ripple: float
+    bias: float
+    swing: float
+    dip: float
+    time: FloatArray
+    torque: FloatArray
+    speed: FloatArray
+    angle_error: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ClosedLoops:
-    """All cases, as `CASES`."""
+    """All cases, as `CASES`, and dqy led by an encoder and by an observer."""
 
     runs: tuple[LoopRun, ...]
+    led: tuple[LedRun, ...]
 
 
 def _shape_at(machine: PhaseMachine, theta: FloatArray) -> FloatArray:
@@ -247,7 +271,9 @@ def run_loops() -> ClosedLoops:
     """All cases; raises as `run_case`."""
     # The work is that of other processes: compilers and simulations.
     with ThreadPoolExecutor(_WORKERS) as pool:
-        return ClosedLoops(tuple(pool.map(run_case, CASES)))
+        runs = pool.map(run_case, CASES)
+        led = pool.map(run_led, _LED)
+        return ClosedLoops(tuple(runs), tuple(led))
 
 
 # The closed loops of Figures 6.9 to 6.18 of paper 002: circuits and controllers, with the C
@@ -291,6 +317,7 @@ class LoopCase:
 
 
 _DIODES, _LEGS = "diodes (5.4)", "four legs (5.2)"
+_OPEN, _ISOLATED = "open winding (5.1 b)", "open, two links (5.1 a)"
 
 # What is run, the thesis's own circuit and controllers first.
 CASES = (
@@ -319,10 +346,76 @@ CASES = (
         harmonics=True,
     ),
     LoopCase(
+        "open_decoupled", _OPEN, "dqy, decoupled", "six-leg", "six-leg", "dqy", "measured",
+    ),
+    LoopCase(
+        "isolated_dqx", _ISOLATED, "dqx, references", "six-leg-isolated", "six-leg-isolated", "dqx",
+        "references",
+    ),
+    LoopCase(
         "star_table", "star", "dqx table, harmonics", "three-wire", "three-wire", "table",
         "references", harmonics=True,
     ),
 )  # fmt: skip
+
+
+# What the thesis leaves to others (its chapter 7): dqy without an encoder, by the flux observer of
+# the design, from this speed on in rpm.
+_LED = ("encoder", "observer")
+_OBSERVED_FROM = 300.0
+_SETTINGS = (
+    "control.observer={method: flux}",
+    "control.current_loop.bandwidth=500 Hz",
+    "control.current_loop.frame=dqy",
+    "control.current_loop.feedforward=measured",
+)
+
+
+def _led_scenario(led_by: str) -> Scenario:
+    """750 rpm, free shaft, 0 to 1 N m of load, averaged inverter with its dead time."""
+    return Scenario(
+        _STEP_END,
+        "speed",
+        constant(BENCH_SPEED),
+        load=Profile((0.0, _STEP_AT), (0.0, BENCH_TORQUE)),
+        omega_m=BENCH_SPEED,
+        sensorless=(
+            None
+            if led_by == "encoder"
+            else Sensorless(_OBSERVED_FROM * RPM, 0.8 * _OBSERVED_FROM * RPM)
+        ),
+    )
+
+
+def run_led(led_by: str) -> LedRun:
+    """Run the shipped drive's dqy, ``led_by`` the encoder or the observer.
+
+    Raises:
+        VerificationError: There is no compiler.
+    """
+    design = catalogue.load(DESIGN_NAME, _SETTINGS)
+    inertia = design.machine.inertia
+    assert inertia is not None
+    kp = inertia * SPEED_BANDWIDTH
+    loop = SpeedLoopSettings(method="given", kp=kp, ki=0.25 * kp * SPEED_BANDWIDTH)
+    control = replace(design.control, speed_loop=loop)
+    run = simulate_design(replace(design, control=control, simulation=_led_scenario(led_by))).run
+    error = angle_error(run)
+    kept = run.t >= _STEP_AT - 0.01
+    last = run.t >= _STEP_END - 0.1
+    means = run.torque[last]
+    return LedRun(
+        led_by=led_by,
+        mean=float(np.mean(means)),
+        ripple=float(np.ptp(means)),
+        bias=float(np.mean(error[last])),
+        swing=float(np.ptp(error[last])),
+        dip=BENCH_SPEED - float(np.min(run.omega_m[kept])),
+        time=run.t[kept] - _STEP_AT,
+        torque=run.torque[kept],
+        speed=run.omega_m[kept],
+        angle_error=error[kept],
+    )
 
 
 def _axis(inductance: float) -> AxisGains:
@@ -494,6 +587,28 @@ def _step(runs: tuple[LoopRun, ...]) -> Table:
     )
 
 
+def _led(led: tuple[LedRun, ...]) -> Table:
+    return Table(
+        "Paper 002, left to others: dqy without an encoder on four legs, load step to 1 N m",
+        ("angle from", "T N m", "p-p %", "angle error deg", "p-p deg", "slowed by rpm"),
+        tuple(
+            (
+                run.led_by,
+                f"{run.mean:.3f}",
+                f"{100.0 * run.ripple / BENCH_TORQUE:.2f}",
+                f"{math.degrees(run.bias):+.2f}",
+                f"{math.degrees(run.swing):.2f}",
+                f"{run.dip / RPM:.1f}",
+            )
+            for run in led
+        ),
+        (
+            f"Flux observer, from {_OBSERVED_FROM:.0f} rpm on, averaged inverter with dead time.",
+            "The observer knows the fundamental alone; the other harmonics swing its angle.",
+        ),
+    )
+
+
 def _ratios(ratios: tuple[LoopRatio, ...], closed: dict[str, float]) -> Table:
     return Table(
         "Paper 002, section 3.4: copper loss of dqx over dqy at the same constant torque",
@@ -511,13 +626,20 @@ def _ratios(ratios: tuple[LoopRatio, ...], closed: dict[str, float]) -> Table:
 
 
 def loop_tables(
-    runs: tuple[LoopRun, ...],
+    loops: ClosedLoops,
     path: DiodePath,
     ratios: tuple[LoopRatio, ...],
     closed: dict[str, float],
 ) -> list[Table]:
     """Tables of the closed loops; ``closed`` are the loss ratios by closed form."""
-    return [_currents(runs), _path(path, runs), _step(runs), _ratios(ratios, closed)]
+    runs = loops.runs
+    return [
+        _currents(runs),
+        _path(path, runs),
+        _step(runs),
+        _led(loops.led),
+        _ratios(ratios, closed),
+    ]
 
 
 def left_out_table(reason: str) -> Table:

@@ -36,6 +36,7 @@ from dqforge.reports.papers.paper002_closed_loops import (
     SHIPPED,
     ClosedLoops,
     DiodePath,
+    LedRun,
     LoopRatio,
     LoopRun,
     diode_path,
@@ -237,7 +238,7 @@ def _loops(found: Reproduction) -> list[Table]:
         return [left_out_table(found.loops_left_out)]
     closed = {row.shape: row.loss_ratio for row in found.rows}
     closed[SHIPPED] = found.curves.loss_ratio
-    return loop_tables(found.loops.runs, found.path, found.ratios, closed)
+    return loop_tables(found.loops, found.path, found.ratios, closed)
 
 
 def reproduction_tables(found: Reproduction) -> list[Table]:
@@ -458,6 +459,16 @@ def _loop(run: LoopRun) -> PlainData:
     }
 
 
+def _led(run: LedRun) -> PlainData:
+    return {
+        "angle_from": run.led_by,
+        "torque_Nm": run.mean,
+        "ripple_of_means_Nm": run.ripple,
+        "angle_error_rad": {"mean": run.bias, "peak_to_peak": run.swing},
+        "dip_rad_per_s": run.dip,
+    }
+
+
 def plain_reproduction(found: Reproduction) -> PlainData:
     """Tables and curves as plain data."""
     return {
@@ -471,6 +482,7 @@ def plain_reproduction(found: Reproduction) -> PlainData:
         "telling_orders": list(found.telling),
         "diode_path": asdict(found.path),
         "closed_loops": None if found.loops is None else [_loop(run) for run in found.loops.runs],
+        "without_encoder": None if found.loops is None else [_led(run) for run in found.loops.led],
         "closed_loops_left_out": found.loops_left_out or None,
         "closed_loop_loss_ratios": [asdict(row) for row in found.ratios],
     }
@@ -539,6 +551,7 @@ def figures_of(found: Reproduction) -> dict[str, Callable[[], Figure]]:
     if loops is not None:
         drawn["figures-6.9-to-6.16-loops.svg"] = lambda: plot_loops(loops.runs, found.curves)
         drawn["figures-6.17-to-6.18.svg"] = lambda: plot_step(loops.runs)
+        drawn["dqy-without-encoder.svg"] = lambda: plot_led(loops.led)
     return drawn
 
 
@@ -650,4 +663,23 @@ def plot_step(runs: tuple[LoopRun, ...]) -> Figure:
         speed.set(title="Figure 6.18, all alike", ylabel="Speed in rpm", xlabel="Time in ms")
         speed.set(xlim=(-10.0, 300.0), ylim=(640.0, 790.0))
         speed.legend(frameon=False, loc="upper right", fontsize=6.0)
+    return figure
+
+
+def plot_led(led: tuple[LedRun, ...]) -> Figure:
+    """Torque, speed and angle error at a load step: dqy by an encoder and by an observer."""
+    with style():
+        figure = new_figure("paper-002-led", 3.0, "dqy led by an encoder and by an observer, 1 N m")
+        for place, (label, limits) in enumerate(
+            (("Torque in N m", (-0.1, 1.6)), ("Speed in rpm", (610.0, 790.0)))
+        ):
+            axes = figure.add_axes((0.075 + 0.32 * place, 0.15, 0.245, 0.68))
+            for run, colour in zip(led, (MUTED, BLUE), strict=True):
+                values = run.torque if place == 0 else run.speed / RPM
+                axes.plot(1e3 * run.time, values, color=colour, linewidth=0.8, label=run.led_by)
+            axes.set(xlim=(-10.0, 300.0), ylim=limits, xlabel="Time in ms", ylabel=label)
+            axes.legend(frameon=False, loc="lower right", fontsize=6.5)
+        axes = figure.add_axes((0.72, 0.15, 0.25, 0.68))
+        axes.plot(1e3 * led[1].time, np.degrees(led[1].angle_error), color=ORANGE, linewidth=0.8)
+        axes.set(xlim=(-10.0, 300.0), xlabel="Time in ms", ylabel="Error of the angle in deg")
     return figure

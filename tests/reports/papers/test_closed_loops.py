@@ -19,9 +19,10 @@ from dqforge.reports.papers.paper002_closed_loops import (
     diode_path,
     loop_ratios,
     run_case,
+    run_led,
     run_loops,
 )
-from dqforge.reports.papers.paper002_tables import plot_loops, plot_step
+from dqforge.reports.papers.paper002_tables import plot_led, plot_loops, plot_step
 from dqforge.reports.papers.transients import RPM
 
 # In % of 1 N m: averaged, and means over PWM periods with 1 us of dead time.
@@ -32,6 +33,8 @@ RIPPLES = {
     "legs_pi": (10.1, 12.6),
     "legs_decoupled": (0.1, 2.5),
     "legs_table": (0.0, 0.5),
+    "open_decoupled": (0.1, 3.5),
+    "isolated_dqx": (0.0, 2.5),
     "star_table": (0.0, 0.3),
 }
 
@@ -89,14 +92,15 @@ def test_torque_and_its_ripple(runs: dict[str, LoopRun]) -> None:
 
 
 @pytest.mark.slow
-def test_the_neutral_current_flows_on_four_legs_alone(runs: dict[str, LoopRun]) -> None:
+def test_the_neutral_current_flows_where_both_ends_of_a_link_are_in_reach(runs: dict[str, LoopRun]) -> None:
     """0.365 A are wanted; on diodes the PWM leaves 0.025 A, whatever the controller asks for."""
     for name in ("diodes_pi", "diodes_decoupled", "diodes_dqx"):
         assert runs[name].neutral_rms == pytest.approx(0.024, abs=0.003), name
     assert runs["legs_table"].neutral_rms == pytest.approx(0.38, abs=0.02)
     assert runs["legs_table"].zero_third == pytest.approx(0.298, abs=0.01)
-    assert runs["star_table"].neutral_rms < 1e-12
-    for name in ("legs_pi", "legs_decoupled"):
+    for name in ("star_table", "isolated_dqx"):
+        assert runs[name].neutral_rms < 1e-12
+    for name in ("legs_pi", "legs_decoupled", "open_decoupled"):
         assert 0.25 < runs[name].neutral_rms < 0.35, name
 
 
@@ -140,6 +144,23 @@ def test_loops_are_drawn(runs: dict[str, LoopRun]) -> None:
     drawn = (plot_loops(whole, bench_curves()), plot_step(whole))
     assert all(isinstance(figure, Figure) for figure in drawn)
     assert [len(figure.axes) for figure in drawn] == [18, 5]
+
+
+@pytest.mark.slow
+def test_without_an_encoder_the_fifth_and_seventh_harmonic_swing_the_angle() -> None:
+    """In rotor coordinates both are of order 6: 150 Hz at 750 rpm with two pole pairs."""
+    led = tuple(run_led(by) for by in ("encoder", "observer"))
+    for run in led:
+        assert run.mean == pytest.approx(1.0, abs=5e-3)
+        assert run.ripple < (0.01 if run.led_by == "encoder" else 0.15)
+        last = run.time >= run.time[-1] - 0.08
+        lines = np.abs(np.fft.rfft(run.angle_error[last] - np.mean(run.angle_error[last])))
+        step = run.time[1] - run.time[0]
+        found = (np.argmax(lines[5:]) + 5) / (np.count_nonzero(last) * step)
+        assert found == pytest.approx(150.0, abs=7.0)
+    assert led[0].dip / RPM == pytest.approx(93.7, abs=3.0)
+    assert led[1].dip > 1.1 * led[0].dip
+    assert len(plot_led(led).axes) == 3
 
 
 @pytest.mark.slow
