@@ -1,0 +1,134 @@
+"""A regulator that switches the bridge, in the closed drive: the speed loop and references around
+it, and the losses of a bridge whose currents and commutations were counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.design import Design
+from dqforge.machines.dq_machines.synchronous import linearised
+from dqforge.machines.losses.bridge_tables import BridgeTables, at_temperature, junction_balance
+from dqforge.machines.records import dataclass
+from dqforge.optimizer.control_design.gain_set import GainSet, per_unit_of
+from dqforge.optimizer.current_feedback.regulator_runs import (
+    CALM,
+    CurrentFeedback,
+    emitted_rule,
+    regulator_plan,
+    run_regulator,
+    speed_loop,
+    speed_points,
+)
+from dqforge.optimizer.loops.loop_gains import LoopGains, analyse_current_loop
+
+# What is counted of a switch position, in the order of the compiled simulation.
+COUNTED = ("carries", "returns", "blanked", "turns_on", "turns_off")
+
+
+def own_feedback(design: Design) -> CurrentFeedback:
+    """The design's regulator alone with the speed loop over it, the others left out.
+
+    Raises:
+        InputError, NoSolutionError: As `run_regulator` and `speed_loop`.
+    """
+    plan = regulator_plan(design)
+    run = run_regulator(design, plan, speed_points(design))
+    found = speed_loop(design, run)
+    return CurrentFeedback(
+        plan=plan,
+        over_speed=(run,),
+        own=0,
+        loads=None,
+        equivalent=None if found is None else found[0],
+        speed=None if found is None else found[1],
+        rule=emitted_rule(design, plan),
+    )
+
+
+def lag_gains(design: Design, found: CurrentFeedback) -> GainSet:
+    """Gains of the speed loop, over current loops that stand for the regulator.
+
+    The emitted speed control takes the torque and both references from them; its duty cycles, which
+    current loops with these gains would make, are left aside.
+    """
+    machine, control = linearised(design.machine), design.control
+    bandwidth = CALM / control.t_s if found.equivalent is None else found.equivalent.bandwidth
+    loops: list[LoopGains] = [
+        analyse_current_loop(
+            machine.r_s,
+            inductance,
+            control.t_s,
+            bandwidth * inductance,
+            bandwidth * machine.r_s,
+            found.plan.method,
+            respond=False,
+        )
+        for inductance in (machine.l_d, machine.l_q)
+    ]
+    i_d, i_q = replace(loops[0], loop="i_d"), loops[1]
+    return GainSet(
+        i_d, i_q, found.speed, per_unit_of(control, (i_d, i_q, None, found.speed)), None
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CountedLosses:
+    """Losses of a bridge in W, all legs, at the junction temperatures that they lead to.
+
+    ``blanked`` is the part of the conduction during dead times; ``junction_temperature`` in degC is
+    the highest of a transistor, where the device has a thermal resistance the coolant's plus its
+    rise.
+    """
+
+    conduction: float
+    blanked: float
+    switching: float
+    junction_temperature: float
+
+
+def counted_losses(
+    tables: BridgeTables, counted: FloatArray, top: float, duration: float
+) -> CountedLosses:
+    """Losses from times and commutations counted over an even grid of currents.
+
+    Args:
+        tables: The device.
+        counted: Upper and lower position; `COUNTED`; places of the grid: shape (2, 5, B), in s and
+            in numbers, all three legs together.
+        top: Current in A of the last place; that of the first is 0.
+        duration: Time in s in which it was counted, positive.
+    """
+    size = np.linspace(0.0, top, counted.shape[-1])
+    per_leg = counted / (3.0 * duration)
+    carries, returns, blanked, turns_on, turns_off = np.moveaxis(per_leg, 1, 0)
+    channel = tables.channel.at(size) * size
+    diode = channel if tables.diode is None else tables.diode.at(size) * size
+    back = channel if tables.synchronous else diode
+    conduction, dead, switching = np.zeros((3, 2, 2, tables.temperatures.size))
+    conduction[:, 0] = carries @ channel.T
+    conduction[:, 0 if tables.synchronous else 1] += returns @ back.T
+    dead[:, 1] = blanked @ diode.T
+    switching[:, 0] = turns_on @ tables.turn_on.at(size).T + turns_off @ tables.turn_off.at(size).T
+    switching[::-1, 1] = turns_on @ tables.recovery.at(size).T
+    parts = [
+        part if tables.separate_diode else np.sum(part, axis=1, keepdims=True)
+        for part in (conduction, dead, switching)
+    ]
+    heat = junction_balance(tables, sum(parts, np.zeros_like(parts[0]))[..., None])
+    watts = [
+        3.0
+        * float(
+            np.sum(at_temperature(tables.temperatures, part[..., None], heat.temperature), axis=(0, 1))[0]
+        )
+        for part in parts
+    ]
+    return CountedLosses(
+        conduction=watts[0] + watts[1],
+        blanked=watts[1],
+        switching=watts[2],
+        junction_temperature=float(np.max(heat.temperature[:, 0])),
+    )

@@ -1,0 +1,308 @@
+"""A drive whose regulator switches the bridge itself, in the time domain: the emitted speed loop,
+references and sampled rule around a plant with every switching instant, dead time and voltage drop.
+
+Comparators, triangle and analogue integrators are hardware: they are part of the plant, exact in
+time, with the errors of the current sensors but without their converters.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.numerical import on_design
+from dqforge.machines.dq_machines.synchronous import linearised
+from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.plants.scenario import Scenario
+from dqforge.machines.transforms import linear_voltage
+from dqforge.optimizer.current_feedback.closed_drive import (
+    COUNTED,
+    CountedLosses,
+    counted_losses,
+    lag_gains,
+    own_feedback,
+)
+from dqforge.optimizer.current_feedback.regulator_runs import RegulatorPlan
+from dqforge.optimizer.current_reference.fit import signed_designs
+from dqforge.optimizer.current_reference.solve import solve_fit
+from dqforge.optimizer.field_weakening.fit import solve_weakening
+from dqforge.optimizer.losses.drive_budget import known_bridge
+from dqforge.optimizer.operating_points.solve import solve_curves
+from dqforge.optimizer.solution import Solution, solve_negative
+from dqforge.reports.simulation.design_run import (
+    DriveSimulation,
+    controller_files,
+    drive_of,
+    evaluate,
+    recorded_stride,
+    require_scenario,
+)
+from dqforge.reports.simulation.plant_input import (
+    BRIDGE_PARAMETERS,
+    BRIDGE_STATES,
+    COLUMNS,
+    PARAMETERS,
+    STATES,
+    SUMMARY,
+    RunInput,
+    run_input,
+    sub_steps,
+)
+from dqforge.reports.simulation.recorded_run import (
+    BINS,
+    BridgeFigures,
+    BridgeRecord,
+    BridgeUse,
+    Progress,
+    Simulation,
+    Simulator,
+    Switching,
+    as_recorded,
+    compile_simulator,
+    execute,
+    records_of,
+)
+from dqforge.reports.single_headers.current_feedback import rule_files
+
+_REACH = 2.5  # Last place of the grid of currents over the largest current.
+_PIECES = 20  # Pieces of a control period at least, between which comparators are looked at.
+_NEVER = 1e30  # Sampling period in s of a regulator that does not sample.
+_ACCURACY = 1e-9  # Of a comparator's instant, over its threshold's scale.
+_SMALL = 1e-3  # Share of the largest current within which the drops pass through zero.
+
+
+def closed_solution(design: Design, solution: Solution | None = None) -> Solution:
+    """What the controller around the regulator is emitted from.
+
+    Args:
+        design: Its current loop switches the bridge.
+        solution: That of the design, where it is there already; else the least that is needed.
+    """
+    if solution is not None and solution.current_feedback is not None:
+        return replace(solution, loops=lag_gains(design, solution.current_feedback))
+    found, positive = own_feedback(design), signed_designs(design)[0]
+    return Solution(
+        design=design,
+        curves=solve_curves(positive),
+        fit=solve_fit(positive).fit,
+        alternatives=(),
+        loops=lag_gains(design, found),
+        losses=None,
+        weakening=solve_weakening(design),
+        negative=solve_negative(design),
+        current_feedback=found,
+    )
+
+
+def feedback_files(design: Design, solution: Solution) -> dict[str, bytes]:
+    """Headers that the simulation compiles: references, speed loop, and a sampled rule's."""
+    found = solution.current_feedback
+    rule = {} if found is None else rule_files(design, found)
+    return controller_files(solution) | rule
+
+
+def _plan_parameters(design: Design, plan: RegulatorPlan | None) -> dict[str, float]:
+    """Numbers of the regulator, zeros with a carrier."""
+    v_dc = design.inverter.v_dc
+    values = dict.fromkeys(BRIDGE_PARAMETERS, 0.0) | {
+        "triangle": v_dc,
+        "most_volts": linear_voltage(v_dc),
+        "interval": _NEVER,
+    }
+    if plan is None:
+        return values
+    ramp = plan.method == "ramp-comparison"
+    sampled = plan.method not in ("hysteresis", "ramp-comparison")
+    return values | {
+        "band": plan.band,
+        "kp": plan.kp,
+        "ki": plan.ki,
+        "carrier": plan.carrier,
+        "comparator_band": plan.comparator_band,
+        "interval": 0.5 / plan.carrier if ramp else plan.t_s if sampled else _NEVER,
+        "accuracy": _ACCURACY * (v_dc if ramp else plan.band),
+    }
+
+
+def bridge_input(
+    design: Design, scenario: Scenario, plan: RegulatorPlan | None, stride: int
+) -> RunInput:
+    """Numbers of one run with a counted bridge.
+
+    Args:
+        design: The drive.
+        scenario: What it goes through; every switching instant is simulated.
+        plan: The regulator, None for a carrier.
+        stride: Samples per recorded row; 0 for no record.
+    """
+    drive, inverter = drive_of(design), design.inverter
+    run = run_input(drive, scenario, stride=stride)
+    tables = known_bridge(inverter)
+    top = _REACH * design.i_max
+    size = np.linspace(0.0, top, BINS)
+    coolant = tables.coolant_temperature
+    drops = [
+        np.array([np.interp(coolant, tables.temperatures, column) for column in table.at(size).T])
+        for table in (tables.channel, tables.diode or tables.channel)
+    ]
+    pieces = max(sub_steps(drive, scenario), _PIECES)
+    machine = linearised(design.machine)
+    # Around zero the drop is a resistance; its time constant stays longer than a piece.
+    offset, least = max(float(drop[1]) for drop in drops), min(machine.l_d, machine.l_q)
+    parameters = _plan_parameters(design, plan) | {
+        "grid": drive.t_s / pieces,
+        "usage_top": top,
+        "drop_band": max(_SMALL * design.i_max, offset * drive.t_s / pieces / least),
+        "synchronous": 1.0 if tables.synchronous else 0.0,
+    }
+    return RunInput(
+        run.parameters | parameters,
+        (*run.tables, np.concatenate(drops)),
+        PARAMETERS + BRIDGE_PARAMETERS,
+    )
+
+
+def _uses(numbers: FloatArray) -> tuple[BridgeUse, BridgeUse, float]:
+    """What was counted over the run, and over its last part; peak to peak of the torque in N m
+    there.
+    """
+    size = 2 * len(COUNTED) * BINS
+    width = size + 7 + len(STATES) + len(BRIDGE_STATES)
+    whole, before = numbers[:width], numbers[width : 2 * width]
+    low, high = numbers[2 * width : 2 * width + 2]
+
+    def use(row: FloatArray) -> BridgeUse:
+        states = dict(zip((*STATES, *BRIDGE_STATES), row[size + 7 :], strict=True))
+        return BridgeUse(
+            counted=row[:size].reshape(2, len(COUNTED), BINS),
+            edges=row[size : size + 3],
+            up=row[size + 3 : size + 6],
+            duration=float(row[size + 6]),
+            states={name: float(value) for name, value in states.items()},
+        )
+
+    return use(whole), use(whole - before), float(high - low)
+
+
+def _figures(design: Design, numbers: FloatArray) -> BridgeFigures:
+    whole, tail, ripple = _uses(numbers)
+    tables, top = known_bridge(design.inverter), _REACH * design.i_max
+    losses: list[CountedLosses] = [
+        counted_losses(tables, use.counted, top, use.duration) for use in (whole, tail)
+    ]
+    time, states = tail.duration, tail.states
+    i_d, i_q = states["charge_d"] / time, states["charge_q"] / time
+    torque = states["torque"] / time
+    # The vector's mean square, of which that of the mean is the fundamental.
+    square = 2.0 * states["i_square"] / time
+    fundamental = i_d * i_d + i_q * i_q
+    beside = max(square - fundamental, 0.0)
+    return BridgeFigures(
+        use=whole,
+        tail=tail,
+        frequency=float(np.sum(whole.edges)) / (6.0 * whole.duration),
+        tail_frequency=float(np.sum(tail.edges)) / (6.0 * time),
+        distortion=math.sqrt(beside / fundamental) if fundamental > 0.0 else math.nan,
+        ripple_current=math.sqrt(0.5 * beside),
+        torque=torque,
+        torque_ripple=ripple,
+        torque_rms=math.sqrt(max(states["torque_square"] / time - torque * torque, 0.0)),
+        i_d=i_d,
+        i_q=i_q,
+        copper=states["e_copper"] / time,
+        shaft=states["e_shaft"] / time,
+        link=states["e_link"] / time,
+        conduction=(losses[0].conduction, losses[1].conduction),
+        switching=(losses[0].switching, losses[1].switching),
+        blanked=(losses[0].blanked, losses[1].blanked),
+        junction_temperature=losses[1].junction_temperature,
+    )
+
+
+def simulate_bridge(
+    simulator: Simulator,
+    design: Design,
+    scenario: Scenario,
+    plan: RegulatorPlan | None,
+    *,
+    stride: int = 1,
+    progress: Progress | None = None,
+) -> Simulation:
+    """Run a drive whose bridge is counted.
+
+    Args:
+        simulator: Compiled for what switches.
+        design, scenario, plan, stride: As for `bridge_input`.
+        progress: Called with the share that is done.
+
+    Raises:
+        NoSolutionError: The comparators chatter.
+        VerificationError: The program cannot be run.
+    """
+    switched = replace(scenario, inverter="switched")
+    run = bridge_input(design, switched, plan, stride)
+    if progress is not None:
+        run.parameters["progress"] = 1.0
+    written = execute(
+        simulator.program, np.array([1.0]).tobytes() + run.content(), progress
+    )
+    ((figures, rows),) = records_of(written, 1)
+    if figures[0] == 2.0:
+        raise NoSolutionError(
+            "control.current_loop: the comparators chatter: the regulators' output is steeper than "
+            "the triangle; write a smaller kp, a faster carrier, or comparator_band: 5 V"
+        )
+    numbers = np.frombuffer(written, dtype=np.float64)[len(SUMMARY) + 3 + rows.size :]
+    recorded = as_recorded(switched, figures, rows, None)
+    edges = np.ascontiguousarray(rows[:, len(COLUMNS)])
+    return replace(recorded, bridge=BridgeRecord(edges, _figures(design, numbers)))
+
+
+@on_design("simulation")
+def simulate_feedback(
+    design: Design, *, solution: Solution | None = None, progress: Progress | None = None
+) -> DriveSimulation:
+    """Run the scenario of a design whose current loop switches the bridge.
+
+    Args:
+        design: With a section ``simulation``.
+        solution: That of the design, where it is there already.
+        progress: Called with the share that is done.
+
+    Raises:
+        InputError: There is no such section.
+        NoSolutionError: The comparators chatter, or there is no speed loop over the regulator.
+        VerificationError: There is no C compiler, or a header does not compile.
+    """
+    scenario = require_scenario(design)
+    whole = closed_solution(design, solution)
+    found = whole.current_feedback
+    assert found is not None
+    stride = recorded_stride(scenario, design.control.t_s)
+    with tempfile.TemporaryDirectory(prefix="dqforge-") as folder:
+        program = compile_bridge(Path(folder), design, feedback_files(design, whole), found.plan.method)
+        run = simulate_bridge(
+            program, design, scenario, found.plan, stride=stride, progress=progress
+        )
+    return evaluate(design, run)
+
+
+def compile_bridge(
+    folder: Path, design: Design, files: Mapping[str, bytes], switching: Switching
+) -> Simulator:
+    """The program of a counted bridge.
+
+    Args:
+        folder: Where it is written.
+        design: Whose headers they are.
+        files: Emitted headers by name.
+        switching: What switches the bridge.
+    """
+    return compile_simulator(folder, files, design.export.prefix, bridge=switching)
