@@ -223,9 +223,7 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
         document,
     )
     check_application(file.control, file.export, document, any_back_emf=found.phases is not None)
-    asked = Asked(
-        file.control, file.inverter, file.operation, file.export, file.simulation is not None
-    )
+    asked = Asked(file.control, file.inverter, file.operation, file.export, file.simulation)
     check_feedback(asked, machine, document, any_back_emf=found.phases is not None)
     check_references(
         file.control.references,

@@ -70,9 +70,7 @@ def lag_gains(design: Design, found: CurrentFeedback) -> GainSet:
         for inductance in (machine.l_d, machine.l_q)
     ]
     i_d, i_q = replace(loops[0], loop="i_d"), loops[1]
-    return GainSet(
-        i_d, i_q, found.speed, per_unit_of(control, (i_d, i_q, None, found.speed)), None
-    )
+    return GainSet(i_d, i_q, found.speed, per_unit_of(control, (i_d, i_q, None, found.speed)), None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +120,9 @@ def counted_losses(
     watts = [
         3.0
         * float(
-            np.sum(at_temperature(tables.temperatures, part[..., None], heat.temperature), axis=(0, 1))[0]
+            np.sum(
+                at_temperature(tables.temperatures, part[..., None], heat.temperature), axis=(0, 1)
+            )[0]
         )
         for part in parts
     ]

@@ -250,9 +250,7 @@ def simulate_bridge(
     run = bridge_input(design, switched, plan, stride)
     if progress is not None:
         run.parameters["progress"] = 1.0
-    written = execute(
-        simulator.program, np.array([1.0]).tobytes() + run.content(), progress
-    )
+    written = execute(simulator.program, np.array([1.0]).tobytes() + run.content(), progress)
     ((figures, rows),) = records_of(written, 1)
     if figures[0] == 2.0:
         raise NoSolutionError(
@@ -287,7 +285,9 @@ def simulate_feedback(
     assert found is not None
     stride = recorded_stride(scenario, design.control.t_s)
     with tempfile.TemporaryDirectory(prefix="dqforge-") as folder:
-        program = compile_bridge(Path(folder), design, feedback_files(design, whole), found.plan.method)
+        program = compile_bridge(
+            Path(folder), design, feedback_files(design, whole), found.plan.method
+        )
         run = simulate_bridge(
             program, design, scenario, found.plan, stride=stride, progress=progress
         )
