@@ -4,6 +4,7 @@ it, and the losses of a bridge whose currents and commutations were counted.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.losses.bridge_tables import BridgeTables, at_temperature, junction_balance
+from dqforge.machines.losses.machine_budget import machine_budget
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.gain_set import GainSet, per_unit_of
 from dqforge.optimizer.current_feedback.regulator_runs import (
@@ -24,6 +26,8 @@ from dqforge.optimizer.current_feedback.regulator_runs import (
     speed_points,
 )
 from dqforge.optimizer.loops.loop_gains import LoopGains, analyse_current_loop
+from dqforge.optimizer.losses.drive_budget import switched_iron
+from dqforge.optimizer.losses.loss_map import budget_options
 
 # What is counted of a switch position, in the order of the compiled simulation.
 COUNTED = ("carries", "returns", "blanked", "turns_on", "turns_off")
@@ -132,3 +136,67 @@ def counted_losses(
         switching=watts[2],
         junction_temperature=float(np.max(heat.temperature[:, 0])),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedPoint:
+    """A regulator, or the carrier, at one load in the closed drive; powers in W.
+
+    Args:
+        name: The method, or the modulator.
+        torque, omega_m: Means in N m and rad/s.
+        speed_error: Mean speed less its reference in rad/s.
+        frequency: Switching frequency of a leg in Hz.
+        distortion: Of the phase currents over their fundamental.
+        torque_ripple: R.m.s. in N m.
+        copper, ripple_copper: Of the fundamental, and of what the currents have beside it.
+        iron, ripple_iron: Of the fundamental, and what the switching makes by its frequency.
+        conduction, switching: Of the bridge, dead times included.
+        obstacle: Why it could not be run, or an empty text; the numbers then are NaN.
+    """
+
+    name: str
+    torque: float
+    omega_m: float
+    speed_error: float
+    frequency: float
+    distortion: float
+    torque_ripple: float
+    copper: float
+    ripple_copper: float
+    iron: float
+    ripple_iron: float
+    conduction: float
+    switching: float
+    obstacle: str = ""
+
+    @property
+    def total(self) -> float:
+        """Sum of the losses in W."""
+        return (
+            self.copper + self.ripple_copper + self.iron + self.ripple_iron
+            + self.conduction + self.switching
+        )  # fmt: skip
+
+
+def not_run(name: str, reason: str) -> ClosedPoint:
+    """A point that could not be run."""
+    return ClosedPoint(name, *(math.nan,) * 12, obstacle=reason)
+
+
+def iron_losses(
+    design: Design, i_d: float, i_q: float, omega_m: float, frequency: float
+) -> tuple[float, float]:
+    """Iron loss in W of the fundamental (magnets included), and that which the switching makes.
+
+    Args:
+        design: Machine, its loss and the link.
+        i_d, i_q: Mean currents in A.
+        omega_m, frequency: Mechanical speed in rad/s, switching frequency of a leg in Hz.
+    """
+    options, machine = budget_options(design), design.machine
+    point = [np.array([value]) for value in (i_d, i_q, omega_m)]
+    found = machine_budget(machine, *point, loss=options.machine_loss, heat=options.winding)
+    voltage = np.hypot(*machine.voltage(*point[:2], machine.pole_pairs * point[2]))
+    ripple = switched_iron(options, voltage, design.inverter.v_dc, np.array([frequency]))
+    return float(found.iron[0] + found.magnet[0]), float(ripple[0])

@@ -18,24 +18,35 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
+from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.machines.dq_machines.synchronous import linearised
-from dqforge.machines.errors import NoSolutionError
-from dqforge.machines.plants.scenario import Scenario
+from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError
+from dqforge.machines.plants.scenario import Scenario, constant
 from dqforge.machines.transforms import linear_voltage
+from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.current_feedback.closed_drive import (
     COUNTED,
+    ClosedPoint,
     CountedLosses,
     counted_losses,
+    iron_losses,
     lag_gains,
+    not_run,
     own_feedback,
 )
-from dqforge.optimizer.current_feedback.regulator_runs import RegulatorPlan
+from dqforge.optimizer.current_feedback.regulator_runs import (
+    METHODS,
+    CurrentFeedback,
+    RegulatorPlan,
+    WorkingPoints,
+)
 from dqforge.optimizer.current_reference.fit import signed_designs
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.field_weakening.fit import solve_weakening
 from dqforge.optimizer.losses.drive_budget import known_bridge
 from dqforge.optimizer.operating_points.solve import solve_curves
 from dqforge.optimizer.solution import Solution, solve_negative
+from dqforge.reports.operating_system.host_compiler import require_compiler
 from dqforge.reports.simulation.design_run import (
     DriveSimulation,
     controller_files,
@@ -75,6 +86,8 @@ _REACH = 2.5  # Last place of the grid of currents over the largest current.
 _PIECES = 20  # Pieces of a control period at least, between which comparators are looked at.
 _NEVER = 1e30  # Sampling period in s of a regulator that does not sample.
 _ACCURACY = 1e-9  # Of a comparator's instant, over its threshold's scale.
+_SETTLED = 60.0  # Time in which a speed loop settles, times its crossover.
+_PERIODS, _WATCHED = 30.0, 10.0  # Electrical periods after that, and those that are looked at.
 _SMALL = 1e-3  # Share of the largest current within which the drops pass through zero.
 
 
@@ -87,13 +100,19 @@ def closed_solution(design: Design, solution: Solution | None = None) -> Solutio
     """
     if solution is not None and solution.current_feedback is not None:
         return replace(solution, loops=lag_gains(design, solution.current_feedback))
-    found, positive = own_feedback(design), signed_designs(design)[0]
+    found = own_feedback(design)
+    return _solution(design, lag_gains(design, found), found)
+
+
+def _solution(design: Design, gains: GainSet, found: CurrentFeedback | None) -> Solution:
+    """The least from which a controller is emitted."""
+    positive = signed_designs(design)[0]
     return Solution(
         design=design,
         curves=solve_curves(positive),
         fit=solve_fit(positive).fit,
         alternatives=(),
-        loops=lag_gains(design, found),
+        loops=gains,
         losses=None,
         weakening=solve_weakening(design),
         negative=solve_negative(design),
@@ -132,7 +151,11 @@ def _plan_parameters(design: Design, plan: RegulatorPlan | None) -> dict[str, fl
 
 
 def bridge_input(
-    design: Design, scenario: Scenario, plan: RegulatorPlan | None, stride: int
+    design: Design,
+    scenario: Scenario,
+    plan: RegulatorPlan | None,
+    stride: int,
+    tail: float = 0.9,
 ) -> RunInput:
     """Numbers of one run with a counted bridge.
 
@@ -140,10 +163,11 @@ def bridge_input(
         design: The drive.
         scenario: What it goes through; every switching instant is simulated.
         plan: The regulator, None for a carrier.
-        stride: Samples per recorded row; 0 for no record.
+        stride: Samples per recorded row.
+        tail: Share of the duration from which the figures of the last part count.
     """
     drive, inverter = drive_of(design), design.inverter
-    run = run_input(drive, scenario, stride=stride)
+    run = run_input(drive, scenario, stride=stride, tail=tail)
     tables = known_bridge(inverter)
     top = _REACH * design.i_max
     size = np.linspace(0.0, top, BINS)
@@ -233,13 +257,14 @@ def simulate_bridge(
     plan: RegulatorPlan | None,
     *,
     stride: int = 1,
+    tail: float = 0.9,
     progress: Progress | None = None,
 ) -> Simulation:
     """Run a drive whose bridge is counted.
 
     Args:
         simulator: Compiled for what switches.
-        design, scenario, plan, stride: As for `bridge_input`.
+        design, scenario, plan, stride, tail: As for `bridge_input`.
         progress: Called with the share that is done.
 
     Raises:
@@ -247,7 +272,7 @@ def simulate_bridge(
         VerificationError: The program cannot be run.
     """
     switched = replace(scenario, inverter="switched")
-    run = bridge_input(design, switched, plan, stride)
+    run = bridge_input(design, switched, plan, stride, tail)
     if progress is not None:
         run.parameters["progress"] = 1.0
     written = execute(simulator.program, np.array([1.0]).tobytes() + run.content(), progress)
@@ -306,3 +331,123 @@ def compile_bridge(
         switching: What switches the bridge.
     """
     return compile_simulator(folder, files, design.export.prefix, bridge=switching)
+
+
+# All regulators in the closed drive at loads, and the carrier beside them.
+
+
+def _with_loop(design: Design, loop: CurrentLoopSettings) -> Design:
+    return replace(design, control=replace(design.control, current_loop=loop))
+
+
+def load_scenario(design: Design, torque: float, omega_m: float, crossover: float) -> Scenario:
+    """A drive that turns already meets a load, and settles.
+
+    Args:
+        design: The drive.
+        torque, omega_m: Of the machine in N m, and mechanical speed in rad/s.
+        crossover: Of its speed loop in rad/s.
+    """
+    electrical = design.machine.pole_pairs * abs(omega_m) / (2.0 * math.pi)
+    return Scenario(
+        duration=_SETTLED / crossover + _PERIODS / electrical,
+        mode="speed",
+        reference=constant(omega_m),
+        load=constant(torque - design.machine.friction * omega_m),
+        omega_m=omega_m,
+    )
+
+
+def _point(design: Design, name: str, run: Simulation, omega_m: float) -> ClosedPoint:
+    assert run.bridge is not None
+    seen = run.bridge.figures
+    time = seen.tail.duration
+    # The angle through which the shaft turned, over the time.
+    speed = seen.tail.states["theta_m"] / time
+    fundamental = 1.5 * design.machine.r_s * (seen.i_d**2 + seen.i_q**2)
+    iron, ripple = iron_losses(design, seen.i_d, seen.i_q, speed, seen.tail_frequency)
+    return ClosedPoint(
+        name=name,
+        torque=seen.torque,
+        omega_m=speed,
+        speed_error=speed - omega_m,
+        frequency=seen.tail_frequency,
+        distortion=seen.distortion,
+        torque_ripple=seen.torque_rms,
+        copper=fundamental,
+        ripple_copper=max(seen.copper - fundamental, 0.0),
+        iron=iron,
+        ripple_iron=ripple,
+        conduction=seen.conduction[1],
+        switching=seen.switching[1],
+    )
+
+
+def closed_points(
+    design: Design, points: WorkingPoints, switching: Switching
+) -> tuple[ClosedPoint, ...]:
+    """A regulator, or the carrier, at points in the closed drive.
+
+    Args:
+        design: The drive; its speed loop is tuned over the regulator, or over PI current loops.
+        points: Torques and speeds.
+        switching: What switches the bridge.
+
+    Raises:
+        VerificationError: There is no C compiler.
+    """
+    require_compiler()
+    name = design.operation.modulation if switching == "carrier" else switching
+    count = points.torque.size
+    try:
+        return _closed_points(design, points, switching, name)
+    except DqforgeError as error:
+        return (not_run(name, error.message),) * count
+
+
+def _closed_points(
+    design: Design, points: WorkingPoints, switching: Switching, name: str
+) -> tuple[ClosedPoint, ...]:
+    plan = None
+    if switching == "trajectory":
+        raise InputError("patterns are tracked at constant speed only")
+    if switching == "carrier":
+        design = _with_loop(design, CurrentLoopSettings(method="magnitude-optimum"))
+        solution = _solution(design, solve_gains(design, proofs=False), None)
+        files = controller_files(solution)
+    else:
+        loop = design.control.current_loop
+        kept = loop if loop.method == switching else CurrentLoopSettings(method=switching)
+        design = _with_loop(design, kept)
+        solution = closed_solution(design)
+        files = feedback_files(design, solution)
+        assert solution.current_feedback is not None
+        plan = solution.current_feedback.plan
+    speed = solution.gains.speed
+    if speed is None:
+        raise InputError("the closed drive needs control.speed_loop")
+    found = []
+    with tempfile.TemporaryDirectory(prefix="dqforge-") as folder:
+        program = compile_bridge(Path(folder), design, files, switching)
+        for torque, omega_m in zip(points.torque, points.omega_m, strict=True):
+            scenario = load_scenario(design, float(torque), float(omega_m), speed.margins.crossover)
+            tail = 1.0 - _WATCHED / scenario.duration / (
+                design.machine.pole_pairs * abs(float(omega_m)) / (2.0 * math.pi)
+            )
+            run = simulate_bridge(program, design, scenario, plan, tail=tail)
+            found.append(_point(design, name, run, float(omega_m)))
+    return tuple(found)
+
+
+def closed_loads(design: Design, points: WorkingPoints) -> dict[str, tuple[ClosedPoint, ...]]:
+    """All regulators at points in the closed drive by their methods, and the carrier, last.
+
+    Args:
+        design: The drive.
+        points: Torques and speeds.
+
+    Raises:
+        VerificationError: There is no C compiler.
+    """
+    every: tuple[Switching, ...] = (*METHODS, "carrier")
+    return {name: closed_points(design, points, name) for name in every}

@@ -15,6 +15,8 @@ from dqforge.machines.names import NumberFormat
 from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
+from dqforge.optimizer.current_feedback.closed_drive import ClosedPoint
+from dqforge.optimizer.current_feedback.regulator_runs import WorkingPoints
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.capability import Capability, Draw, Outcome, Passage, ReportPart
 from dqforge.reports.pages.answer import Table
@@ -256,6 +258,80 @@ def simulation_tables(found: DriveSimulation) -> list[Table]:
         if each.steps
     ]
     return [Table(title, _heads(found, ""), tuple(_lines(found)), notes), *steps]
+
+
+_CLOSED_COLUMNS = (
+    "regulator", "kHz", "THD %", "rpm off", "ripple N m", "copper W", "ripple W", "iron W",
+    "conduction W", "switching W", "total W", "",
+)  # fmt: skip
+
+_CLOSED_SAID = (
+    "Closed drive: the compiled speed loop holds the speed, so that all make one torque; with "
+    "dead time and voltage drops. rpm off: mean speed less its reference; ripple N m: of the "
+    "torque, r.m.s.; iron W: with what the switching makes."
+)
+
+
+def closed_cells(point: ClosedPoint, *, chosen: bool) -> tuple[str, ...]:
+    """A row of `closed_tables`."""
+    if point.obstacle:
+        return (point.name, *("-",) * (len(_CLOSED_COLUMNS) - 2), point.obstacle)
+    return (
+        point.name,
+        f"{1e-3 * point.frequency:.2f}",
+        f"{100.0 * point.distortion:.1f}",
+        f"{in_rpm(point.speed_error):.2f}",
+        f"{point.torque_ripple:.3g}",
+        f"{point.copper:.4g}",
+        f"{point.ripple_copper:.3g}",
+        f"{point.iron + point.ripple_iron:.3g}",
+        f"{point.conduction:.4g}",
+        f"{point.switching:.4g}",
+        f"{point.total:.4g}",
+        "chosen" if chosen else "",
+    )
+
+
+def closed_tables(
+    found: Mapping[str, tuple[ClosedPoint, ...]], points: WorkingPoints, chosen: str
+) -> list[Table]:
+    """One table per load: every regulator in the closed drive, and the carrier."""
+    return [
+        Table(
+            f"Closed drive at {points.torque[p]:.4g} N m, {in_rpm(points.omega_m[p]):.5g} rpm",
+            _CLOSED_COLUMNS,
+            tuple(closed_cells(run[p], chosen=name == chosen) for name, run in found.items()),
+            (_CLOSED_SAID,),
+        )
+        for p in range(points.torque.size)
+    ]
+
+
+def plain_closed(found: Mapping[str, tuple[ClosedPoint, ...]]) -> list[PlainData]:
+    """The same as plain data, one entry per regulator and load."""
+    return [
+        {"regulator": name, "obstacle": point.obstacle or None}
+        | {
+            key: None if math.isnan(value) else value
+            for key, value in (
+                ("torque_Nm", point.torque),
+                ("omega_m_rad_per_s", point.omega_m),
+                ("speed_error_rad_per_s", point.speed_error),
+                ("frequency_Hz", point.frequency),
+                ("distortion", point.distortion),
+                ("torque_ripple_rms_Nm", point.torque_ripple),
+                ("copper_W", point.copper),
+                ("ripple_copper_W", point.ripple_copper),
+                ("iron_W", point.iron),
+                ("ripple_iron_W", point.ripple_iron),
+                ("conduction_W", point.conduction),
+                ("switching_W", point.switching),
+                ("total_W", point.total),
+            )
+        }
+        for name, run in found.items()
+        for point in run
+    ]
 
 
 def simulation_html(found: DriveSimulation) -> list[HtmlTable]:
