@@ -12,13 +12,20 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import linearised
+from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.losses.bridge_tables import BridgeTables, at_temperature, junction_balance
 from dqforge.machines.losses.machine_budget import machine_budget
+from dqforge.machines.plants.regulator_schemes import (
+    PulsePattern,
+    continued_pattern,
+    optimal_pattern,
+)
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.gain_set import GainSet, per_unit_of
 from dqforge.optimizer.current_feedback.regulator_runs import (
     CALM,
     CurrentFeedback,
+    RegulatorPlan,
     emitted_rule,
     regulator_plan,
     run_regulator,
@@ -28,6 +35,7 @@ from dqforge.optimizer.current_feedback.regulator_runs import (
 from dqforge.optimizer.loops.loop_gains import LoopGains, analyse_current_loop
 from dqforge.optimizer.losses.drive_budget import switched_iron
 from dqforge.optimizer.losses.loss_map import budget_options
+from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 
 # What is counted of a switch position, in the order of the compiled simulation.
 COUNTED = ("carries", "returns", "blanked", "turns_on", "turns_off")
@@ -136,6 +144,71 @@ def counted_losses(
         switching=watts[2],
         junction_temperature=float(np.max(heat.temperature[:, 0])),
     )
+
+
+# Ripple v_dc / (8 L f) over the current limit up to which patterns are followed, which leave about
+# a fifth of it; and the step of the fundamental over half the link between patterns of a table.
+_RIPPLE = 2.0
+_STEP = 0.1
+_THIRD = 3
+
+
+def least_pattern_speed(design: Design, plan: RegulatorPlan) -> float:
+    """Electrical speed in rad/s below which comparators switch in place of patterns.
+
+    There the ripple v_dc / (8 L f) of the most pulses is twice the current limit.
+    """
+    machine = linearised(design.machine)
+    ripple = _RIPPLE * design.i_max * 8.0 * min(machine.l_d, machine.l_q)
+    return 2.0 * math.pi * design.inverter.v_dc / ripple / plan.pulses
+
+
+def pattern_table(design: Design, plan: RegulatorPlan, omega_e: float) -> list[PulsePattern]:
+    """Patterns that the references can ask for up to an electrical speed in rad/s.
+
+    By their numbers of angles, and by the fundamental in steps of a tenth of half the link; those
+    that no switching angles make are left out.
+    """
+    machine = linearised(design.machine)
+    locus = mtpa_locus(machine, design.i_max)
+    i_d, i_q = (np.concatenate([part, part]) for part in (locus.i_d, locus.i_q))
+    i_q[: locus.i_q.size] *= -1.0
+    least, found = 0.9 * least_pattern_speed(design, plan), []
+    most = (plan.pulses - 1) // 2
+    for angles in range(1, most + 1):
+        low = (
+            max(least, 2.0 * math.pi * plan.carrier / (2 * angles + 3)) if angles < most else least
+        )
+        ends = [low, min(omega_e, 2.0 * math.pi * plan.carrier / (2 * angles + 1))]
+        if angles == 1:
+            ends[1] = omega_e
+        if ends[0] >= ends[1]:
+            continue
+        index = np.hypot(*machine.voltage(i_d, i_q, np.array(ends)[:, None])) / (
+            0.5 * design.inverter.v_dc
+        )
+        first, last = math.floor(np.min(index) / _STEP), math.ceil(np.max(index) / _STEP)
+        found += _patterns_between(angles, max(first, 1), last)
+    return found
+
+
+def _patterns_between(angles: int, first: int, last: int) -> list[PulsePattern]:
+    """Patterns of some angles from one step of the fundamental to another: every third by itself,
+    those between from their neighbours.
+    """
+    own: dict[int, PulsePattern] = {}
+    for step in range(first, last + _THIRD, _THIRD):
+        try:
+            own[step] = optimal_pattern(angles, step * _STEP)
+        except NoSolutionError:
+            break
+    every: list[PulsePattern] = []
+    for step in range(first, last + 1):
+        near = [pattern for place, pattern in own.items() if abs(place - step) < _THIRD]
+        found = own.get(step) or continued_pattern(near, step * _STEP)
+        if found is not None:
+            every.append(found)
+    return every
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,8 +31,10 @@ from dqforge.optimizer.current_feedback.closed_drive import (
     counted_losses,
     iron_losses,
     lag_gains,
+    least_pattern_speed,
     not_run,
     own_feedback,
+    pattern_table,
 )
 from dqforge.optimizer.current_feedback.regulator_runs import (
     METHODS,
@@ -68,6 +70,7 @@ from dqforge.reports.simulation.plant_input import (
 )
 from dqforge.reports.simulation.recorded_run import (
     BINS,
+    MOST_ANGLES,
     BridgeFigures,
     BridgeRecord,
     BridgeUse,
@@ -82,6 +85,8 @@ from dqforge.reports.simulation.recorded_run import (
 )
 from dqforge.reports.single_headers.current_feedback import rule_files
 
+_FAMILY = math.radians(6.0)  # Between neighbours of one family the angles differ by less.
+_BEYOND = 1.15  # Speed up to which patterns are made, over the largest asked for.
 _REACH = 2.5  # Last place of the grid of currents over the largest current.
 _PIECES = 20  # Pieces of a control period at least, between which comparators are looked at.
 _NEVER = 1e30  # Sampling period in s of a regulator that does not sample.
@@ -129,7 +134,7 @@ def feedback_files(design: Design, solution: Solution) -> dict[str, bytes]:
 
 def _plan_parameters(design: Design, plan: RegulatorPlan | None) -> dict[str, float]:
     """Numbers of the regulator, zeros with a carrier."""
-    v_dc = design.inverter.v_dc
+    v_dc, machine = design.inverter.v_dc, linearised(design.machine)
     values = dict.fromkeys(BRIDGE_PARAMETERS, 0.0) | {
         "triangle": v_dc,
         "most_volts": linear_voltage(v_dc),
@@ -147,7 +152,35 @@ def _plan_parameters(design: Design, plan: RegulatorPlan | None) -> dict[str, fl
         "comparator_band": plan.comparator_band,
         "interval": 0.5 / plan.carrier if ramp else plan.t_s if sampled else _NEVER,
         "accuracy": _ACCURACY * (v_dc if ramp else plan.band),
+        "pulses": float(plan.pulses),
+        "family": _FAMILY,
+        "least_speed": least_pattern_speed(design, plan),
+        "model_r": machine.r_s,
+        "model_l_d": machine.l_d,
+        "model_l_q": machine.l_q,
+        "model_psi": machine.psi_pm,
     }
+
+
+def _fastest(design: Design, scenario: Scenario) -> float:
+    """Largest electrical speed in rad/s that a scenario is to reach."""
+    asked = [abs(scenario.omega_m), scenario.reference.largest if scenario.mode == "speed" else 0.0]
+    if scenario.shaft is not None:
+        asked.append(scenario.shaft.largest)
+    elif scenario.mode != "speed":
+        asked.append(design.machine.omega_m_max or design.control.bases.speed)
+    return _BEYOND * design.machine.pole_pairs * max(asked)
+
+
+def _pattern_rows(design: Design, scenario: Scenario, plan: RegulatorPlan) -> FloatArray:
+    """Angles in a quarter, fundamental over half the link, first level, and the angles: (P, 15)."""
+    patterns = pattern_table(design, plan, _fastest(design, scenario))
+    rows = np.zeros((len(patterns), 3 + MOST_ANGLES))
+    for row, pattern in zip(rows, patterns, strict=True):
+        index = float(pattern.amplitudes(np.ones(1))[0])
+        row[:3] = pattern.angles.size, index, pattern.sign
+        row[3 : 3 + pattern.angles.size] = pattern.angles
+    return rows
 
 
 def bridge_input(
@@ -186,6 +219,10 @@ def bridge_input(
         "drop_band": max(_SMALL * design.i_max, offset * drive.t_s / pieces / least),
         "synchronous": 1.0 if tables.synchronous else 0.0,
     }
+    if plan is not None and plan.method == "trajectory":
+        rows = _pattern_rows(design, scenario, plan)
+        parameters["patterns"] = float(len(rows))
+        drops.append(rows.ravel())
     return RunInput(
         run.parameters | parameters,
         (*run.tables, np.concatenate(drops)),
@@ -409,8 +446,6 @@ def _closed_points(
     design: Design, points: WorkingPoints, switching: Switching, name: str
 ) -> tuple[ClosedPoint, ...]:
     plan = None
-    if switching == "trajectory":
-        raise InputError("patterns are tracked at constant speed only")
     if switching == "carrier":
         design = _with_loop(design, CurrentLoopSettings(method="magnitude-optimum"))
         solution = _solution(design, solve_gains(design, proofs=False), None)

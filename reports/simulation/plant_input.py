@@ -156,6 +156,8 @@ BRIDGE_STATES = ("e_link", "charge_d", "charge_q", "torque_square", "error_d", "
 BRIDGE_PARAMETERS = (
     *("band", "kp", "ki", "carrier", "comparator_band", "interval", "triangle", "most_volts"),
     *("accuracy", "grid", "usage_top", "drop_band", "synchronous"),
+    *("pulses", "patterns", "family", "least_speed"),
+    *("model_r", "model_l_d", "model_l_q", "model_psi"),
 )
 
 BRIDGE_COLUMNS = ("edges",)

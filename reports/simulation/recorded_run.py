@@ -319,6 +319,9 @@ Switching = Literal["carrier"] | FeedbackMethod
 # Places of the grid of currents over which is counted.
 BINS = 256
 
+# Most angles in a quarter of a pulse pattern.
+MOST_ANGLES = 12
+
 
 @dataclass(frozen=True, slots=True)
 class Simulator:
@@ -436,6 +439,7 @@ def simulation_sources(
         "states": STATES + (HEARD if hears else ()) + (BRIDGE_STATES if bridge else ()),
         "bridge": bridge or "",
         "bins": BINS,
+        "most_angles": MOST_ANGLES,
         "sampled_rules": get_args(SampledRuleName),
         "hears": hears,
         "further": "".join(

@@ -370,11 +370,6 @@ def _check_simulation(file: Asked, document: YamlDocument) -> None:
     sensor, analogue = wanted.current_sensor, method in _ANALOGUE
     asked: list[tuple[bool, KeyPath, str]] = [
         (
-            method == "trajectory",
-            ("simulation",),
-            "tracks patterns of a steady speed; write method: predictive, or remove the section",
-        ),
-        (
             "inverter" in wanted.model_fields_set and wanted.inverter == "averaged",
             ("simulation", "inverter"),
             "has no duty cycles to average; write switched, or remove it",

@@ -20,13 +20,18 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.plants.current_feedback import simulate_currents
 from dqforge.machines.plants.scenario import Encoder, Profile, Scenario, constant
 from dqforge.optimizer.current_feedback.closed_drive import counted_losses
-from dqforge.optimizer.current_feedback.regulator_runs import bridge_of, regulator_plan
+from dqforge.optimizer.current_feedback.regulator_runs import (
+    bridge_of,
+    load_points,
+    regulator_plan,
+)
 from dqforge.optimizer.losses.drive_budget import drive_budget, known_bridge
 from dqforge.optimizer.losses.loss_map import budget_options
 from dqforge.optimizer.solution import solve
 from dqforge.reports.pages.templating import to_text
 from dqforge.reports.simulation.design_run import DriveSimulation, controller_files
 from dqforge.reports.simulation.feedback_run import (
+    closed_points,
     closed_solution,
     compile_bridge,
     feedback_files,
@@ -34,7 +39,13 @@ from dqforge.reports.simulation.feedback_run import (
     simulate_feedback,
 )
 from dqforge.reports.simulation.recorded_run import BridgeFigures, Simulation
-from dqforge.reports.simulation.tables import plain_simulation, plot_simulation, simulation_tables
+from dqforge.reports.simulation.tables import (
+    closed_tables,
+    plain_closed,
+    plain_simulation,
+    plot_simulation,
+    simulation_tables,
+)
 
 METHODS = ("hysteresis", "ramp-comparison", "look-up-table", "circle", "predictive")
 
@@ -53,7 +64,9 @@ def _figures(run: Simulation) -> BridgeFigures:
     return run.bridge.figures
 
 
-@pytest.fixture(scope="module", params=METHODS)
+@pytest.fixture(
+    scope="module", params=(*METHODS, pytest.param("trajectory", marks=pytest.mark.slow))
+)
 def found(request: pytest.FixtureRequest) -> DriveSimulation:
     return simulate_feedback(replace(feedback_design(request.param), simulation=LOADED))
 
@@ -154,7 +167,7 @@ def test_frequency_of_hysteresis_at_standstill(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", (*METHODS, "trajectory"))
 def test_the_exact_solution_at_constant_speed_agrees(method: str, tmp_path: Path) -> None:
     """On an imposed speed, against the Taylor series of `simulate_currents`: frequency, error.
 
@@ -188,6 +201,34 @@ def test_the_exact_solution_at_constant_speed_agrees(method: str, tmp_path: Path
     assert figures.torque == pytest.approx(
         float(trace.power_balance().shaft[0]) / omega_m, rel=0.03
     )
+
+
+@pytest.mark.slow
+def test_regulators_meet_the_loads_beside_the_carrier() -> None:
+    """In the closed drive the speed loop makes the torque of the load, whatever the mean current of
+    the regulator is off by.
+    """
+    design = feedback_design("hysteresis")
+    points = load_points(design)
+    assert points is not None
+    found = {name: closed_points(design, points, name)[0] for name in ("hysteresis", "carrier")}
+    for point in found.values():
+        assert not point.obstacle
+        assert point.torque == pytest.approx(2.0, rel=0.02)
+        assert abs(point.speed_error) < 2.0
+        assert point.total == pytest.approx(
+            point.copper + point.ripple_copper + point.iron + point.conduction + point.switching
+        )
+    assert found["carrier"].name == "svpwm"
+    assert found["carrier"].frequency == pytest.approx(3e3, rel=1e-3)
+    assert found["hysteresis"].frequency < 0.5 * found["carrier"].frequency
+    assert found["hysteresis"].copper > 0.9 * found["carrier"].copper
+    bare = replace(design, control=replace(design.control, speed_loop=None))
+    assert "control.speed_loop" in closed_points(bare, points, "hysteresis")[0].obstacle
+    rows = closed_tables({"hysteresis": (found["hysteresis"],)}, points, "hysteresis")[0].rows
+    assert rows[0][0] == "hysteresis"
+    assert rows[0][-1] == "chosen"
+    assert plain_closed({"hysteresis": (found["hysteresis"],)})[0]["obstacle"] is None
 
 
 def _with_carrier(design: Design) -> Design:

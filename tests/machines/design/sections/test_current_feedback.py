@@ -66,7 +66,8 @@ def test_outer_band_below_the_band_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "method", ["hysteresis", "ramp-comparison", "look-up-table", "circle", "predictive"]
+    "method",
+    ["hysteresis", "ramp-comparison", "look-up-table", "circle", "predictive", "trajectory"],
 )
 def test_a_simulation_is_read(method: str) -> None:
     scenario = feedback_design(method, simulated=True).simulation
@@ -77,7 +78,6 @@ def test_a_simulation_is_read(method: str) -> None:
 @pytest.mark.parametrize(
     ("method", "setting", "words"),
     [
-        ("trajectory", "simulation.seed=1", "write method: predictive"),
         ("circle", "simulation.inverter=averaged", "write switched, or remove it"),
         ("circle", "simulation.sensorless.above=100 rpm", "has no position observer"),
         ("hysteresis", "simulation.current_sensor.bits=12", "before any converter"),
