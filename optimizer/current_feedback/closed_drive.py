@@ -268,8 +268,8 @@ def iron_losses(
         omega_m, frequency: Mechanical speed in rad/s, switching frequency of a leg in Hz.
     """
     options, machine = budget_options(design), design.machine
-    point = [np.array([value]) for value in (i_d, i_q, omega_m)]
-    found = machine_budget(machine, *point, loss=options.machine_loss, heat=options.winding)
-    voltage = np.hypot(*machine.voltage(*point[:2], machine.pole_pairs * point[2]))
+    d, q, omega = (np.array([value]) for value in (i_d, i_q, omega_m))
+    found = machine_budget(machine, d, q, omega, loss=options.machine_loss, heat=options.winding)
+    voltage = np.hypot(*machine.voltage(d, q, machine.pole_pairs * omega))
     ripple = switched_iron(options, voltage, design.inverter.v_dc, np.array([frequency]))
     return float(found.iron[0] + found.magnet[0]), float(ripple[0])

@@ -92,7 +92,7 @@ _PIECES = 20  # Pieces of a control period at least, between which comparators a
 _NEVER = 1e30  # Sampling period in s of a regulator that does not sample.
 _ACCURACY = 1e-9  # Of a comparator's instant, over its threshold's scale.
 _SETTLED = 60.0  # Time in which a speed loop settles, times its crossover.
-_PERIODS, _WATCHED = 30.0, 10.0  # Electrical periods after that, and those that are looked at.
+_PERIODS, _WATCHED = 40.0, 20.0  # Electrical periods after that, and those that are looked at.
 _SMALL = 1e-3  # Share of the largest current within which the drops pass through zero.
 
 

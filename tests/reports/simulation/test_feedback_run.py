@@ -167,7 +167,7 @@ def test_frequency_of_hysteresis_at_standstill(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", (*METHODS, "trajectory"))
+@pytest.mark.parametrize("method", [*METHODS, "trajectory"])
 def test_the_exact_solution_at_constant_speed_agrees(method: str, tmp_path: Path) -> None:
     """On an imposed speed, against the Taylor series of `simulate_currents`: frequency, error.
 
@@ -214,7 +214,7 @@ def test_regulators_meet_the_loads_beside_the_carrier() -> None:
     found = {name: closed_points(design, points, name)[0] for name in ("hysteresis", "carrier")}
     for point in found.values():
         assert not point.obstacle
-        assert point.torque == pytest.approx(2.0, rel=0.02)
+        assert point.torque == pytest.approx(2.0, rel=0.05)
         assert abs(point.speed_error) < 2.0
         assert point.total == pytest.approx(
             point.copper + point.ripple_copper + point.iron + point.conduction + point.switching
