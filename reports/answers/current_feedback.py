@@ -60,11 +60,11 @@ def with_regulators(design: Design, answered: Answer) -> Answer:
     stage("running the current regulators")
     loads = solve_loads(design)
     tables = [] if loads is None else load_tables(loads)
-    plain = {"current_feedback": {"loads": plain_loads(loads)}}
+    said: list[PlainData] = []
     if loads is not None:
         closed, said = _closed(design, loads.runs[loads.own])
         tables += closed
-        plain["current_feedback"]["closed"] = said
+    plain = {"current_feedback": {"loads": plain_loads(loads), "closed": said}}
     return replace(answered, tables=[*answered.tables, *tables], plain=answered.plain | plain)
 
 

@@ -21,7 +21,7 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError
-from dqforge.machines.plants.scenario import Scenario, constant
+from dqforge.machines.plants.scenario import Profile, Scenario, constant
 from dqforge.machines.transforms import linear_voltage
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.current_feedback.closed_drive import (
@@ -378,7 +378,9 @@ def _with_loop(design: Design, loop: CurrentLoopSettings) -> Design:
 
 
 def load_scenario(design: Design, torque: float, omega_m: float, crossover: float) -> Scenario:
-    """A drive that turns already meets a load, and settles.
+    """A drive that turns already meets a load that grows, and settles.
+
+    A load that comes at once may hold a drive at its voltage limit, below its speed.
 
     Args:
         design: The drive.
@@ -386,11 +388,12 @@ def load_scenario(design: Design, torque: float, omega_m: float, crossover: floa
         crossover: Of its speed loop in rad/s.
     """
     electrical = design.machine.pole_pairs * abs(omega_m) / (2.0 * math.pi)
+    load = torque - design.machine.friction * omega_m
     return Scenario(
         duration=_SETTLED / crossover + _PERIODS / electrical,
         mode="speed",
         reference=constant(omega_m),
-        load=constant(torque - design.machine.friction * omega_m),
+        load=Profile((0.0, 0.5 * _SETTLED / crossover), (0.0, load), "linear"),
         omega_m=omega_m,
     )
 

@@ -666,6 +666,7 @@ def as_recorded(
         start=start,
         blocks=None,
         application=program,
+        bridge=None,
         **columns,
     )
 
