@@ -64,7 +64,7 @@ def with_regulators(design: Design, answered: Answer) -> Answer:
     if loads is not None:
         closed, said = _closed(design, loads.runs[loads.own])
         tables += closed
-    plain = {"current_feedback": {"loads": plain_loads(loads), "closed": said}}
+    plain: PlainData = {"current_feedback": {"loads": plain_loads(loads), "closed": said}}
     return replace(answered, tables=[*answered.tables, *tables], plain=answered.plain | plain)
 
 
