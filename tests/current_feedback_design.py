@@ -46,7 +46,14 @@ export:
 """
 
 
-def feedback_design(method: str, *settings: str) -> Design:
-    """The design with a method, and keys that are set."""
-    text = TEXT.replace("METHOD", method).encode()
+SIMULATION = """
+simulation:
+  duration: 0.4 s
+  speed: {points: [{time: 0 s, speed: 1000 rpm}]}
+"""
+
+
+def feedback_design(method: str, *settings: str, simulated: bool = False) -> Design:
+    """The design with a method, keys that are set, and a simulation."""
+    text = (TEXT.replace("METHOD", method) + (SIMULATION if simulated else "")).encode()
     return load_text(text, "feedback.yaml", settings=settings)

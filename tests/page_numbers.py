@@ -31,12 +31,15 @@ from dqforge.machines.names import Core, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import Scenario, constant
 from dqforge.optimizer.control_design.gain_set import solve_gains
+from dqforge.optimizer.current_feedback.regulator_runs import working_points
 from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
+from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 from dqforge.optimizer.phase_control.design import resampled, shape_error
 from dqforge.optimizer.phase_control.limited_shapes import limited_torques
 from dqforge.optimizer.phase_control.phase_controller import PhaseShape, limit_at
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.run import emitted_files
+from dqforge.reports.simulation.feedback_run import closed_loads
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import simulate_many, simulator
 from dqforge.reports.verification.measured_cost import CallCost, cost_on_target
@@ -48,6 +51,13 @@ SPEEDS = (75.0, 750.0, 1800.0)
 CORES: dict[Core, str] = {
     "cortex-m4": "M4F", "cortex-m33": "M33", "cortex-m7": "M7", "cortex-m0plus": "M0+",
 }  # fmt: skip
+
+# Drives of current-feedback PWM, with a device where they have none.
+CLOSED_DRIVES = {
+    "paper001-pmsm-bench": (),
+    "thor-pmsyrm-5k": ("inverter.device.name=infineon-ff200r12ke3",),
+    "paper000-ipmsm-100kw": (),
+}
 
 Rows = Iterator[tuple[str, ...]]
 
@@ -300,6 +310,36 @@ def observed_rule() -> Rows:
     yield ("load step in N m that is withstood, rpm", *steps)
 
 
+def closed_regulators() -> Rows:
+    """Six regulators and the carrier in the closed drive: half of the largest torque at half of the
+    base speed on three library drives.
+    """
+    yield (
+        "drive", "regulator", "kHz", "THD, %", "torque ripple, N m", "speed error, %", "copper, W",
+        "ripple, W", "conduction, W", "switching, W", "all, W",
+    )  # fmt: skip
+    for name, settings in CLOSED_DRIVES.items():
+        design = load_text(catalogue.read_text(name), name, None, settings)
+        torque = 0.5 * float(mtpa_locus(design.machine, design.i_max).torque[-1])
+        speed = 0.5 * design.control.bases.speed
+        points = working_points(design, np.array([torque]), np.array([speed]))
+        for regulator, (point,) in closed_loads(design, points).items():
+            off = 100.0 * abs(point.speed_error) / speed
+            yield (
+                name,
+                regulator if regulator != "carrier" else point.name,
+                f"{1e-3 * point.frequency:.3g}",
+                f"{100.0 * point.distortion:.2g}",
+                f"{point.torque_ripple:.2g}",
+                "below 0.2" if off < 0.2 else f"{off:.1g}",
+                f"{point.copper:.3g}",
+                f"{point.ripple_copper:.2g}",
+                f"{point.conduction:.3g}",
+                f"{point.switching:.3g}",
+                f"{point.total:.3g}",
+            )
+
+
 # Every table by its name.
 NUMBERS: dict[str, Numbers] = {
     "phase-nodes": Numbers("methods/phase-control.md", phase_nodes, 0.2),
@@ -313,6 +353,7 @@ NUMBERS: dict[str, Numbers] = {
     "interrupt-cost": Numbers("reference/control-cost.md", interrupt_cost),
     "measuring": Numbers("how-to/measure-a-motor.md", measuring, 0.02),
     "observed-rule": Numbers("methods/observed-loops.md", observed_rule, 0.05),
+    "closed-regulators": Numbers("methods/current-feedback-pwm.md", closed_regulators, 0.2),
     "sensorless-samples": Numbers(
         "methods/observed-loops.md", lambda: sensorless_samples.table(read(KEPT))
     ),

@@ -229,9 +229,7 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
         any_back_emf=found.phases is not None,
         lines=0 if file.simulation is None else file.simulation.encoder.lines,
     )
-    asked = Asked(
-        file.control, file.inverter, file.operation, file.export, file.simulation is not None
-    )
+    asked = Asked(file.control, file.inverter, file.operation, file.export, file.simulation)
     check_feedback(asked, machine, document, any_back_emf=found.phases is not None)
     check_references(
         file.control.references,

@@ -465,6 +465,24 @@ def optimal_pattern(count: int, index: float) -> PulsePattern:
     return PulsePattern(angles, sign)
 
 
+def continued_pattern(patterns: list[PulsePattern], index: float) -> PulsePattern | None:
+    """The best of the patterns that others lead to at another fundamental, None where none does.
+
+    Args:
+        patterns: Patterns of as many angles.
+        index: b_1, as of `optimal_pattern`.
+    """
+    found = []
+    for pattern in patterns:
+        angles = _improved(pattern.angles, pattern.sign, index)
+        if angles is not None:
+            found.append((distortion(angles, pattern.sign), pattern.sign, angles))
+    if not found:
+        return None
+    _, sign, angles = min(found, key=lambda entry: entry[0])
+    return PulsePattern(angles, sign)
+
+
 def _starts(count: int) -> list[FloatArray]:
     """Angles that lie even in the quarter, in its upper part, and anywhere, the same each time."""
     spread = (np.arange(count) + 0.75) / (count + 0.5)

@@ -335,7 +335,7 @@ def solve_gains(design: Design, *, proofs: bool = True) -> GainSet:
         proven = prove_loops(box, largest, (i_d, i_q, zero), exact, (robust, schedule))
     if measured is not None and named:
         proven = replace(proven, measured=True)
-    scaled = _per_unit(control, (i_d, i_q, zero, speed))
+    scaled = per_unit_of(control, (i_d, i_q, zero, speed))
     references = dynamic_references(design, box, (i_d, i_q), speed)
     return GainSet(
         i_d,
@@ -457,7 +457,7 @@ def _with_spread(control: ControlSettings, spread: float) -> ControlSettings:
     return replace(control, speed_loop=replace(control.speed_loop, spread=spread))
 
 
-def _per_unit(
+def per_unit_of(
     control: ControlSettings, loops: tuple[LoopGains | None, ...]
 ) -> dict[LoopName, PerUnitGains]:
     """Gains of every loop per unit, with the integers that its section asks for."""

@@ -53,7 +53,7 @@ from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 _SHARES = (0.25, 0.5, 0.75, 1.0)
 
 # Largest bandwidth times sampling period at which the speed loop's model takes the regulator.
-_CALM = 0.3
+CALM = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -367,7 +367,7 @@ def speed_loop(design: Design, run: RegulatorRun) -> tuple[Equivalent, LoopGains
     scheme = run.plan.scheme(1.0)
     computing = run.plan.t_s if isinstance(scheme, Sampled) else 0.0
     delay = computing + 0.5 / float(np.min(frequency))
-    bandwidth = min(1.0 / delay, _CALM / control.t_s)
+    bandwidth = min(1.0 / delay, CALM / control.t_s)
     machine = linearised(design.machine)
     lag = analyse_current_loop(
         machine.r_s,

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from dqforge.machines.design.numerical import on_design
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.current_feedback.regulator_runs import (
     load_points,
     regulator_plan,
@@ -15,7 +15,9 @@ from dqforge.optimizer.current_feedback.regulator_runs import (
     solve_loads,
     speed_points,
 )
-from dqforge.reports.pages.answer import Answer, stage
+from dqforge.reports.pages.answer import Answer, Table, stage
+from dqforge.reports.simulation.feedback_run import closed_loads
+from dqforge.reports.simulation.tables import closed_tables, plain_closed
 from dqforge.reports.single_headers.current_feedback import (
     compared_table,
     load_tables,
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dqforge.machines.design.design import Design
+    from dqforge.optimizer.current_feedback.regulator_runs import RegulatorRun
+    from dqforge.reports.plain_data import PlainData
 
 
 @on_design("control.current_loop")
@@ -56,8 +60,26 @@ def with_regulators(design: Design, answered: Answer) -> Answer:
     stage("running the current regulators")
     loads = solve_loads(design)
     tables = [] if loads is None else load_tables(loads)
-    plain = {"current_feedback": {"loads": plain_loads(loads)}}
+    said: list[PlainData] = []
+    if loads is not None:
+        closed, said = _closed(design, loads.runs[loads.own])
+        tables += closed
+    plain: PlainData = {"current_feedback": {"loads": plain_loads(loads), "closed": said}}
     return replace(answered, tables=[*answered.tables, *tables], plain=answered.plain | plain)
+
+
+def _closed(design: Design, run: RegulatorRun) -> tuple[list[Table], list[PlainData]]:
+    """The loads of a run in the closed drive; nothing without a speed loop, an inertia, or a C
+    compiler.
+    """
+    if design.control.speed_loop is None or design.machine.inertia is None:
+        return [], []
+    stage("simulating the closed drives")
+    try:
+        found = closed_loads(design, run.points)
+    except VerificationError:
+        return [], []
+    return closed_tables(found, run.points, run.plan.method), plain_closed(found)
 
 
 @on_design("control.current_loop")

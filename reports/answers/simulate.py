@@ -22,10 +22,11 @@ if TYPE_CHECKING:
 def answer_simulate(design: Design, out: Path | None, *, switched: bool) -> Answer:
     """Simulate a design.
 
-    A current loop that switches the bridge itself is run at constant speed. Raises as
-    `simulate_with_firmware`, and where ``out`` holds another design's headers.
+    A current loop that switches the bridge itself is run at constant speed where the design asks
+    for no simulation. Raises as `simulate_with_firmware`, and where ``out`` holds another design's
+    headers.
     """
-    if design.control.current_loop.switches:
+    if design.control.current_loop.switches and design.simulation is None:
         return answer_regulator(design)
     scenario = require_scenario(design)
     require_scenario(design, switched=switched)

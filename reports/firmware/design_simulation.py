@@ -20,6 +20,7 @@ from dqforge.reports.simulation.design_run import (
     require_scenario,
     simulate_design,
 )
+from dqforge.reports.simulation.feedback_run import simulate_feedback
 from dqforge.reports.simulation.plant_input import Drive, fits_carrier
 from dqforge.reports.six_step.drive_run import simulate_six_step
 
@@ -56,6 +57,8 @@ def simulate_with_firmware(
     if design.control.six_step is not None:
         found = None if solution is None else solution.six_step
         return simulate_six_step(design, found=found, progress=progress)
+    if design.control.current_loop.switches:
+        return simulate_feedback(design, solution=solution, progress=progress)
     if design.control.firmware is None:
         return simulate_design(design, switched=switched, solution=solution, progress=progress)
     scenario = require_scenario(design, switched=switched)

@@ -43,6 +43,7 @@ from dqforge.reports.simulation.recorded_run import (
     ApplicationRecord,
     BlockFigures,
     BlockRecord,
+    BridgeRecord,
     PhaseRecord,
     Progress,
     Simulation,
@@ -144,8 +145,10 @@ def npz_bytes(run: Simulation) -> bytes:
     """The samples as a NumPy archive: float64 arrays by name, without a date,
     the same bytes for the same run.
     """
-    more = (run.phases, run.start, run.blocks, run.application)
-    parts: list[Simulation | PhaseRecord | StartRecord | BlockRecord | ApplicationRecord] = [
+    more = (run.phases, run.start, run.blocks, run.application, run.bridge)
+    parts: list[
+        Simulation | PhaseRecord | StartRecord | BlockRecord | ApplicationRecord | BridgeRecord
+    ] = [
         run,
         *(part for part in more if part is not None),
     ]
@@ -153,7 +156,7 @@ def npz_bytes(run: Simulation) -> bytes:
         name: getattr(part, name)
         for part in parts
         for name in type(part).__dataclass_fields__
-        if name not in ("scenario", "figures", "phases", "start", "blocks", "application")
+        if name not in ("scenario", "figures", "phases", "start", "blocks", "application", "bridge")
     }
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:

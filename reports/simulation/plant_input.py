@@ -43,6 +43,126 @@ _STOP = 100.0
 LONGEST_DELAY = 3.0  # Most sampling periods that the program keeps duty cycles waiting.
 
 
+# Names of what the compiled plant integrates, reads and writes, in the order of its structures.
+
+# States of the plant; those from ``torque`` on serve phase machines, ``torque`` being the integral
+# of the torque and ``v_midpoint`` the voltage of a split link's midpoint above its half.
+STATES = (
+    "i_x",
+    "i_y",
+    "i_zero",
+    "omega_m",
+    "theta_m",
+    "e_in",
+    "e_copper",
+    "e_shaft",
+    "e_load",
+    "e_friction",
+    "i_square",
+    "torque",
+    "v_midpoint",
+    "neutral_square",
+    "e_copper_a",
+    "e_copper_b",
+    "e_copper_c",
+)
+
+# Further states, where a tracker is told the voltages of the phases: their integrals, in V s.
+HEARD = ("v_a", "v_b", "v_c")
+
+# Fields of the C structure ``parameters_t``, all doubles, in this order.
+PARAMETERS = (
+    *("mode", "t_s", "samples", "stride", "sub_steps", "tail", "progress", "seed", "i_stop"),
+    *(
+        "kind",
+        "pole_pairs",
+        "r_s",
+        "l_d",
+        "l_q",
+        "psi_pm",
+        "scale_d",
+        "scale_q",
+        "scale_pm",
+    ),
+    *("inertia", "friction", "driven", "omega_m_0", "theta_m_0"),
+    *("switched", "halves", "dead_time", "dead_band", "ripple_l_d", "ripple_l_q"),
+    *("counts", "speed_ratio", "angle_error"),
+    *(
+        "adc_bits",
+        "adc_full_scale",
+        "noise",
+        "offset_a",
+        "offset_b",
+        "offset_c",
+        "gain_a",
+        "gain_b",
+        "gain_c",
+    ),
+    *("v_bits", "v_full_scale"),
+    *("observed_speed", "sensorless", "sensor_above", "sensor_below"),
+    *("legs", "second", "neutral", "capacitance", "l_own", "l_mutual", "l_neutral", "turns"),
+    *("i_nothing", "open_phase", "open_time", "aware_time"),
+    "delay",
+    *("load_resists", "brake_time", "brake_stiffness", "brake_damping"),
+    *("encoderless", "stop_time"),
+    *("edges", "clock", "measured_ratio"),
+)
+
+# What is recorded at a sampling instant, in this order.
+COLUMNS = (
+    *(
+        "t",
+        "i_d",
+        "i_q",
+        "i_zero",
+        "omega_m",
+        "theta_e",
+        "torque",
+        "torque_load",
+        "duty_a",
+        "duty_b",
+        "duty_c",
+    ),
+    *("v_dc", "reference", "reference_d", "i_a_measured", "i_b_measured", "i_c_measured"),
+    *("theta_e_measured", "omega_m_measured", "i_d_reference", "i_q_reference", "torque_reference"),
+    *("v_alpha", "v_beta", "theta_e_observed", "omega_m_observed", "sensorless"),
+    *("start_state", "start_fault", "start_reference"),
+    *("application_state", "application_fault"),
+    *("duty_n", "duty_a2", "duty_b2", "duty_c2", "i_a", "i_b", "i_c", "i_n", "v_m", "torque_mean"),
+)
+
+# Figures of a run, in this order.
+SUMMARY = (
+    *(
+        "status",
+        "t",
+        "peak_current",
+        "tail_error",
+        "tail_current",
+        "i_d",
+        "i_q",
+        "omega_m",
+        "torque",
+        "i_square",
+    ),
+    *("e_in", "e_copper", "e_shaft", "e_load", "e_friction"),
+    *("e_magnetic", "e_midpoint", "tail_torque", "tail_ripple_means", "tail_ripple"),
+    *("tail_neutral_rms", "tail_copper_a", "tail_copper_b", "tail_copper_c", "tail_midpoint"),
+)
+
+# Where the switching of a bridge is counted: further states, parameters and columns.
+BRIDGE_STATES = ("e_link", "charge_d", "charge_q", "torque_square", "error_d", "error_q")
+
+BRIDGE_PARAMETERS = (
+    *("band", "kp", "ki", "carrier", "comparator_band", "interval", "triangle", "most_volts"),
+    *("accuracy", "grid", "usage_top", "drop_band", "synchronous"),
+    *("pulses", "patterns", "family", "least_speed"),
+    *("model_r", "model_l_d", "model_l_q", "model_psi"),
+)
+
+BRIDGE_COLUMNS = ("edges",)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
     """What is simulated: a machine or a phase machine, its inverter, and the
@@ -69,15 +189,18 @@ class Drive:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunInput:
-    """One run: the parameters by name, and the tables (None: as in the run before)."""
+    """One run: the parameters by name, and the tables (None: as in the run before); ``names`` are
+    those of the parameters that the program reads.
+    """
 
     parameters: dict[str, float]
     tables: tuple[FloatArray | None, ...]
+    names: tuple[str, ...] = PARAMETERS
 
     def content(self) -> bytes:
         """What the program reads."""
         sizes = [-1.0 if table is None else float(table.size) for table in self.tables]
-        head = np.array([*(self.parameters[name] for name in PARAMETERS), *sizes], dtype=np.float64)
+        head = np.array([*(self.parameters[name] for name in self.names), *sizes], dtype=np.float64)
         return head.tobytes() + b"".join(
             table.tobytes() for table in self.tables if table is not None
         )
@@ -530,114 +653,6 @@ def phase_parameters(
         if opening is None or opening.detected_after is None
         else opening.time + opening.detected_after,
     }
-
-
-# Names of what the compiled plant integrates, reads and writes, in the order of its structures.
-
-# States of the plant; those from ``torque`` on serve phase machines, ``torque`` being the integral
-# of the torque and ``v_midpoint`` the voltage of a split link's midpoint above its half.
-STATES = (
-    "i_x",
-    "i_y",
-    "i_zero",
-    "omega_m",
-    "theta_m",
-    "e_in",
-    "e_copper",
-    "e_shaft",
-    "e_load",
-    "e_friction",
-    "i_square",
-    "torque",
-    "v_midpoint",
-    "neutral_square",
-    "e_copper_a",
-    "e_copper_b",
-    "e_copper_c",
-)
-
-# Further states, where a tracker is told the voltages of the phases: their integrals, in V s.
-HEARD = ("v_a", "v_b", "v_c")
-
-# Fields of the C structure ``parameters_t``, all doubles, in this order.
-PARAMETERS = (
-    *("mode", "t_s", "samples", "stride", "sub_steps", "tail", "progress", "seed", "i_stop"),
-    *(
-        "kind",
-        "pole_pairs",
-        "r_s",
-        "l_d",
-        "l_q",
-        "psi_pm",
-        "scale_d",
-        "scale_q",
-        "scale_pm",
-    ),
-    *("inertia", "friction", "driven", "omega_m_0", "theta_m_0"),
-    *("switched", "halves", "dead_time", "dead_band", "ripple_l_d", "ripple_l_q"),
-    *("counts", "speed_ratio", "angle_error"),
-    *(
-        "adc_bits",
-        "adc_full_scale",
-        "noise",
-        "offset_a",
-        "offset_b",
-        "offset_c",
-        "gain_a",
-        "gain_b",
-        "gain_c",
-    ),
-    *("v_bits", "v_full_scale"),
-    *("observed_speed", "sensorless", "sensor_above", "sensor_below"),
-    *("legs", "second", "neutral", "capacitance", "l_own", "l_mutual", "l_neutral", "turns"),
-    *("i_nothing", "open_phase", "open_time", "aware_time"),
-    "delay",
-    *("load_resists", "brake_time", "brake_stiffness", "brake_damping"),
-    *("encoderless", "stop_time"),
-    *("edges", "clock", "measured_ratio"),
-)
-
-# What is recorded at a sampling instant, in this order.
-COLUMNS = (
-    *(
-        "t",
-        "i_d",
-        "i_q",
-        "i_zero",
-        "omega_m",
-        "theta_e",
-        "torque",
-        "torque_load",
-        "duty_a",
-        "duty_b",
-        "duty_c",
-    ),
-    *("v_dc", "reference", "reference_d", "i_a_measured", "i_b_measured", "i_c_measured"),
-    *("theta_e_measured", "omega_m_measured", "i_d_reference", "i_q_reference", "torque_reference"),
-    *("v_alpha", "v_beta", "theta_e_observed", "omega_m_observed", "sensorless"),
-    *("start_state", "start_fault", "start_reference"),
-    *("application_state", "application_fault"),
-    *("duty_n", "duty_a2", "duty_b2", "duty_c2", "i_a", "i_b", "i_c", "i_n", "v_m", "torque_mean"),
-)
-
-# Figures of a run, in this order.
-SUMMARY = (
-    *(
-        "status",
-        "t",
-        "peak_current",
-        "tail_error",
-        "tail_current",
-        "i_d",
-        "i_q",
-        "omega_m",
-        "torque",
-        "i_square",
-    ),
-    *("e_in", "e_copper", "e_shaft", "e_load", "e_friction"),
-    *("e_magnetic", "e_midpoint", "tail_torque", "tail_ripple_means", "tail_ripple"),
-    *("tail_neutral_rms", "tail_copper_a", "tail_copper_b", "tail_copper_c", "tail_midpoint"),
-)
 
 
 # Gains of a control in integers as the bytes of its C structure, for runs that are given their

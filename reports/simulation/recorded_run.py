@@ -7,14 +7,14 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.machines.names import NumberFormat, Topology
+from dqforge.machines.names import FeedbackMethod, NumberFormat, SampledRuleName, Topology
 from dqforge.machines.plants.scenario import Scenario
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import TOPOLOGIES
@@ -24,6 +24,9 @@ from dqforge.reports.observers.position_header import REDUCED_ORDER
 from dqforge.reports.operating_system.host_compiler import compile_program, require_compiler
 from dqforge.reports.pages.templating import render
 from dqforge.reports.simulation.plant_input import (
+    BRIDGE_COLUMNS,
+    BRIDGE_PARAMETERS,
+    BRIDGE_STATES,
     COLUMNS,
     HEARD,
     LONGEST_DELAY,
@@ -172,6 +175,68 @@ class BlockFigures:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class BridgeUse:
+    """What was counted of a bridge over a time.
+
+    ``counted`` has the shape (2, 5, B): upper and lower position; times in s in which a transistor
+    carries its own direction, a current returns, flows in a dead time, and numbers of commutations
+    by which a transistor turns on and off; over `BINS` currents. ``edges`` (3,) are commutations of
+    the legs, ``up`` (3,) the times in s that they were up; ``duration`` in s. ``states`` are the
+    integrals of the plant over that time by name, in SI units.
+    """
+
+    counted: FloatArray
+    edges: FloatArray
+    up: FloatArray
+    duration: float
+    states: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BridgeFigures:
+    """Figures of a counted bridge.
+
+    ``use`` is that of the run, ``tail`` that of its last tenth, to which all figures belong but
+    ``frequency``; pairs are of the run and of its last tenth. Frequencies in Hz are means of the
+    legs. ``distortion`` is that of the phase currents over their fundamental, no order left out,
+    ``ripple_current`` in A r.m.s. what they have beside it; ``torque`` in N m with its ripple, peak
+    to peak and r.m.s.; ``i_d`` and ``i_q`` are means in A; ``copper``, ``shaft`` and ``link`` mean
+    powers in W. ``conduction`` (with ``blanked``, its part in dead times) and ``switching`` in W
+    are by the tables of the device; ``junction_temperature`` in degC.
+    """
+
+    use: BridgeUse
+    tail: BridgeUse
+    frequency: float
+    tail_frequency: float
+    distortion: float
+    ripple_current: float
+    torque: float
+    torque_ripple: float
+    torque_rms: float
+    i_d: float
+    i_q: float
+    copper: float
+    shaft: float
+    link: float
+    conduction: tuple[float, float]
+    switching: tuple[float, float]
+    blanked: tuple[float, float]
+    junction_temperature: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BridgeRecord:
+    """What is recorded where a bridge is counted besides: ``edges``, shape (N,), commutations of
+    all legs up to the sampling instant. The duty cycles of such a run are the shares of the period
+    in which the legs were up.
+    """
+
+    edges: FloatArray
+    figures: BridgeFigures
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Simulation:
     """A run as it was recorded, arrays of shape (N,) at the sampling instants,
     and (N, 3) for phases a, b, c.
@@ -219,6 +284,7 @@ class Simulation:
     start: StartRecord | None = None
     blocks: BlockRecord | None = None
     application: ApplicationRecord | None = None
+    bridge: BridgeRecord | None = None
 
 
 # Simulation in the time domain: a compiled plant around the emitted controller,
@@ -246,6 +312,15 @@ _EXITS = {
 }
 
 Progress = Callable[[float], None]
+
+# What switches a bridge whose commutations are counted.
+Switching = Literal["carrier"] | FeedbackMethod
+
+# Places of the grid of currents over which is counted.
+BINS = 256
+
+# Most angles in a quarter of a pulse pattern.
+MOST_ANGLES = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,6 +359,7 @@ def compile_simulator(
     observers: tuple[str, ...] = (),
     topology: Topology | None = None,
     number_format: NumberFormat = "float32",
+    bridge: Switching | None = None,
 ) -> Simulator:
     """Compile the plant around a controller.
 
@@ -300,12 +376,14 @@ def compile_simulator(
             legs, a back-EMF to swap); None for the control of machines with a sinusoidal back-EMF.
         number_format: Whose control functions (and observers) run: those of ``<prefix>_control.h``,
             or those in integers of ``<prefix>_control_q15.h`` and the like.
+        bridge: What switches the bridge where its commutations and losses are counted: the carrier,
+            or a regulator of the phase currents in place of it; None for the carrier, uncounted.
 
     Raises:
         VerificationError: There is no compiler, or the header does not compile.
     """
     controller = prefix if files else ""
-    sources = simulation_sources(files, prefix, observers, topology, number_format)
+    sources = simulation_sources(files, prefix, observers, topology, number_format, bridge)
     program = compiled(folder, files or {}, sources)
     return Simulator(
         program,
@@ -325,6 +403,7 @@ def simulation_sources(
     observers: tuple[str, ...] = (),
     topology: Topology | None = None,
     number_format: NumberFormat = "float32",
+    bridge: Switching | None = None,
 ) -> dict[str, str]:
     """The C of the plant and of its main programme, by the names of the files.
 
@@ -354,10 +433,14 @@ def simulation_sources(
         "torque_control": not integers
         or any(b"_torque_control_" in content for content in (files or {}).values()),
         "waiting": int(LONGEST_DELAY) + 2,
-        "parameters": PARAMETERS,
-        "columns": COLUMNS,
+        "parameters": PARAMETERS + (BRIDGE_PARAMETERS if bridge else ()),
+        "columns": COLUMNS + (BRIDGE_COLUMNS if bridge else ()),
         "summary": SUMMARY,
-        "states": STATES + (HEARD if hears else ()),
+        "states": STATES + (HEARD if hears else ()) + (BRIDGE_STATES if bridge else ()),
+        "bridge": bridge or "",
+        "bins": BINS,
+        "most_angles": MOST_ANGLES,
+        "sampled_rules": get_args(SampledRuleName),
         "hears": hears,
         "further": "".join(
             f", ({'double' if integers else 'float'})({_HEARD[name]})" for name in hears
@@ -370,6 +453,9 @@ def simulation_sources(
         "phase_plant.c": render("simulation/phase_plant.c.j2", context),
         "main.c": render("simulation/simulate_main.c.j2", context),
     }
+    if bridge:
+        for name in ("bridge", "regulators"):
+            sources[f"{name}.c"] = render(f"simulation/{name}.c.j2", context)
     if integers:
         sources["integer_border.h"] = render("simulation/integer_border.h.j2", context)
     return sources
@@ -411,13 +497,16 @@ def simulator(
     observers: tuple[str, ...] = (),
     topology: Topology | None = None,
     number_format: NumberFormat = "float32",
+    bridge: Switching | None = None,
 ) -> Iterator[Simulator]:
     """A compiled program in a folder that goes with the block.
 
     Parameters and errors as `compile_simulator`.
     """
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
-        yield compile_simulator(Path(name), files, prefix, observers, topology, number_format)
+        yield compile_simulator(
+            Path(name), files, prefix, observers, topology, number_format, bridge
+        )
 
 
 def execute(program: Path, content: bytes, progress: Progress | None) -> bytes:
@@ -577,6 +666,7 @@ def as_recorded(
         start=start,
         blocks=None,
         application=program,
+        bridge=None,
         **columns,
     )
 

@@ -15,6 +15,8 @@ from dqforge.machines.names import NumberFormat
 from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
+from dqforge.optimizer.current_feedback.closed_drive import ClosedPoint
+from dqforge.optimizer.current_feedback.regulator_runs import WorkingPoints
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.capability import Capability, Draw, Outcome, Passage, ReportPart
 from dqforge.reports.pages.answer import Table
@@ -36,7 +38,7 @@ from dqforge.reports.pages.templating import SIMULATION as CHAPTER
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.simulation.design_run import DriveSimulation, StartFigures, spans
 from dqforge.reports.simulation.plant_input import format_text, not_simulated, simulated
-from dqforge.reports.simulation.recorded_run import Simulation, StartRecord
+from dqforge.reports.simulation.recorded_run import BridgeRecord, Simulation, StartRecord
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -174,6 +176,34 @@ def _block_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
     return tuple(rows)
 
 
+def _bridge_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
+    """Figures of a counted bridge, nothing where the bridge was not counted."""
+    if found.run.bridge is None:
+        return ()
+    seen = found.run.bridge.figures
+    conduction, switching = seen.conduction, seen.switching
+    rows = [
+        ("switched by", found.design.control.current_loop.method),
+        ("switching frequency of a leg", _value(seen.frequency, "Hz")),
+        ("last tenth: switching frequency of a leg", _value(seen.tail_frequency, "Hz")),
+        ("... distortion of the phase currents", f"{100.0 * seen.distortion:.3g} %"),
+        ("... mean torque", _value(seen.torque, "N m")),
+        ("... torque ripple, peak to peak", _value(seen.torque_ripple, "N m", 3)),
+        ("... torque ripple, r.m.s.", _value(seen.torque_rms, "N m", 3)),
+        ("... copper loss", _value(seen.copper, "W")),
+        ("... power from the link", _value(seen.link, "W")),
+    ]
+    if found.design.inverter.device is not None:
+        rows += [
+            ("... conduction loss", _value(conduction[1], "W")),
+            ("... switching loss", _value(switching[1], "W")),
+            ("... hottest junction", f"{seen.junction_temperature:.4g} degC"),
+            ("conduction loss of the run", _value(conduction[0], "W")),
+            ("switching loss of the run", _value(switching[0], "W")),
+        ]
+    return tuple(rows)
+
+
 def _notes(found: DriveSimulation) -> tuple[str, ...]:
     if found.run.figures.bounded[0]:
         return (
@@ -198,6 +228,7 @@ def _lines(found: DriveSimulation) -> list[tuple[str, ...]]:
                 *_figure_rows(each),
                 *_phase_rows(each),
                 *_block_rows(each),
+                *_bridge_rows(each),
                 *_observer_rows(each),
                 *_start_rows(each),
             )
@@ -229,6 +260,80 @@ def simulation_tables(found: DriveSimulation) -> list[Table]:
     return [Table(title, _heads(found, ""), tuple(_lines(found)), notes), *steps]
 
 
+_CLOSED_COLUMNS = (
+    "regulator", "kHz", "THD %", "rpm off", "ripple N m", "copper W", "ripple W", "iron W",
+    "conduction W", "switching W", "total W", "",
+)  # fmt: skip
+
+_CLOSED_SAID = (
+    "Closed drive: the compiled speed loop holds the speed, so that all make one torque; with "
+    "dead time and voltage drops. rpm off: mean speed less its reference; ripple N m: of the "
+    "torque, r.m.s.; iron W: with what the switching makes."
+)
+
+
+def closed_cells(point: ClosedPoint, *, chosen: bool) -> tuple[str, ...]:
+    """A row of `closed_tables`."""
+    if point.obstacle:
+        return (point.name, *("-",) * (len(_CLOSED_COLUMNS) - 2), point.obstacle)
+    return (
+        point.name,
+        f"{1e-3 * point.frequency:.2f}",
+        f"{100.0 * point.distortion:.1f}",
+        f"{in_rpm(point.speed_error):.2f}",
+        f"{point.torque_ripple:.3g}",
+        f"{point.copper:.4g}",
+        f"{point.ripple_copper:.3g}",
+        f"{point.iron + point.ripple_iron:.3g}",
+        f"{point.conduction:.4g}",
+        f"{point.switching:.4g}",
+        f"{point.total:.4g}",
+        "chosen" if chosen else "",
+    )
+
+
+def closed_tables(
+    found: Mapping[str, tuple[ClosedPoint, ...]], points: WorkingPoints, chosen: str
+) -> list[Table]:
+    """One table per load: every regulator in the closed drive, and the carrier."""
+    return [
+        Table(
+            f"Closed drive at {points.torque[p]:.4g} N m, {in_rpm(points.omega_m[p]):.5g} rpm",
+            _CLOSED_COLUMNS,
+            tuple(closed_cells(run[p], chosen=name == chosen) for name, run in found.items()),
+            (_CLOSED_SAID,),
+        )
+        for p in range(points.torque.size)
+    ]
+
+
+def plain_closed(found: Mapping[str, tuple[ClosedPoint, ...]]) -> list[PlainData]:
+    """The same as plain data, one entry per regulator and load."""
+    return [
+        {"regulator": name, "obstacle": point.obstacle or None}
+        | {
+            key: None if math.isnan(value) else value
+            for key, value in (
+                ("torque_Nm", point.torque),
+                ("omega_m_rad_per_s", point.omega_m),
+                ("speed_error_rad_per_s", point.speed_error),
+                ("frequency_Hz", point.frequency),
+                ("distortion", point.distortion),
+                ("torque_ripple_rms_Nm", point.torque_ripple),
+                ("copper_W", point.copper),
+                ("ripple_copper_W", point.ripple_copper),
+                ("iron_W", point.iron),
+                ("ripple_iron_W", point.ripple_iron),
+                ("conduction_W", point.conduction),
+                ("switching_W", point.switching),
+                ("total_W", point.total),
+            )
+        }
+        for name, run in found.items()
+        for point in run
+    ]
+
+
 def simulation_html(found: DriveSimulation) -> list[HtmlTable]:
     """The same for the report."""
     figures = tuple(Row(tuple(symbols(cell) for cell in line)) for line in _lines(found))
@@ -256,6 +361,8 @@ def simulation_passage(found: DriveSimulation) -> Passage:
 
     prefix, code = found.design.export.prefix, Markup("<code>{}</code>")
     controllers = [control_header_name(prefix, name) for name in found.formats]
+    if found.run.bridge is not None:
+        controllers = [f"{prefix}.h", f"{prefix}_current_feedback.h"]
     if found.six_step is not None:
         controllers = [f"{prefix}_six_step.h"]
     held = Markup(" and that of ").join(code.format(name) for name in controllers)
@@ -267,10 +374,16 @@ def simulation_passage(found: DriveSimulation) -> Passage:
             f"and delay{remarks}."
         )
     files = Markup(" and ").join(code.format(name) for name in found.files())
+    acts = "its duty cycles act one period later"
+    if found.run.bridge is not None:
+        acts = (
+            "its references act one period later, and the regulator of the phase currents switches "
+            "the bridge"
+        )
     text = Markup(
-        "The controller of {}, compiled, runs the simulated drive sample by sample; its duty "
-        "cycles act one period later.{} The samples are in {}."
-    ).format(held, loops, files)
+        "The controller of {}, compiled, runs the simulated drive sample by sample; {}.{} The "
+        "samples are in {}."
+    ).format(held, acts, loops, files)
     caption = (
         "Speed, torque, currents and duty cycles at the sampling instants; dashed: references."
     )
@@ -327,6 +440,38 @@ def _plain_blocks(found: DriveSimulation) -> PlainData:
     }
 
 
+def _plain_bridge(found: DriveSimulation) -> PlainData:
+    """The key of a counted bridge; nothing for others."""
+    if found.run.bridge is None:
+        return {}
+    seen = found.run.bridge.figures
+    named = found.design.inverter.device is not None
+    watts = {
+        f"{part}{of}_W": value if named else None
+        for part in ("conduction", "switching", "blanked")
+        for of, value in zip(("_run", ""), getattr(seen, part), strict=True)
+    }
+    return {
+        "current_feedback": {
+            "method": found.design.control.current_loop.method,
+            "frequency_run_Hz": seen.frequency,
+            "frequency_Hz": seen.tail_frequency,
+            "distortion": seen.distortion if math.isfinite(seen.distortion) else None,
+            "ripple_current_A": seen.ripple_current,
+            "torque_Nm": seen.torque,
+            "torque_ripple_Nm": seen.torque_ripple,
+            "torque_ripple_rms_Nm": seen.torque_rms,
+            "i_d_A": seen.i_d,
+            "i_q_A": seen.i_q,
+            "copper_W": seen.copper,
+            "shaft_W": seen.shaft,
+            "link_W": seen.link,
+            **watts,
+            "junction_degC": seen.junction_temperature if named else None,
+        }
+    }
+
+
 def _plain_firmware(found: DriveSimulation) -> PlainData:
     """The keys of loops of other firmware; nothing for the emitted code."""
     if found.firmware is None:
@@ -361,6 +506,7 @@ def _plain_run(found: DriveSimulation) -> PlainData:
     return (
         _plain_phases(found)
         | _plain_blocks(found)
+        | _plain_bridge(found)
         | _plain_firmware(found)
         | ({} if found.start is None else {"start": plain_start(found.start)})
         | {
@@ -438,6 +584,8 @@ def _simulation(outcome: Outcome) -> DriveSimulation | None:
 
 # Figure of a simulation: speed, torque, currents and duty cycles over time.
 
+_WINDOW = 50  # Recorded rows over which a switching frequency is averaged.
+
 _PHASES = (("a", BLUE), ("b", ORANGE), ("c", TEAL))
 
 
@@ -494,6 +642,16 @@ def _duties(axes: Axes, time: FloatArray, run: Simulation) -> None:
     axes.set(ylabel="Duty cycles", ylim=(-0.02, 1.02))
 
 
+def _frequency(axes: Axes, time: FloatArray, run: Simulation, record: BridgeRecord) -> None:
+    """Switching frequency of a leg, mean over some periods."""
+    span = max(1, min(_WINDOW, run.t.size - 1))
+    gone = record.edges[span:] - record.edges[:-span]
+    mean = gone / (6.0 * (run.t[span:] - run.t[:-span]))
+    _line(axes, time[span:], mean / 1e3, BLUE, "switching frequency of a leg", 0.9)
+    axes.set_ylabel("Frequency in kHz")
+    axes.set_ylim(0.0, None)
+
+
 def _midpoint(axes: Axes, time: FloatArray, voltage: FloatArray) -> None:
     _line(axes, time, voltage, BLUE, "midpoint of the link", 0.9)
     axes.set_ylabel("Voltage in V")
@@ -523,10 +681,12 @@ def plot_simulation(found: DriveSimulation) -> Figure:
         seen = found.observed
         angle = seen is not None and seen.angle_rms is not None
         split = run.phases is not None and bool(np.isfinite(run.phases.v_midpoint).all())
-        ratios = (1.3, 1.0, 1.3, *(0.8,) * (angle + split), 0.9)
+        counted = run.bridge is not None and run.t.size > 1
+        more = angle + split + counted
+        ratios = (1.3, 1.0, 1.3, *(0.8,) * more, 0.9)
         figure = new_figure(
             "simulation",
-            6.6 + 1.3 * (angle + split),
+            6.6 + 1.3 * more,
             "Speed, torque, currents and duty cycles of the simulated drive",
         )
         axes = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
@@ -535,6 +695,8 @@ def plot_simulation(found: DriveSimulation) -> Figure:
             _angle(axes[3], time, found)
         if split and run.phases is not None:
             _midpoint(axes[-2], time, run.phases.v_midpoint)
+        if counted and run.bridge is not None:
+            _frequency(axes[-2], time, run, run.bridge)
         _line(speed, time, in_rpm(run.omega_m), TEAL, "speed")
         if run.start is not None:
             _states(speed, time, run.start)

@@ -35,6 +35,7 @@ ORCHESTRATORS = {
     "run": "the main job: solves a design and gathers its files",
     "six_step.drive_run": "solves a six-step drive, compiles its control and simulates it",
     "simulation.design_run": "solves a design, compiles its control and simulates the drive",
+    "simulation.feedback_run": "the same where a regulator switches the bridge itself",
 }
 
 # Modules that evaluate emitted C in its own arithmetic, for test vectors and to compare with the

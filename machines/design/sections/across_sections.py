@@ -257,24 +257,21 @@ _KEYS: dict[str, tuple[str, ...]] = {
     "predictive": ("sampling",),
 }
 
-_NO_RUN = (
-    "remove it: 'dqforge simulate' runs such a design at constant speed, at the points of losses"
-)
+# Methods whose comparators are analogue: no converter stands before them.
+_ANALOGUE = ("hysteresis", "ramp-comparison")
 
 _OWN = ("band", "outer_band", "carrier", "comparator_band", "sampling", "pulses")
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Sections of a file on which current-feedback PWM bears, and whether it has one for a
-    simulation.
-    """
+    """Sections of a file on which current-feedback PWM bears."""
 
     control: ControlSection
     inverter: InverterSection
     operation: OperationSection
     export: ExportSection
-    simulated: bool
+    simulation: SimulationSection | None
 
 
 def check_feedback(
@@ -299,6 +296,7 @@ def check_feedback(
     _check_keys(file, document)
     _check_drive(file, machine, document, any_back_emf=any_back_emf)
     _check_rest(file, document)
+    _check_simulation(file, document)
 
 
 def _check_keys(file: Asked, document: YamlDocument) -> None:
@@ -365,11 +363,6 @@ def _check_rest(file: Asked, document: YamlDocument) -> None:
         ),
         (bool(file.export.control), ("export", "control"), "remove it"),
         (bool(file.export.firmware), ("export", "firmware"), "remove it"),
-        (
-            file.simulated,
-            ("simulation",),
-            _NO_RUN,
-        ),
         (file.operation.overmodulation != "none", ("operation", "overmodulation"), "remove it"),
     ]
     for wanted, path, remedy in asked:
@@ -377,6 +370,43 @@ def _check_rest(file: Asked, document: YamlDocument) -> None:
             raise document.error(
                 f"{'.'.join(map(str, path))} needs PI current loops and a modulator, and "
                 f"control.current_loop is by '{method}'; {remedy}",
+                path,
+                key=True,
+            )
+
+
+def _check_simulation(file: Asked, document: YamlDocument) -> None:
+    """What a simulation of such a drive cannot have."""
+    wanted, method = file.simulation, file.control.current_loop.method
+    if wanted is None:
+        return
+    sensor, analogue = wanted.current_sensor, method in _ANALOGUE
+    asked: list[tuple[bool, KeyPath, str]] = [
+        (
+            "inverter" in wanted.model_fields_set and wanted.inverter == "averaged",
+            ("simulation", "inverter"),
+            "has no duty cycles to average; write switched, or remove it",
+        ),
+        (
+            wanted.sensorless is not None,
+            ("simulation", "sensorless"),
+            "has no position observer; remove it",
+        ),
+        (
+            analogue and sensor.bits > 0,
+            ("simulation", "current_sensor", "bits"),
+            "compares the currents themselves, before any converter; remove it",
+        ),
+        (
+            analogue and sensor.noise is not None and sensor.noise.si > 0.0,
+            ("simulation", "current_sensor", "noise"),
+            "compares at every instant, and the noise is that of samples; remove it",
+        ),
+    ]
+    for refused, path, why in asked:
+        if refused:
+            raise document.error(
+                f"{'.'.join(map(str, path))}: control.current_loop by '{method}' {why}",
                 path,
                 key=True,
             )

@@ -8,6 +8,7 @@ import pytest
 from current_feedback_design import feedback_design
 
 from dqforge.machines.errors import InputError
+from dqforge.optimizer.current_feedback.regulator_runs import METHODS
 from dqforge.reports.answers.check import answer_check
 from dqforge.reports.answers.current_feedback import answer_regulator
 from dqforge.reports.answers.losses import LossRequest, answer_losses
@@ -50,7 +51,9 @@ def test_tune_and_losses_compare_all_regulators() -> None:
         "hysteresis", "ramp-comparison", "look-up-table", "circle", "predictive", "trajectory",
     }  # fmt: skip
     lost = answer_losses(design, LossRequest(), choice=False)
-    rows = {row[0]: row for row in lost.tables[-1].rows}
+    assert {row[0] for row in lost.tables[-1].rows} == {*METHODS, "svpwm"}
+    assert len(lost.plain["current_feedback"]["closed"]) == len(METHODS) + 1
+    rows = {row[0]: row for row in lost.tables[-2].rows}
     assert {"circle", "trajectory", "svpwm", "ddt-gdpwm"} <= set(rows)
     assert rows["circle"][1] == rows["svpwm"][1]
     assert rows["circle"][-1] == "chosen"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from current_feedback_design import feedback_design
 
@@ -47,7 +49,6 @@ def test_keys_are_read() -> None:
         ("circle", f"{LOOP}.sampling=5 kHz", "too slow to switch by"),
         ("hysteresis", "control.observer.method=flux", "control.observer needs PI current loops"),
         ("hysteresis", "control.tolerances.r_s=10 %", "control.tolerances needs PI current loops"),
-        ("hysteresis", "simulation.duration=1 s", "runs such a design at constant speed"),
         ("hysteresis", "export.control=float32", "export.control needs PI current loops"),
         ("hysteresis", "inverter.topology=split-capacitor", "works on topology: three-wire"),
     ],
@@ -62,3 +63,29 @@ def test_refused(method: str, setting: str, words: str) -> None:
 def test_outer_band_below_the_band_is_refused() -> None:
     with pytest.raises(InputError, match="write band or more"):
         feedback_design("look-up-table", f"{LOOP}.band=2 A", f"{LOOP}.outer_band=1 A")
+
+
+@pytest.mark.parametrize(
+    "method",
+    ["hysteresis", "ramp-comparison", "look-up-table", "circle", "predictive", "trajectory"],
+)
+def test_a_simulation_is_read(method: str) -> None:
+    scenario = feedback_design(method, simulated=True).simulation
+    assert scenario is not None
+    assert scenario.reference.values == pytest.approx((1000.0 * math.pi / 30.0,))
+
+
+@pytest.mark.parametrize(
+    ("method", "setting", "words"),
+    [
+        ("circle", "simulation.inverter=averaged", "write switched, or remove it"),
+        ("circle", "simulation.sensorless.above=100 rpm", "has no position observer"),
+        ("hysteresis", "simulation.current_sensor.bits=12", "before any converter"),
+        ("ramp-comparison", "simulation.current_sensor.noise=10 mA", "that of samples"),
+    ],
+)
+def test_what_a_simulation_cannot_have(method: str, setting: str, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        feedback_design(method, setting, simulated=True)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
