@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from dqforge.optimizer.losses.phase_comparison import LossComparison
     from dqforge.optimizer.modulation_choice.solve import ModulationChoice
     from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad
+    from dqforge.optimizer.observers.tuning import ObserverProof
     from dqforge.optimizer.overmodulation import Overmodulation
     from dqforge.optimizer.six_step.design import SixStepDesign
     from dqforge.optimizer.start_up.solve import StartUp
@@ -76,7 +77,8 @@ class Solution:
     speed to currents in fixed point. ``frame_tables`` and ``overmodulation`` are None where they
     are not asked for. ``firmware`` is what each firmware of others is given. ``observer_errors``
     are those of the speed observer at half the base speed, without load and with half the largest
-    torque; empty without that observer. ``start_up`` is how the drive leaves standstill without an
+    torque; empty without that observer. ``observer_proof`` is what is proven of the position
+    observer, None without one. ``start_up`` is how the drive leaves standstill without an
     encoder, None where it does not. ``six_step`` is None where the design is no six-step drive.
     ``application`` are the settings of the program around the functions, None without one.
     """
@@ -100,6 +102,7 @@ class Solution:
     gains_left_out: str = ""
     negative: NegativeHalf | None = None
     observer_errors: tuple[ErrorsAtLoad, ...] = ()
+    observer_proof: ObserverProof | None = None
     frame_tables: FrameTables | None = None
     overmodulation: Overmodulation | None = None
     fixed_references: tuple[FixedReferenceFit, ...] = ()
@@ -200,6 +203,14 @@ def _fixed_observers(design: Design, gains: GainSet | None) -> tuple[FixedObserv
     return solve_fixed_observers(design, gains.position)
 
 
+def _observer_proof(gains: GainSet | None) -> ObserverProof | None:
+    if gains is None or gains.position is None:
+        return None
+    from dqforge.optimizer.observers.tuning import prove
+
+    return prove(gains.position)
+
+
 def _frame_tables(design: Design) -> FrameTables | None:
     if not design.export.frame_tables:
         return None
@@ -281,6 +292,7 @@ def solve(design: Design) -> Solution:
         gains_left_out=left_out,
         negative=solve_negative(design),
         observer_errors=_observer_errors(design, gains, fit.torque_max),
+        observer_proof=_observer_proof(gains),
         frame_tables=_frame_tables(design),
         overmodulation=_overmodulation(design),
         fixed_references=references,

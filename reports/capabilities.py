@@ -16,7 +16,11 @@ from dqforge.reports.fixed_observers.fixed_observer_header import FIXED_OBSERVER
 from dqforge.reports.loops.capability import GAIN_SCHEDULE, LOOPS, NO_LOOPS, STABILITY
 from dqforge.reports.losses.map_figures import LOSSES, MISSION
 from dqforge.reports.modulation_choice.figures import MODULATION_CHOICE
-from dqforge.reports.observers.position_header import POSITION_OBSERVER, SPEED_OBSERVER
+from dqforge.reports.observers.position_header import (
+    OBSERVER_PROOF,
+    POSITION_OBSERVER,
+    SPEED_OBSERVER,
+)
 from dqforge.reports.operating_points.figures import OPERATING_POINTS
 from dqforge.reports.phase_control.emitted_integers import FIXED_CONTROL, FLOAT32_CONTROL
 from dqforge.reports.simulation.tables import FORMATS_NOT_SIMULATED, SIMULATION
@@ -54,6 +58,7 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     OVERMODULATION,
     GAIN_SCHEDULE,
     POSITION_OBSERVER,
+    OBSERVER_PROOF,
     FIXED_OBSERVER,
     SPEED_OBSERVER,
     SIX_STEP,

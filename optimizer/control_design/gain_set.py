@@ -14,7 +14,7 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import in_rpm
+from dqforge.machines.transforms import in_rpm, linear_voltage
 from dqforge.optimizer.certificates.cell_queue import (
     BoxDrive,
     CurrentLoopBox,
@@ -404,7 +404,8 @@ def _slopes(design: Design, observer: ReducedOrderObserver | None) -> SpeedError
         return None
     from dqforge.optimizer.observers.reduced_order import speed_error_slopes
 
-    return speed_error_slopes(design.machine, observer, design.control.bases.speed)
+    v_d = linear_voltage(design.inverter.v_dc)
+    return speed_error_slopes(design.machine, observer, design.control.bases.speed, v_d)
 
 
 def _firmware(

@@ -34,7 +34,13 @@ from dqforge.optimizer.current_reference.forms import (
     error_curves,
     reference_errors,
 )
-from dqforge.optimizer.curves.breakpoints import Segmentations, level_edges, search, segment_errors
+from dqforge.optimizer.curves.breakpoints import (
+    Segmentations,
+    level_edges,
+    rounded_edges,
+    search,
+    segment_errors,
+)
 from dqforge.optimizer.curves.fitting import (
     Curve,
     SideConditions,
@@ -99,7 +105,9 @@ def _search_edges(curves: list[Curve], settings: FitSettings, end: float) -> Flo
     errors = segment_errors(curves, settings.degree, side, end)
     candidates = Segmentations(errors, settings.segments, squared=True)
     starts = candidates.starts(lambda edges: np.array([cost(one) for one in edges]))
-    return min((search(cost, cost, settings.segments, end, start) for start in starts), key=cost)
+    found = [search(cost, cost, settings.segments, end, start) for start in starts]
+    # a local search may end above its start, whose segments near zero may be narrower than its own
+    return min([*found, *map(rounded_edges, starts)], key=cost)
 
 
 def find_edges(

@@ -131,12 +131,14 @@ class SpeedErrorSlopes:
 
     ``load`` in rad/s per N m of a load torque that the observer does not know of; ``resistance`` in
     rad/s per A of i_q where the observer's resistance is too high by ``r_error``, a share of the
-    true one.
+    true one. ``contraction`` is the largest factor per sample of an error, at every speed
+    (`speed_error_factor`).
     """
 
     load: float
     resistance: float
     r_error: float
+    contraction: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -343,7 +345,11 @@ def steady_state_error(
 
 
 def speed_error_slopes(
-    machine: Machine, observer: ReducedOrderObserver, omega_m: float, r_error: float = R_ERROR
+    machine: Machine,
+    observer: ReducedOrderObserver,
+    omega_m: float,
+    v_d: float,
+    r_error: float = R_ERROR,
 ) -> SpeedErrorSlopes:
     """Steady error per unit of its causes, in closed form; errors as `steady_state_error`.
 
@@ -351,10 +357,31 @@ def speed_error_slopes(
         machine: The true machine.
         observer: The observer, made for it.
         omega_m: True mechanical speed in rad/s.
+        v_d: Largest voltage in V along d, to either side.
         r_error: Relative error of the resistance.
     """
     error = steady_state_error(machine, observer.g, observer.t_s, omega_m, 1.0, r_error=r_error)
-    return SpeedErrorSlopes(error.load, error.resistance / error.i_q, r_error)
+    factor = speed_error_factor(machine, observer, machine.i_max, v_d)
+    return SpeedErrorSlopes(error.load, error.resistance / error.i_q, r_error, factor)
+
+
+def speed_error_factor(
+    machine: Machine, observer: ReducedOrderObserver, i_d: float, v_d: float
+) -> float:
+    """Largest factor by which an error of the estimate changes in a sample of the emitted step.
+
+    The step takes the coupling omega L_d i_d and the angle in the middle of the period by its own
+    estimate, so that its pole moves by -b_u p (L_d i_d + v_d t_s/2), affine in both: their ends are
+    enough, whatever the speed. One or more: an error need not shrink.
+
+    Args:
+        machine: Whose l_d and pole pairs the step knows.
+        observer: The observer.
+        i_d, v_d: Largest magnitudes of the current in A and of the voltage in V along d.
+    """
+    l_d = linearised(machine).l_d
+    moved = machine.pole_pairs * observer.b_u * (l_d * i_d + 0.5 * observer.t_s * v_d)
+    return abs(observer.a) + abs(moved)
 
 
 def errors_at_loads(

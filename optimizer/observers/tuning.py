@@ -217,8 +217,9 @@ _LEAST_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class ObserverProof:
-    """Result of the search for a common Lyapunov function
-    (`dqforge.optimizer.observers.methods.lpv_certificate`).
+    """Result of the search for a common Lyapunov function, exact
+    (`dqforge.optimizer.observers.methods.lpv_certificate`) or checked at many points
+    (`dqforge.optimizer.observers.step_certificate`).
 
     Args:
         contraction: Factor by which the norm of a small error shrinks at least in every sample;
@@ -227,7 +228,10 @@ class ObserverProof:
             arbitrarily.
         i_q: Largest |i_q| in A, at i_d = 0.
         reason: Why there is none, empty otherwise.
-        searched: Whether one was searched for: not where a package for it is missing.
+        searched: Whether one was searched for: not where a package for it is missing, and not of a
+            method that can have none.
+        points: Speeds and currents at which the contraction was checked; nil where it is exact for
+            all of them.
     """
 
     contraction: float | None
@@ -236,28 +240,44 @@ class ObserverProof:
     i_q: float
     reason: str = ""
     searched: bool = True
+    points: int = 0
 
 
 def prove(observer: PositionObserver | None) -> ObserverProof | None:
     """Search a proof from the least speed at which the observer holds to the largest of the drive.
 
-    None for other methods, which have none. Where cvxpy or Clarabel is missing, the result says so.
+    None without an observer. Where cvxpy or Clarabel is missing, or the method can have no such
+    proof, the result says so.
     """
-    if observer is None or observer.method.certify is None:
+    if observer is None:
         return None
     low, high = observer.judgement.steady_low, observer.omega_max
     if not (np.isfinite(low) and low < high):
         low = _LEAST_SHARE * high
     i_q = observer.disturbances.i_load
+    reason = observer.method.unproven
     missing = [name for name in ("cvxpy", "clarabel") if find_spec(name) is None]
-    if missing:
+    if missing and not reason:
         reason = (
             f"the search needs {' and '.join(missing)}; install with: pip install "
             f"{' '.join(missing)}"
         )
+    if reason:
         return ObserverProof(None, low, high, i_q, reason, searched=False)
     try:
-        contraction = observer.method.certify(observer.gains, low, high, i_q)
+        return _searched(observer, low, high, i_q)
     except NoSolutionError as error:
         return ObserverProof(None, low, high, i_q, error.message.removeprefix("no certificate: "))
-    return ObserverProof(contraction, low, high, i_q)
+
+
+def _searched(observer: PositionObserver, low: float, high: float, i_q: float) -> ObserverProof:
+    """The exact proof of a method that has one, else the checked one."""
+    method, gains = observer.method, observer.gains
+    if method.certify is not None:
+        return ObserverProof(method.certify(gains, low, high, i_q), low, high, i_q)
+    from dqforge.optimizer.observers.step_certificate import ObserverRange, certify_step
+
+    found = certify_step(
+        ObserverRange(method, gains, observer.machine, observer.t_s, low, high, i_q)
+    )
+    return ObserverProof(found.contraction, found.omega_low, high, i_q, points=found.points)

@@ -14,7 +14,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.estimators import TRACKERS, TunedTracker
 from dqforge.optimizer.observers.reduced_order_step import SPEED_STEP, ReducedOrderGains
-from dqforge.optimizer.observers.tuning import PositionObserver
+from dqforge.optimizer.observers.tuning import ObserverProof, PositionObserver
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,
@@ -43,7 +43,9 @@ from dqforge.reports.observers.float32_model import (
 from dqforge.reports.observers.position_text import (
     bound_text,
     included_text,
+    plain_proof,
     position_parts,
+    proof_text,
     silence_text,
     speed_range_text,
     tuning_text,
@@ -292,24 +294,28 @@ def _speed_error_table(errors: Sequence[ErrorsAtLoad]) -> HtmlTable:
     return HtmlTable(symbols(caption), heading_cells(*columns), tuple(rows))
 
 
-def estimator_tables(found: PositionObserver | TunedTracker) -> list[HtmlTable]:
+def estimator_tables(
+    found: PositionObserver | TunedTracker, proof: ObserverProof | None = None
+) -> list[HtmlTable]:
     """Of an observer or a tracker of the position."""
     if isinstance(found, PositionObserver):
-        return position_tables(found)
+        return position_tables(found, proof)
     title, columns, rows, notes = tracker_part(found)
     heading = symbols(f"{title}: {'; '.join(notes)}")
     return [HtmlTable(heading, heading_cells(*columns), tuple(Row(cells) for cells in rows))]
 
 
-def position_tables(position: PositionObserver) -> list[HtmlTable]:
-    """Errors of a position observer over its speeds, with what they include."""
+def position_tables(
+    position: PositionObserver, proof: ObserverProof | None = None
+) -> list[HtmlTable]:
+    """Errors of a position observer over its speeds, with what they include and what is proven."""
     return [
         HtmlTable(
             symbols(f"{title}: {'; '.join(notes)}"),
             heading_cells(*columns),
             tuple(Row(cells) for cells in rows),
         )
-        for title, columns, rows, notes in position_parts(position)
+        for title, columns, rows, notes in position_parts(position, proof)
     ]
 
 
@@ -426,7 +432,7 @@ POSITION_OBSERVER: Capability[PositionObserver | TunedTracker] = Capability(
     name="position_observer",
     title="position observer",
     of=_position,
-    parts=lambda _, observer: _part(estimator_tables(observer)),
+    parts=lambda solution, observer: _part(estimator_tables(observer, solution.observer_proof)),
     headers=(
         HeaderKind(
             name="observer",
@@ -437,6 +443,16 @@ POSITION_OBSERVER: Capability[PositionObserver | TunedTracker] = Capability(
             vectors=False,
         ),
     ),
+)
+
+# Its words stand with those of the observer.
+OBSERVER_PROOF = Capability(
+    name="observer_proof",
+    title="proof of the position observer",
+    of=lambda outcome: outcome.solution.observer_proof,
+    plain=lambda _, proof: plain_proof(proof),
+    always=False,
+    summary=lambda _, proof: [("observer", proof_text(proof))],
 )
 
 # Tables of the terminal and JSON of both stand with those of the loops.

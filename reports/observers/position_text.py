@@ -111,6 +111,11 @@ def _size(value: float) -> str:
     return f"{math.degrees(value):.3g}" if math.isfinite(value) else "lost"
 
 
+def rounded_up(factor: float) -> float:
+    """A bound with five decimals, which stays one, and is the same on every computer."""
+    return math.ceil(factor * 1e5) / 1e5
+
+
 def proof_text(proof: ObserverProof) -> str:
     """What is proven over the speed range, in one line."""
     low, high = (value / (2.0 * math.pi) for value in (proof.omega_low, proof.omega_high))
@@ -119,10 +124,17 @@ def proof_text(proof: ObserverProof) -> str:
         return f"nothing is proven for {span}: {proof.reason}"
     if proof.contraction is None:
         return f"no common Lyapunov function was found for {span}: {proof.reason}"
-    return (
-        f"proven: small errors shrink by {proof.contraction:.5f} per sample or faster while the "
-        f"speed varies in {span}"
-    )
+    factor = rounded_up(proof.contraction)
+    shrinks = f"small errors shrink by {factor:.5f} per sample or faster while the speed"
+    if not proof.points:
+        return f"proven: {shrinks} varies in {span}"
+    return f"one norm for all: {shrinks} varies in {span}; checked at {proof.points} points"
+
+
+def plain_proof(proof: ObserverProof) -> PlainData:
+    """What is proven, in SI units; a contraction as it is printed."""
+    found = proof.contraction
+    return asdict(proof) | {"contraction": None if found is None else rounded_up(found)}
 
 
 def _cause(name: str, known: Disturbances) -> str:
@@ -365,6 +377,15 @@ def plain_training(training: Training | None) -> PlainData:
     }
 
 
+def factor_text(slopes: SpeedErrorSlopes) -> str:
+    """What is proven of the error of the speed observer, in one line."""
+    factor = rounded_up(slopes.contraction)
+    span = "at every speed, i_d up to the current limit and v_d up to the linear range"
+    if factor < 1.0:
+        return f"proven: an error shrinks by {factor:.5f} per sample or faster {span}"
+    return f"an error need not shrink {span}: its factor per sample is up to {factor:.5f}"
+
+
 def observer_table(observer: ReducedOrderObserver, slopes: SpeedErrorSlopes) -> Table:
     """The speed observer as a table of the terminal."""
     rows = (
@@ -381,6 +402,7 @@ def observer_table(observer: ReducedOrderObserver, slopes: SpeedErrorSlopes) -> 
             f"a resistance that is {wrong:.0f} % too high by {in_rpm(slopes.resistance):.3g} rpm "
             "per A of i_q"
         ),
+        factor_text(slopes),
     )
     return Table(
         "Speed observer: omega_hat = zeta - C i_q; zeta' = A zeta + B_U u_q + B_I i_q",

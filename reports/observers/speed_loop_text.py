@@ -475,6 +475,7 @@ def plain_observer_errors(
             "load_rad_per_s_per_Nm": slopes.load,
             "resistance_error": slopes.r_error,
             "resistance_rad_per_s_per_A": slopes.resistance,
+            "contraction": slopes.contraction,
             **({"steady": at_loads} if at_loads else {}),
         }
     }

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 PACKAGES = {
     "casadi": "phase currents of salient machines, Kalman filters of sensorless drives",
     "clarabel": "smoothing of flux maps, proofs of current loops over tolerances",
-    "cvxpy": "the proof that a flux observer converges (with clarabel)",
+    "cvxpy": "the proof that position observers converge (with clarabel)",
     "daqp": "phase currents of machines with any back-EMF, equal phases",
     "distributed": "dqforge explore on several cores and on clusters",
     "h5py": "HDF5 files, MAT files of version 7.3",
@@ -42,7 +42,7 @@ PACKAGES = {
     "matplotlib": "figures",
     "nlopt": "optimised gains of loops and observers, breakpoints of tables, searches of a study",
     "numpy": "arrays",
-    "osqp": "phase currents of machines with any back-EMF, solved a second time",
+    "osqp": "phase currents of machines with any back-EMF, a second opinion",
     "piqp": "phase currents of machines with any back-EMF, unlike phases",
     "pyarrow": "parts of a study (dqforge explore)",
     "pydantic": "checks of the design file",

@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -248,7 +247,9 @@ class Tuning(DrawnResult):
 
             plain["speed_measurement"] = plain_measured(self.gains.measured_speed)
         if self.proof is not None:
-            plain["observer_proof"] = asdict(self.proof)
+            from dqforge.reports.observers.position_text import plain_proof
+
+            plain["observer_proof"] = plain_proof(self.proof)
         if self.fixed:
             from dqforge.reports.phase_control.emitted_integers import plain_integer_evidence
 

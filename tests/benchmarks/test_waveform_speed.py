@@ -15,7 +15,13 @@ import pytest
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
+from dqforge.optimizer.waveforms import solver as programmes
+from dqforge.optimizer.waveforms.constraint_rows import (
+    DENSE_UNKNOWNS,
+    PointProblem,
+    WaveformLimits,
+    make_problem,
+)
 from dqforge.optimizer.waveforms.solver import solve_waveforms
 
 pytestmark = pytest.mark.benchmark
@@ -93,3 +99,70 @@ def test_sweep_of_operating_points(*, symmetric: bool, capsys: pytest.CaptureFix
             f"{theirs * POINTS / seconds:.0f} times faster than building and solving each with "
             "cvxpy and Clarabel"
         )
+
+
+SPEEDS = np.linspace(120.0, 190.0, 30)
+TORQUES = (3.0, 3.8, 4.3)
+PAIRS = 5
+
+
+def solved_by(solver: Any, points: list[PointProblem]) -> None:
+    for point in points:
+        solver.solve(point)
+
+
+def warm_started(points: list[PointProblem]) -> None:
+    """OSQP over points one after another, each from the solution of the one before;
+    set up anew only where the zeros of the rows are others.
+    """
+    import osqp
+    from scipy.sparse import csc_matrix, identity
+
+    solver: Any = None
+    last, found = csc_matrix((0, 0)), (np.zeros(0), np.zeros(0))
+    for point in points:
+        matrix = csc_matrix(point.matrix)
+        matrix.sort_indices()
+        if (
+            solver is not None
+            and matrix.nnz == last.nnz
+            and np.array_equal(matrix.indices, last.indices)
+        ):
+            solver.update(q=point.gradient, l=point.lower, u=point.upper, Ax=matrix.data)
+            solver.warm_start(x=found[0], y=found[1])
+        else:
+            hessian = identity(point.gradient.size, format="csc")
+            solver, last = osqp.OSQP(), matrix
+            settings = programmes._SETTINGS | {"polishing": True}
+            solver.setup(hessian, point.gradient, matrix, point.lower, point.upper, **settings)
+        result = solver.solve(raise_error=False)
+        found = np.array(result.x), np.array(result.y)
+
+
+@pytest.mark.parametrize("topology", ["three-wire", "four-leg"])
+@pytest.mark.parametrize("symmetric", [True, False], ids=["sixth", "whole"])
+def test_osqp_warm_started_over_the_speed(
+    topology: Any, *, symmetric: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Pairs of runs, one after the other: OSQP is a second opinion, not the solver, as long as it
+    is the slower one.
+    """
+    drive = machine(symmetric=symmetric)
+    problem = make_problem(drive, WaveformLimits(130.0, topology, 14.0))
+    dense = problem.unknowns <= DENSE_UNKNOWNS
+    own = programmes._Dense(problem) if dense else programmes._Sparse(problem)
+    for torque in TORQUES:
+        omega = drive.pole_pairs * SPEEDS
+        bound = ~programmes._keeps_all(problem, np.full(SPEEDS.size, torque), omega)
+        points = [problem.point(torque, float(one)) for one in omega[bound]]
+        ratios = []
+        for _ in range(PAIRS):
+            ours, _ = timed(partial(solved_by, own, points))
+            theirs, _ = timed(partial(warm_started, points))
+            ratios.append(theirs / ours)
+        with capsys.disabled():
+            print(
+                f"\n{topology}, {problem.unknowns} unknowns, {torque} N m: OSQP warm-started takes "
+                f"{min(ratios):.1f} to {max(ratios):.1f} times as long",
+                end="",
+            )

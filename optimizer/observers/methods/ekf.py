@@ -721,5 +721,6 @@ METHOD = ObserverMethod(
     settle=300,
     rest=ekf_rest,
     sizes=ekf_sizes,
+    unproven="its gains follow the covariance, which is part of the state and no linear system",
     members=StateMembers((), _MEMBERS),
 )

@@ -38,6 +38,7 @@ References:
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from itertools import pairwise, product
 from typing import Any
@@ -198,7 +199,9 @@ def common_lyapunov(matrices: FloatArray, contraction: float) -> FloatArray | No
     rules = [p >> np.eye(n), p << size * np.eye(n)]
     rules += [square * p - a.T @ p @ a >> 0 for a in matrices]
     try:
-        cp.Problem(cp.Minimize(size), rules).solve(solver=cp.CLARABEL)
+        with warnings.catch_warnings():  # what it finds is checked, inaccurate or not
+            warnings.simplefilter("ignore", UserWarning)
+            cp.Problem(cp.Minimize(size), rules).solve(solver=cp.CLARABEL)
     except cp.SolverError:
         return None
     return None if p.value is None else np.asarray(0.5 * (p.value + p.value.T), dtype=np.float64)

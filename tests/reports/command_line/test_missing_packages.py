@@ -30,6 +30,39 @@ LAZY = [
     ("distributed", ["explore", "study.yaml"]),
 ]
 
+# Every command that solves, over the solvers that its design calls: command line behind the design.
+SALIENT = "salient-phase-waveforms"
+KALMAN = "control.observer={method: ekf}"
+WRITTEN = ["--no-verify", "-o", "out"]
+SOLVED = {
+    "nlopt": {
+        (SERVO, "--set", OPTIMISED): {"tune", "run", "export", "simulate"},
+        ("abb-ipmsm-2k2", "--set", "fit.method=lagrange"): {"fit", "run", "export"},
+        (SERVO,): {"estimators"},
+        ("000",): {"reproduce"},
+    },
+    "osqp": {(PHASES,): {"dqy", "run", "export"}, (PHASES, SERVO): {"compare"}},
+    "casadi": {
+        (SALIENT,): {"dqy", "run", "export", "simulate"},
+        (SALIENT, SERVO): {"compare"},
+        (SERVO, "--set", KALMAN): {"tune", "run", "export"},
+        (SERVO,): {"estimators"},
+    },
+}
+REFUSED = [
+    (package, [command, *design, *(WRITTEN if command in {"run", "export"} else [])])
+    for package, designs in SOLVED.items()
+    for design, commands in designs.items()
+    for command in sorted(commands)
+]
+# What does without: the same designs where the command asks the package nothing.
+ANSWERED = [
+    ("nlopt", ["fit", SERVO, "--set", OPTIMISED]),
+    ("osqp", ["tune", PHASES]),
+    ("casadi", ["tune", SALIENT]),
+    ("casadi", ["fit", SALIENT]),
+]
+
 
 class Hidden:
     """A finder of modules that finds those of one package missing."""
@@ -54,16 +87,61 @@ def test_a_missing_package_is_named_with_its_installation(
     monkeypatch.chdir(tmp_path)
     study = ROOT / "machines" / "library" / "studies" / "magnets-and-inductances.yaml"
     (tmp_path / "study.yaml").write_bytes(study.read_bytes())
+    hide(package, monkeypatch)
+    require_one_line(package, words, capsys)
+
+
+def hide(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a package be missing for as long as the test lasts."""
     hidden = Hidden(package)
     for name in [name for name in sys.modules if name.partition(".")[0] == hidden.module]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setattr(sys, "meta_path", [hidden, *sys.meta_path])
+
+
+def require_one_line(
+    package: str, words: Sequence[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as end:
         cli.main(words)
     printed = capsys.readouterr()
     assert end.value.code in {1, 2}
     assert printed.err.count("\n") == 1
     assert re.search(rf"{package}.*pip install '?[a-z]", printed.err), printed.err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("package", "words"), REFUSED, ids=[f"{package}-{' '.join(w[:2])}" for package, w in REFUSED]
+)
+def test_every_command_that_solves_refuses_in_one_line(
+    package: str,
+    words: Sequence[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    hide(package, monkeypatch)
+    require_one_line(package, words, capsys)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("package", "words"), ANSWERED, ids=[f"{package}-{' '.join(w[:2])}" for package, w in ANSWERED]
+)
+def test_a_command_that_asks_it_nothing_answers(
+    package: str,
+    words: Sequence[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    hide(package, monkeypatch)
+    with pytest.raises(SystemExit) as end:
+        cli.main(words)
+    assert end.value.code == 0
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("package", ["typer", "numpy", "pydantic"])

@@ -5,6 +5,7 @@ design-file keys.
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from functools import cache
 from itertools import product
@@ -39,6 +40,7 @@ from dqforge.reports.observers.position_text import (
     plain_position,
     position_parts,
     proof_text,
+    rounded_up,
     speed_range_text,
 )
 from dqforge.reports.pages.templating import to_text
@@ -203,7 +205,7 @@ def test_not_a_number_does_not_stay(name: str) -> None:
 def test_tune_says_what_is_proven_of_the_flux_observer(monkeypatch: pytest.MonkeyPatch) -> None:
     """A contraction no smaller than the largest pole between the ends, in text.
 
-    None of other methods.
+    Of other methods at how many points it was checked.
     """
     design = catalogue.load("paper001-pmsm-bench")
     control = replace(design.control, observer=ObserverSettings(method="flux"))
@@ -223,9 +225,16 @@ def test_tune_says_what_is_proven_of_the_flux_observer(monkeypatch: pytest.Monke
     )
     assert np.max(judged.radius) < proof.contraction < 1.0
     assert position_parts(observer, proof)[0][3][-1].startswith(
-        f"proven: small errors shrink by {proof.contraction:.5f}"
+        f"proven: small errors shrink by {rounded_up(proof.contraction):.5f}"
     )
-    assert prove(_observer("extended-emf")) is None
+    assert prove(None) is None
+    checked = prove(_observer("extended-emf"))
+    assert checked is not None
+    assert re.fullmatch(
+        r"one norm for all: small errors shrink by 0\.9\d{4} per sample or faster while the speed "
+        r"varies in [\d.]+ to [\d.]+ Hz, \|i_q\| up to [\d.]+ A; checked at 20048 points",
+        proof_text(checked),
+    )
     wild = replace(
         observer, gains=replace(observer.gains, pll=replace(observer.gains.pll, l_1=2.05))
     )
