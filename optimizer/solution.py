@@ -4,6 +4,7 @@ each with its evidence.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from dqforge.machines.design.design import Design
@@ -267,39 +268,59 @@ def solve(design: Design) -> Solution:
         InputError, NoSolutionError: As the single steps do; the message names the section of the
             design.
     """
+    control = solve_control(design, proofs=True)
+    fit, gains, positive = control.fit, control.loops, control.positive
+    return replace(
+        control,
+        certificate=certify(current_choice(positive), fit.reference, fit.errors),
+        alternatives=alternatives(current_choice(positive), fit),
+        losses=solve_losses(design),
+        waveforms=_waveforms(design),
+        choice=_choice(design),
+        mission=solve_mission(design),
+        observer_errors=_observer_errors(design, gains, fit.torque_max),
+        observer_proof=_observer_proof(gains),
+        firmware=solve_firmware(design, gains),
+        current_feedback=_current_feedback(design),
+    )
+
+
+@on_design("machine")
+def solve_control(design: Design, *, proofs: bool = False) -> Solution:
+    """Solve what the emitted controller consists of, and nothing that judges or compares it.
+
+    Args:
+        design: The design.
+        proofs: Of the gains, as in `solve_gains`.
+
+    Raises:
+        InputError, NoSolutionError: As `solve`.
+    """
     positive = signed_designs(design)[0]
     chosen = solve_fit(positive)
-    fit, (gains, left_out) = chosen.fit, gains_or_reason(design)
+    fit, (gains, left_out) = chosen.fit, gains_or_reason(design, proofs=proofs)
     weakening = solve_weakening(design)
     references = _fixed_references(design, gains, fit, weakening)
     return Solution(
         design=design,
         curves=solve_curves(positive),
         fit=fit,
-        certificate=certify(current_choice(positive), fit.reference, fit.errors),
-        trials=chosen.trials,
-        alternatives=alternatives(current_choice(positive), fit),
+        alternatives=(),
         loops=gains,
-        losses=solve_losses(design),
-        waveforms=_waveforms(design),
+        losses=None,
+        trials=chosen.trials,
         phases=_phases(design),
         weakening=weakening,
-        choice=_choice(design),
-        mission=solve_mission(design),
         fixed=() if gains is None else _integers(design, gains, fit, references),
         fixed_observers=_fixed_observers(design, gains),
         data=chosen.data,
         gains_left_out=left_out,
         negative=solve_negative(design),
-        observer_errors=_observer_errors(design, gains, fit.torque_max),
-        observer_proof=_observer_proof(gains),
+        fixed_references=references,
         frame_tables=_frame_tables(design),
         overmodulation=_overmodulation(design),
-        fixed_references=references,
-        firmware=solve_firmware(design, gains),
         six_step=_six_step(design),
         start_up=_start_up(design),
-        current_feedback=_current_feedback(design),
         application=_application(design),
     )
 

@@ -187,8 +187,8 @@ def steady_voltage(
     that brings the current back where it began.
 
     Held in stationary coordinates it turns by -omega t_s within the period; the state (i_d, i_q,
-    v_d, v_q, 1) is linear and its transition an exponential, so that the voltage is exact. Arrays
-    of shape (N,).
+    v_d, v_q, 1) is linear and its transition an exponential, so that the voltage is exact. Speeds
+    have shape (N,), currents and voltages (..., N): several currents share the transitions.
     """
     zero = np.zeros_like(omega)
     rows = [
@@ -209,9 +209,9 @@ def steady_voltage(
     )
     step = _exponentials(matrix * t_s)
     i = np.stack(np.broadcast_arrays(i_dq.real, i_dq.imag, zero)[:2], axis=-1)
-    rest = i - np.einsum("nij,nj->ni", step[:, :2, :2], i) - step[:, :2, 4]
+    rest = i - np.einsum("nij,...nj->...ni", step[:, :2, :2], i) - step[:, :2, 4]
     v = np.linalg.solve(step[:, :2, 2:4], rest[..., None])[..., 0]
-    return np.asarray((v[:, 0] + 1j * v[:, 1]) * np.exp(-1j * omega * t_s), dtype=np.complex128)
+    return np.asarray((v[..., 0] + 1j * v[..., 1]) * np.exp(-1j * omega * t_s), dtype=np.complex128)
 
 
 def drive_motion(

@@ -65,6 +65,8 @@ class Question:
             loop.
         at_speed, from_standstill: Names of the chosen estimators, of which start-ups are asked;
             None where there is none.
+        steady: Whether steady errors are all that is asked, without starts and what is left for a
+            speed loop.
     """
 
     design: Design
@@ -77,6 +79,7 @@ class Question:
     loops: tuple[LoopGains, LoopGains, LoopGains] | None
     at_speed: str | None = None
     from_standstill: str | None = None
+    steady: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -365,9 +368,9 @@ def _figures(asked: Question, name: str) -> EstimatorFigures:
         noise=over([part.noise for part in judged], np.inf),
         omega_low=observer.judgement.steady_low,
         omega_high=observer.judgement.steady_high,
-        left=_left(asked, observer),
+        left=None if asked.steady else _left(asked, observer),
         slopes=slopes_of(observer, load, np.array(SLOPE_SHARES) * asked.omega_max),
-        capture=capture_of(asked.design, observer),
+        capture=None if asked.steady else capture_of(asked.design, observer),
         observer=observer,
     )
 

@@ -202,9 +202,8 @@ Volts = tuple[ComplexArray, ComplexArray, ComplexArray]
 
 def volts_of(plant: Plants, omega: FloatArray, t_s: float) -> Volts:
     """Voltages of M machines at speeds in rad/s: exact, and linear in the current."""
-    bare, along, across = (
-        steady_voltage(plant, np.full(omega.shape, i), omega, t_s) for i in (0j, 1.0 + 0j, 1j)
-    )
+    currents = np.array([[0j], [1.0 + 0j], [1j]])
+    bare, along, across = steady_voltage(plant, currents, omega, t_s)
     return bare, along - bare, across - bare
 
 

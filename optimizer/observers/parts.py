@@ -66,6 +66,7 @@ _NEWTON_STEPS = 12
 
 
 _DOUBLINGS = 40
+_VANISHED = 1e-100  # Of a power of the derivative: what its square adds is below every digit.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,6 +106,8 @@ class SteadyObserver:
         for _ in range(_DOUBLINGS):
             covariance = covariance + power @ covariance @ np.swapaxes(power, 1, 2)
             power = power @ power
+            if np.max(np.abs(power), initial=0.0) < _VANISHED:
+                break
         return np.where(stable, np.sqrt(np.maximum(covariance[:, -2, -2], 0.0)), np.inf)
 
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -30,15 +30,17 @@ from dqforge.reports.papers.paper000_stated_method import PRINTED_TABLE_1, PRINT
 from dqforge.reports.papers.transients import bench
 from dqforge.reports.simulation.recorded_run import Simulation
 from dqforge.reports.verification.cross_tools import (
+    LOGGED,
     Instruction,
     address_of,
     build,
-    cycles,
+    calls_in_blocks,
+    cycles_of_paths,
     emulate,
     execute,
+    executed_blocks,
     parse_disassembly,
     program,
-    traced_addresses,
 )
 
 DESIGN_NAME = "paper000-ipmsm-100kw"
@@ -136,8 +138,8 @@ def load_tests() -> tuple[LoadTest, ...]:
 
 # Table 3 of paper 000 on every core: what each way from the torque to the currents costs.
 #
-# Every function is compiled twice, without optimisation and with -O2, and run in single steps on
-# the emulated core; its instructions are counted, its cycles estimated. The paper measured an
+# Every function is compiled twice, without optimisation and with -O2, and run on the emulated core;
+# its instructions are counted, its cycles estimated. The paper measured an
 # STM32F401, a Cortex-M4F at 84 MHz.
 
 CORES = ("cortex-m4", "cortex-m33", "cortex-m7", "cortex-m0plus")
@@ -258,25 +260,6 @@ def method_sources(
     }
 
 
-def calls_by_entry(
-    addresses: Iterable[int], entries: Mapping[int, str], code: Mapping[int, Instruction]
-) -> Iterator[tuple[str, tuple[int, ...]]]:
-    """Name of each called function and the addresses from its entry to its return, one after the
-    other; functions do not call each other.
-    """
-    previous, back, name = 0, -1, ""
-    path: list[int] = []
-    for address in addresses:
-        if path and address == back:
-            yield name, tuple(path)
-            path = []
-        if path:
-            path.append(address)
-        elif address in entries and previous in code:
-            back, name, path = previous + code[previous].size, entries[address], [address]
-        previous = address
-
-
 def _chunks(path: Path) -> Iterator[bytes]:
     with path.open("rb") as file:
         while chunk := file.read(_CHUNK):
@@ -289,25 +272,27 @@ def _measured(sources: Mapping[str, bytes], core: str, level: str) -> dict[str, 
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
         folder = Path(name)
         build(sources, (level,), core, folder)
-        emulate(core, folder, "-singlestep", "-d", "exec,nochain", "-D", "trace.log")
+        emulate(core, folder, *LOGGED, "-D", "trace.log")
         listing = execute([objdump, "-d", "target.elf"], "arm-none-eabi-objdump", folder).stdout
-        code = parse_disassembly(listing)
-        entries = {address_of(listing, function): function for function in _functions()}
-        addresses = traced_addresses(_chunks(folder / "trace.log"))
-        paths: dict[str, Counter[tuple[int, ...]]] = defaultdict(Counter)
-        for function, path in calls_by_entry(addresses, entries, code):
-            paths[function][path] += 1
-    if {found.total() for found in paths.values()} != {len(_TORQUES)}:
-        raise VerificationError(f"the trace of the emulated {core} is not complete")
-    return {function: _mean(found, code, core) for function, found in paths.items()}
+        trace = executed_blocks(_chunks(folder / "trace.log"))
+    code = parse_disassembly(listing)
+    blocks = [[code[at] for at in block if at in code] for block in trace.blocks]
+    found = {}
+    for function in _functions():
+        paths = Counter(calls_in_blocks(trace, address_of(listing, function), code))
+        if paths.total() != len(_TORQUES):
+            raise VerificationError(f"the trace of the emulated {core} is not complete")
+        found[function] = _mean(paths, blocks, core)
+    return found
 
 
-def _mean(paths: Counter[tuple[int, ...]], code: Mapping[int, Instruction], core: str) -> Cost:
+def _mean(
+    paths: Counter[tuple[int, ...]], blocks: Sequence[Sequence[Instruction]], core: str
+) -> Cost:
     weights = np.array(list(paths.values())) / paths.total()
-    spans = np.array([cycles([code[address] for address in path], core) for path in paths])
-    low, high = weights @ spans
-    instructions = float(weights @ np.array([len(path) for path in paths]))
-    return Cost(instructions, (float(low), float(high)))
+    counts, spans = zip(*cycles_of_paths(paths, blocks, core), strict=True)
+    low, high = weights @ np.array(spans)
+    return Cost(float(weights @ np.array(counts)), (float(low), float(high)))
 
 
 def _rows(core: str, plain: dict[str, Cost], optimised: dict[str, Cost]) -> list[MethodCost]:

@@ -39,7 +39,7 @@ from dqforge.optimizer.operating_points.mtpa_locus import (
     per_unit_base,
 )
 from dqforge.optimizer.operating_points.solve import current_choice
-from dqforge.optimizer.solution import Solution, solve
+from dqforge.optimizer.solution import Solution, solve_control
 from dqforge.reports.main_header import header_files
 from dqforge.reports.operating_system.host_compiler import NO_COMPILER, find_compiler
 from dqforge.reports.verification.host import verify_files
@@ -350,7 +350,7 @@ def printed_header(design: Design) -> PrintedPolynomial:
         modulation_choice=None,
         weakening=None,
     )
-    solved = solve(plain)
+    solved = solve_control(plain)
     solution = _with_printed(solved, DEGREE)
     reference = solution.fit.reference
     assert isinstance(reference, CurrentReference)

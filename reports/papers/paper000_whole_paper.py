@@ -21,6 +21,7 @@ from dqforge.reports.pages.answer import Table
 from dqforge.reports.papers.explanations import (
     Explanation,
     explain_coefficients,
+    explain_largest_error,
     explanation_table,
 )
 from dqforge.reports.papers.paper000_load_test import (
@@ -68,6 +69,7 @@ class WholePaper:
     tables: Reproduction
     stated: StatedMethod
     coefficients: Explanation
+    largest_error: Explanation
     header: PrintedPolynomial
     costs: CoreCosts
     load_tests: tuple[LoadTest, ...]
@@ -79,6 +81,7 @@ def reproduce_whole() -> WholePaper:
     """Recompute the paper from the library drive."""
     design = catalogue.load(DESIGN_NAME)
     machine, header = linearised(design.machine), printed_header(design)
+    breakpoints = {degree: row[:2] for degree, row in PRINTED_TABLE_1.items()}
     tests: tuple[LoadTest, ...] = ()
     left_out = ""
     try:
@@ -88,9 +91,8 @@ def reproduce_whole() -> WholePaper:
     return WholePaper(
         tables=reproduce_paper(),
         stated=by_stated_method(machine),
-        coefficients=explain_coefficients(
-            machine, PRINTED_TABLE_2, {degree: row[:2] for degree, row in PRINTED_TABLE_1.items()}
-        ),
+        coefficients=explain_coefficients(machine, PRINTED_TABLE_2, breakpoints),
+        largest_error=explain_largest_error(machine, PRINTED_TABLE_2, breakpoints),
         header=header,
         costs=core_costs(machine, header.files | header.fixed, PREFIX, FIXED_PREFIX),
         load_tests=tests,
@@ -350,6 +352,7 @@ def whole_tables(found: WholePaper) -> list[Table]:
         coefficient_table(found.stated.segments),
         explanation_table(found.coefficients),
         error_table(found.stated.errors),
+        explanation_table(found.largest_error),
         header_table(found.header),
         cost_table(found.costs),
         *fourth,

@@ -25,7 +25,7 @@ from dqforge.optimizer.estimator_comparison.candidate import Candidate, Estimato
 from dqforge.optimizer.estimator_comparison.compared import estimators
 from dqforge.optimizer.estimator_comparison.solve import ask, reason_of
 from dqforge.optimizer.observers.reduced_order import reduced_order_observer
-from dqforge.optimizer.solution import solve
+from dqforge.optimizer.solution import solve_control
 from dqforge.reports.control.header import plain_control
 from dqforge.reports.observers.position_header import REDUCED_ORDER, speed_observer_files
 from dqforge.reports.papers.transients import RPM, Bench
@@ -93,7 +93,7 @@ def estimator_errors(gains: Mapping[str, Any]) -> tuple[tuple[Estimator, ...], S
     assert known.pole is not None
     speed_observer = reduced_order_observer(bench.machine, known.pole, bench.control.t_s)
     matsui = replace(bench.control, observer=ObserverSettings(method="matsui-voltage"))
-    solution = solve(replace(bench, control=matsui))
+    solution = solve_control(replace(bench, control=matsui))
     position = solution.gains.position
     assert position is not None
     files = controller_files(solution) | speed_observer_files(bench, speed_observer)
@@ -225,6 +225,6 @@ def methods_found(design_name: str) -> tuple[MethodFound, ...]:
     Args:
         design_name: Of the bench.
     """
-    asked = ask(catalogue.load(design_name))
+    asked = replace(ask(catalogue.load(design_name)), steady=True)
     known = {candidate.name: candidate for candidate in estimators()}
     return tuple(_found(stated, known.get(stated.name), asked) for stated in METHODS)

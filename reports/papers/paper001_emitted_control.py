@@ -26,7 +26,7 @@ from dqforge.machines.plants.scenario import (
     constant,
 )
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.solution import Solution, solve
+from dqforge.optimizer.solution import Solution, solve_control
 from dqforge.reports.control.header import gain_bytes, plain_control
 from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, TEAL, new_figure, style
 from dqforge.reports.pages.templating import render
@@ -130,7 +130,7 @@ def emitted_control() -> EmittedControl:
     design = replace(
         shipped, losses=None, simulation=None, export=replace(shipped.export, control=FORMATS)
     )
-    solution = solve(design)
+    solution = solve_control(design)
     runs: list[EmittedRun] = []
     left_out: list[NumberFormat] = []
     for number_format in FORMATS:

@@ -14,7 +14,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.plants.scenario import Scenario
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.solution import Solution, solve
+from dqforge.optimizer.solution import Solution, solve_control
 from dqforge.reports.control.header import gain_bytes, plain_control
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.simulation.design_run import controller_files, drive_of, observers_of
@@ -55,7 +55,7 @@ def bench(design: Design) -> Iterator[Bench]:
     Raises:
         VerificationError: There is no compiler.
     """
-    solution = solve(design)
+    solution = solve_control(design)
     with simulator(
         controller_files(solution), design.export.prefix, observers_of(solution)[1]
     ) as program:

@@ -92,7 +92,9 @@ def test_torque_and_its_ripple(runs: dict[str, LoopRun]) -> None:
 
 
 @pytest.mark.slow
-def test_the_neutral_current_flows_where_both_ends_of_a_link_are_in_reach(runs: dict[str, LoopRun]) -> None:
+def test_the_neutral_current_flows_where_both_ends_of_a_link_are_in_reach(
+    runs: dict[str, LoopRun],
+) -> None:
     """0.365 A are wanted; on diodes the PWM leaves 0.025 A, whatever the controller asks for."""
     for name in ("diodes_pi", "diodes_decoupled", "diodes_dqx"):
         assert runs[name].neutral_rms == pytest.approx(0.024, abs=0.003), name

@@ -15,6 +15,7 @@ from dqforge.reports.papers.explanations import (
     Printed,
     explain,
     explain_coefficients,
+    explain_largest_error,
     explanation_table,
     plain_explanation,
 )
@@ -96,6 +97,61 @@ def test_digits_of_table_2_follow_from_nodes_at_both_ends(of_table_2: Explanatio
     )
     assert stated.fitted == 0
     assert of_table_2.beyond(stated) < 10
+
+
+@pytest.fixture(scope="module")
+def of_figure_4(machine: LinearMachine) -> Explanation:
+    return explain_largest_error(machine, PRINTED_TABLE_2, BREAKPOINTS)
+
+
+def least_current(machine: LinearMachine, torque: float) -> tuple[float, float]:
+    """MTPA by its quartic, (i_d, i_q) in A: T^2/k^2 = -i_d (psi/D - i_d)^3 with D = L_q - L_d."""
+    ratio = machine.psi_pm / (machine.l_q - machine.l_d)
+    k = 1.5 * machine.pole_pairs * (machine.l_q - machine.l_d)
+    cube = np.poly1d([-1.0, ratio]) ** 3
+    roots = (np.poly1d([-1.0, 0.0]) * cube - (torque / k) ** 2).roots
+    own = [float(z.real) for z in roots if abs(z.imag) < 1e-6 and z.real <= 0.0]
+    return own[0], torque / (k * (ratio - own[0]))
+
+
+def test_figure_4_stays_open_and_its_nearest_explanation_is_what_it_says(
+    machine: LinearMachine, of_figure_4: Explanation
+) -> None:
+    """Nothing gives both figures; the nearest by the printed row and the quartic alone."""
+    assert all(sum(of_figure_4.explained(one)) < 2 for one in of_figure_4.alternatives)
+    assert of_figure_4.beyond(of_figure_4.winner) == 0
+    assert any("stays open" in line for line in explanation_table(of_figure_4).notes)
+    assert of_figure_4.winner.assumed == (
+        "printed coefficients of degree 2; i_d, % of the largest reference; to 137 N m"
+    )
+    torque = np.arange(1.0, 137.01, 0.5)
+    exact = np.array([least_current(machine, float(each))[0] for each in torque])
+    # the breakpoint of i_d lies at 1.5545 per unit
+    unit = 0.375 * machine.pole_pairs * machine.psi_pm**2 / (machine.l_q - machine.l_d)
+    first, second = PRINTED_TABLE_2["d", 2]
+    row = np.where(torque < 1.5545 * unit, np.polyval(first, torque), np.polyval(second, torque))
+    largest = float(np.max(np.abs(row - exact)))
+    share = 100.0 * largest / float(np.max(np.abs(exact)))
+    assert of_figure_4.winner.found == pytest.approx((largest, share), rel=5e-3)
+
+
+def test_an_error_of_figure_4_follows_from_three_points(
+    machine: LinearMachine, of_figure_4: Explanation
+) -> None:
+    """Both ends and the middle of each segment, by a parabola of numpy in N m."""
+    said = "degree 2, Chebyshev, stretched to both ends, breakpoint 1.35; i_d, "
+    one = next(of for of in of_figure_4.alternatives if of.assumed.startswith(said))
+    assert one.assumed == f"{said}% of the reference there; to 250 N m"
+    unit = per_unit_base(machine).torque
+    worst = (0.0, 0.0)
+    for low, high in ((0.0, 1.35 * unit), (1.35 * unit, 5.0 * unit)):
+        at = [low, 0.5 * (low + high), high]
+        row = np.polyfit(at, [least_current(machine, each)[0] if each else 0.0 for each in at], 2)
+        for torque in np.arange(low + 0.5, min(high, 250.0), 0.5).tolist():
+            exact = least_current(machine, torque)[0]
+            gap = abs(float(np.polyval(row, torque)) - exact)
+            worst = max(worst, (gap, 100.0 * gap / abs(exact)))
+    assert one.found == pytest.approx(worst, rel=5e-3)
 
 
 def test_times_and_speed_of_the_bench_follow_together(reproduced: Reproduction) -> None:
