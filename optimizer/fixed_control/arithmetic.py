@@ -165,6 +165,25 @@ class Arithmetic(Protocol[N, C]):
     def entry(self, table: tuple[int, ...], index: N) -> N:
         """Entry of a table; the index is never outside it."""
 
+    def widened(self, a: N) -> N:
+        """The number a, which the firmware keeps in a word of twice as many bits."""
+
+    def entries(
+        self,
+        names: Sequence[str],
+        tables: Sequence[tuple[int, ...]],
+        index: N,
+        steps: Sequence[int],
+    ) -> list[tuple[N, ...]]:
+        """Entries of tables that are the members of an array of items, for some of these.
+
+        Args:
+            names: Of the items in the firmware.
+            tables: One for each member.
+            index: Of the first item.
+            steps: From there to each item, the first one 0.
+        """
+
     def neighbours(self, table: tuple[int, ...], index: N, names: tuple[str, str]) -> tuple[N, N]:
         """Entry of a table and the next one; ``names`` are those of the table and of the place in
         the firmware.
@@ -198,6 +217,16 @@ class Arithmetic(Protocol[N, C]):
         ``of`` has the number of the round for its argument.
         """
 
+    def search(self, name: str, cells: int, holds: Callable[[N], C]) -> N:
+        """The last place below ``cells`` up to which a condition holds, 0 without one: in the
+        firmware a loop that halves its step.
+
+        Args:
+            name: Of the place in the firmware.
+            cells: A power of two.
+            holds: From a place, 1 or more, to whether it holds there.
+        """
+
 
 class _Unnamed:
     """Numbers and ranges have no names."""
@@ -227,6 +256,22 @@ class _Unnamed:
         """The vector that the function makes."""
         return kind(*function(self, *args))
 
+    def widened(self, a: _T) -> _T:
+        """The number."""
+        return a
+
+    def entries(
+        self,
+        names: Sequence[str],  # noqa: ARG002
+        tables: Sequence[tuple[int, ...]],
+        index: Any,
+        steps: Sequence[int],
+    ) -> list[tuple[Any, ...]]:
+        """The entries of each item."""
+        own: Any = self
+        places = (own.total("node", index, own.const(step)) if step else index for step in steps)
+        return [tuple(own.entry(table, place) for table in tables) for place in places]
+
     def neighbours(
         self,
         table: tuple[int, ...],
@@ -253,6 +298,16 @@ class _Unnamed:
         """The rounds one after the other."""
         for place in range(count):
             of(place)
+
+    def search(self, name: str, cells: int, holds: Callable[[Any], Any]) -> Any:
+        """The place."""
+        own: Any = self
+        found, step = own.const(0), cells >> 1
+        while step:
+            trial = own.total(name, found, own.const(step))
+            found = own.choose(holds(trial), trial, found)
+            step >>= 1
+        return found
 
     def either(self, condition: Any, then: Callable[[], _T], otherwise: Callable[[], _T]) -> _T:
         """Both, of which each number is chosen."""

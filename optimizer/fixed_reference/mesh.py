@@ -11,17 +11,19 @@ inductances are constant, and taken as linear between the nodes: what is taken l
 No root is drawn, and speed is nowhere divided by.
 
 All functions take their operations from an `Arithmetic`: numbers make them the model, ranges
-their proof. Clamps that change no number are for the ranges, and the C leaves them out.
+their proof, expressions their text in C. What is ``known`` is for the ranges: the C leaves it out.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any, Generic
 
 from dqforge.machines.names import NumberFormat
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import N, Pair
-from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, magnitude
+from dqforge.machines.transforms import N
+from dqforge.optimizer.fixed_control.arithmetic import Arithmetic
+from dqforge.optimizer.fixed_control.vectors import Coded, Counted, Dq
 from dqforge.optimizer.loops.integer_gains import FixedGain
 
 
@@ -43,6 +45,15 @@ class VoltageScale:
     shift: int
     heat: int
     drop: FixedGain
+
+
+@dataclass(frozen=True, slots=True)
+class _Voltage(Generic[N]):
+    """What there is of the squared voltage, the squared speed, and the speed along the torque."""
+
+    room: N
+    square: N
+    along: N
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,230 +120,241 @@ class CurrentMesh:
         entries = len(self.torque) + 2 * len(self.d) + 2 * len(self.flux)
         return entries * self.width // 8
 
-    def currents(self, o: Arithmetic[N, Any], torque: N, v_dc: N, omega: N) -> Pair[N]:
+    def currents(
+        self, o: Arithmetic[N, Any], torque: Coded[N], v_dc: Coded[N], omega_m: Coded[N]
+    ) -> Dq[N]:
         """Codes of (i_d, i_q) for codes of torque, dc link and mechanical speed."""
-        size = o.clamp(magnitude(o, o.clamp(torque, -self.end, self.end)), 0, self.end)
-        positive = o.at_least(torque, o.const(0))
-        place = _row_of(o, self, size)
+        asked, end = o.let("asked", o.widened(torque)), o.const(self.end)
+        backwards = o.above(o.const(0), asked)
+        size = o.choose(o.above(asked, end), end, asked)
+        size = o.choose(backwards, o.negative(asked), size)
+        size = o.choose(o.above(o.const(-self.end), asked), end, size)
+        size = o.let("size", o.known(size, 0, self.end))
         if self.voltage is None:
-            found = _on_column(o, self, place, o.const(0))
+            row, share = self._row_of(o, size)
+            share = o.let("share", share)
+            tables = self.d, self.q
+            low = [o.entry(table, row) for table in tables]
+            high = [o.entry(table, o.total("node", row, o.const(1))) for table in tables]
+            i_d, i_q = self._along(o, tables, low, high, share)
+            i_d, i_q = o.let("i_d", i_d), o.let("i_q", i_q)
         else:
             # At this speed a torque of the other sign motors: the mirror image.
-            along = o.clamp(omega, -self.top, self.top)
-            along = o.choose(positive, along, o.negative(along))
-            found = _weakened(o, self, self.voltage, size, place, v_dc, along)
-        i_d, i_q = (o.clamp(part, -self.top, self.top) for part in (found.x, found.y))
-        return Pair(i_d, o.choose(positive, i_q, o.negative(i_q)))
+            turning = o.let("turning", o.clamp(omega_m, -self.top, None))
+            along = o.choose(backwards, o.negative(turning), turning)
+            voltage = self._voltage(o, v_dc, o.let("along", along))
+            i_d, i_q = self._weakened(o, voltage, size, *self._row_of(o, size))
+        i_d, i_q = (o.known(part, -self.top, self.top) for part in (i_d, i_q))
+        return Dq(i_d, o.choose(backwards, o.negative(i_q), i_q))
 
+    def reference_between(self, o: Arithmetic[N, Any], name: str, a: N, b: N, share: N) -> N:
+        """From a to b by a share, to the nearest integer."""
+        return self._part_of_way(o, name, a, b, share, 1 << (self.fraction - 1))
 
-@dataclass(frozen=True, slots=True)
-class _Place(Generic[N]):
-    """A torque between two rows: the lower one, and its share of the way to the upper one."""
+    def reference_above(self, o: Arithmetic[N, Any], name: str, a: N, b: N, share: N) -> N:
+        """The same, to the next larger integer."""
+        return self._part_of_way(o, name, a, b, share, (1 << self.fraction) - 1)
 
-    row: N
-    share: N
+    def reference_drop(self, o: Arithmetic[N, Any], torque: N, along: N) -> N:
+        """Squared voltage that torque and speed take through the resistance; negative while
+        braking.
+        """
+        gain = self._scale.drop
+        power = o.shifted(o.product("torque times speed", torque, along), self.width - 1)
+        power = o.let("power", o.total("torque times speed", power, o.const(1)))
+        product = o.product("drop", o.const(gain.mantissa), power)
+        up = o.const((1 << gain.shift) - 1)
+        return o.shifted(o.total("drop", product, up), gain.shift)
 
+    def reference_voltage(self, o: Arithmetic[N, Any], node: Counted[N], share: N, square: N) -> N:
+        """Squared voltage of a column between two rows, without that; square is the squared
+        speed.
+        """
+        tables = self.flux, self.heat
+        a, b = o.entries(("a", "b"), tables, node, (0, self.columns))
+        flux, heat = self._along(o, tables, a, b, share, upwards=True)
+        return self._taken(o, square, o.let("flux", flux), o.let("heat", heat))
 
-def _halves(cells: int) -> list[int]:
-    """Steps of a search among so many cells, a power of two."""
-    return [1 << bit for bit in range(cells.bit_length() - 2, -1, -1)]
+    def reference_end(self, o: Arithmetic[N, Any], row: Counted[N], square: N, along: N) -> N:
+        """The same on a node of the last column, with that."""
+        first = o.product("node", row, o.const(self.columns))
+        node = o.total("node", first, o.const(self.columns - 1))
+        (own,) = o.entries(("a",), (self.flux, self.heat), node, (0,))
+        taken = self._taken(o, square, *own)
+        drop = o.call(self.reference_drop, o.entry(self.torque, row), along)
+        return o.total("voltage", taken, drop)
 
+    @property
+    def _scale(self) -> VoltageScale:
+        assert self.voltage is not None
+        return self.voltage
 
-def _row_of(o: Arithmetic[N, Any], mesh: CurrentMesh, size: N) -> _Place[N]:
-    row = o.const(0)
-    for step in _halves(mesh.rows):
-        trial = o.total("row", row, o.const(step))
-        row = o.choose(o.at_least(size, o.entry(mesh.torque, trial)), trial, row)
-    return _Place(row, _share_of_row(o, mesh, row, size))
+    def _part_of_way(
+        self, o: Arithmetic[N, Any], name: str, a: N, b: N, share: N, addend: int
+    ) -> N:
+        way = o.product(name, o.total(name, b, o.negative(a)), share)
+        part = o.shifted(o.total(name, way, o.const(addend)), self.fraction)
+        return o.total(name, a, part)
 
+    def _taken(self, o: Arithmetic[N, Any], square: N, flux: N, heat: N) -> N:
+        """Squared voltage of a squared flux linkage and a squared current."""
+        induced = o.product("induced", square, flux)
+        return o.total("voltage", induced, o.product("heat", heat, o.const(1 << self._scale.heat)))
 
-def _share_of_row(o: Arithmetic[N, Any], mesh: CurrentMesh, row: N, size: N) -> N:
-    one = 1 << mesh.fraction
-    start = o.entry(mesh.torque, row)
-    beyond = o.entry(mesh.torque, o.total("row", row, o.const(1)))
-    done = o.clamp(o.total("torque in its row", size, o.negative(start)), 0, mesh.end)
-    whole = o.clamp(o.total("torque of a row", beyond, o.negative(start)), 1, mesh.end)
-    scaled = o.product("torque in its row", done, o.const(one))
-    return o.clamp(o.quotient("share of a row", scaled, whole), 0, one)
+    def _along(
+        self,
+        o: Arithmetic[N, Any],
+        tables: Sequence[tuple[int, ...]],
+        low: Sequence[N],
+        high: Sequence[N],
+        share: N,
+        *,
+        upwards: bool = False,
+    ) -> tuple[N, N]:
+        """Between entries of two tables on a node and on that of the next row."""
+        way = self.reference_above if upwards else self.reference_between
+        x, y = (
+            o.known(o.call(way, "between rows", a, b, share), min(table), max(table))
+            for table, a, b in zip(tables, low, high, strict=True)
+        )
+        return x, y
 
+    def _row_of(self, o: Arithmetic[N, Any], size: N) -> tuple[N, N]:
+        """The row below a torque, and its share of the way to the next one."""
 
-def _between(
-    o: Arithmetic[N, Any], name: str, a: N, b: N, share: N, bits: int, *, upwards: bool = False
-) -> N:
-    """From a to b by a share of ``bits`` bits, to the nearest or to the next larger integer."""
-    one = 1 << bits
-    way = o.product(name, o.total(name, b, o.negative(a)), share)
-    part = o.shifted(o.total(name, way, o.const(one - 1 if upwards else one >> 1)), bits)
-    return o.total(name, a, part)
+        def reached(row: N) -> Any:
+            return o.at_least(size, o.entry(self.torque, row))
 
+        row = o.search("row", self.rows, reached)
+        start = o.let("start", o.entry(self.torque, row))
+        beyond = o.entry(self.torque, o.total("row", row, o.const(1)))
+        done = o.known(o.total("torque in its row", size, o.negative(start)), 0, self.end)
+        whole = o.known(o.total("torque of a row", beyond, o.negative(start)), 1, self.end)
+        scaled = o.product("torque in its row", done, o.const(1 << self.fraction))
+        share = o.quotient("share of a row", scaled, whole)
+        return row, o.known(share, 0, 1 << self.fraction)
 
-def _node(o: Arithmetic[N, Any], mesh: CurrentMesh, row: N, column: N) -> N:
-    first = o.product("node", row, o.const(mesh.columns))
-    return o.total("node", first, column)
+    def _voltage(self, o: Arithmetic[N, Any], v_dc: N, along: N) -> _Voltage[N]:
+        scale, top = self._scale, self.top
+        link = o.let("link", o.clamp(v_dc, scale.dc_least, None))
+        product = o.product("voltage limit", o.const(scale.limit.mantissa), link)
+        scaled = o.let("scaled", o.shifted(product, scale.limit.shift))
+        limit = o.let("limit", o.known(o.clamp(scaled, None, top), 0, top))
+        room = o.shifted(o.product("squared limit", limit, limit), scale.shift)
+        # A square is not negative, which a range does not know.
+        square = o.known(o.product("squared speed", along, along), 0, top * top)
+        above = o.shifted(o.total("squared speed", square, o.const(top)), self.width - 1)
+        return _Voltage(o.let("room", room), o.let("square", above), along)
 
+    def _weakened(
+        self, o: Arithmetic[N, Any], u: _Voltage[N], size: N, row: N, share: N
+    ) -> tuple[N, N]:
+        """Currents within the voltage, for a torque that may be less than the one asked for."""
+        node, share, left = self._granted(o, u, size, row, share)
 
-def _along(
-    o: Arithmetic[N, Any],
-    mesh: CurrentMesh,
-    table: tuple[int, ...],
-    place: _Place[N],
-    column: N,
-    *,
-    upwards: bool = False,
-) -> N:
-    """Entry of a table on a column, between the rows of a place."""
-    node = _node(o, mesh, place.row, column)
-    beyond = o.total("node", node, o.const(mesh.columns))
-    ends = o.entry(table, node), o.entry(table, beyond)
-    found = _between(o, "between rows", *ends, place.share, mesh.fraction, upwards=upwards)
-    return o.clamp(found, min(table), max(table))
+        def voltage(place: N) -> N:
+            return o.call(self.reference_voltage, place, share, u.square)
 
+        def crossing() -> tuple[N, N]:
+            return self._crossing(o, voltage, node, left)
 
-def _on_column(o: Arithmetic[N, Any], mesh: CurrentMesh, place: _Place[N], column: N) -> Pair[N]:
-    return Pair(*(_along(o, mesh, table, place, column) for table in (mesh.d, mesh.q)))
+        corner, across = o.cases(
+            ("corner", "across"),
+            (o.above(voltage(node), left), crossing),
+            otherwise=lambda: (node, o.const(0)),
+        )
+        tables, places = (self.d, self.q), (0, self.columns, 1, self.columns + 1)
+        a, b, c, d = o.entries(("a", "b", "c", "d"), tables, corner, places)
+        near_d, near_q = self._along(o, tables, a, b, share)
+        near_d, near_q = o.let("near_d", near_d), o.let("near_q", near_q)
 
+        def between_columns() -> tuple[N, N]:
+            far_d, far_q = self._along(o, tables, c, d, share)
+            far_d, far_q = o.let("far_d", far_d), o.let("far_q", far_q)
+            name, way = "between columns", self.reference_between
+            i_d = o.call(way, name, near_d, far_d, across)
+            return i_d, o.call(way, name, near_q, far_q, across)
 
-@dataclass(frozen=True, slots=True)
-class _Voltage(Generic[N]):
-    """What there is of the squared voltage, the squared speed, and the speed along the torque."""
+        return o.cases(
+            ("i_d", "i_q"),
+            (o.above(across, o.const(0)), between_columns),
+            otherwise=lambda: (near_d, near_q),
+        )
 
-    room: N
-    square: N
-    along: N
+    def _granted(
+        self, o: Arithmetic[N, Any], u: _Voltage[N], size: N, row: N, share: N
+    ) -> tuple[N, N, N]:
+        """First node, share of the row, and the squared voltage that the drop leaves: of the
+        torque itself where some currents of its row keep that, else of the largest that can be
+        had, where the voltage of the last column crosses it.
+        """
+        first = o.let("first", o.product("node", row, o.const(self.columns)))
+        last = o.total("node", first, o.const(self.columns - 1))
+        within = o.let("within", share)
 
+        def left_by(torque: N) -> N:
+            drop = o.call(self.reference_drop, torque, u.along)
+            return o.total("left by the drop", u.room, o.negative(drop))
 
-def _voltage(
-    o: Arithmetic[N, Any], mesh: CurrentMesh, scale: VoltageScale, v_dc: N, along: N
-) -> _Voltage[N]:
-    top = mesh.top
-    link = o.clamp(v_dc, scale.dc_least, top)
-    product = o.product("voltage limit", o.const(scale.limit.mantissa), link)
-    limit = o.clamp(o.shifted(product, scale.limit.shift), 0, top)
-    room = o.shifted(o.product("squared limit", limit, limit), scale.shift)
-    # A square is not negative, which a range does not know.
-    square = o.clamp(o.product("squared speed", along, along), 0, top * top)
-    above = o.shifted(o.total("squared speed", square, o.const(top)), mesh.width - 1)
-    return _Voltage(room, above, along)
+        whole = o.let("whole", left_by(size), "what the drop leaves of the squared voltage")
 
+        def lost(node: N) -> Any:
+            return o.above(o.call(self.reference_voltage, node, within, u.square), whole)
 
-def _drop(o: Arithmetic[N, Any], mesh: CurrentMesh, scale: VoltageScale, size: N, along: N) -> N:
-    """What torque and speed take of the squared voltage; negative where the machine brakes."""
-    power = o.shifted(o.product("torque times speed", size, along), mesh.width - 1)
-    above = o.total("torque times speed", power, o.const(1))
-    product = o.product("drop", o.const(scale.drop.mantissa), above)
-    up = o.const((1 << scale.drop.shift) - 1)
-    return o.shifted(o.total("drop", product, up), scale.drop.shift)
+        def less() -> tuple[N, N, N]:
+            o.remark("Not to be had: the torque at which the last column takes all that there is.")
+            low, part = self._largest(o, u, row)
+            start = o.entry(self.torque, low)
+            beyond = o.entry(self.torque, o.total("row", low, o.const(1)))
+            held = o.call(self.reference_above, "torque", start, beyond, part)
+            held = o.known(held, 0, self.end)
+            return o.product("node", low, o.const(self.columns)), part, left_by(held)
 
+        return o.cases(
+            ("node", "share", "left"),
+            (o.every(lost(first), lost(last)), less),
+            otherwise=lambda: (first, within, whole),
+        )
 
-def _taken(o: Arithmetic[N, Any], scale: VoltageScale, u: _Voltage[N], flux: N, heat: N) -> N:
-    """Squared voltage of a squared flux linkage and a squared current, without the drop."""
-    induced = o.product("induced", u.square, flux)
-    return o.total("voltage", induced, o.product("heat", heat, o.const(1 << scale.heat)))
+    def _largest(self, o: Arithmetic[N, Any], u: _Voltage[N], row: N) -> tuple[N, N]:
+        """The row below the largest torque that can be had, and its share of the way to the next
+        one.
+        """
 
+        def at_row(place: N) -> N:
+            return o.call(self.reference_end, place, u.square, u.along)
 
-def _weakened(
-    o: Arithmetic[N, Any],
-    mesh: CurrentMesh,
-    scale: VoltageScale,
-    size: N,
-    place: _Place[N],
-    v_dc: N,
-    along: N,
-) -> Pair[N]:
-    u = _voltage(o, mesh, scale, v_dc, along)
-    place, size = _granted(o, mesh, scale, u, size, place)
-    drop = _drop(o, mesh, scale, size, along)
+        def kept(place: N) -> Any:
+            return o.every(o.at_least(row, place), o.at_least(u.room, at_row(place)))
 
-    def voltage(column: N) -> N:
-        return _on_row(o, mesh, scale, u, place, column, drop)
+        low, one = o.search("low", self.rows, kept), 1 << self.fraction
+        below = o.let("below", at_row(low))
+        rise = o.total("span", at_row(o.total("row", low, o.const(1))), o.negative(below))
+        span = o.let("rise", o.total("span", o.shifted(rise, self.fraction), o.const(1)))
+        spare = o.total("left", u.room, o.negative(below))
+        spare = o.let("spare", o.choose(o.above(u.room, below), spare, o.const(0)))
+        spare = o.known(spare, 0, 8 * one * one - 1)
+        part = o.quotient("share of a row", spare, o.known(o.clamp(span, 1, None), 1, 8 * one))
+        return low, o.let("part", o.clamp(o.let("met", part), None, one))
 
-    column = o.const(0)
-    for step in _halves(mesh.columns - 1):
-        trial = o.total("column", column, o.const(step))
-        column = o.choose(o.at_least(u.room, voltage(trial)), column, trial)
-    free = o.at_least(u.room, voltage(o.const(0)))
-    column = o.choose(free, o.const(0), column)
-    beyond = o.total("column", column, o.const(1))
-    share = _crossing(o, mesh, voltage(column), voltage(beyond), u.room)
-    share = o.choose(free, o.const(0), share)
-    ends = _on_column(o, mesh, place, column), _on_column(o, mesh, place, beyond)
-    pairs = zip((ends[0].x, ends[0].y), (ends[1].x, ends[1].y), strict=True)
-    return Pair(*(_between(o, "between columns", *pair, share, mesh.fraction) for pair in pairs))
+    def _crossing(
+        self, o: Arithmetic[N, Any], voltage: Callable[[N], N], node: N, left: N
+    ) -> tuple[N, N]:
+        """The node before which the voltage of the columns falls to what is left, and the share of
+        the way to the next one.
+        """
 
+        def over(column: N) -> Any:
+            return o.above(voltage(o.total("node", node, column)), left)
 
-def _on_row(
-    o: Arithmetic[N, Any],
-    mesh: CurrentMesh,
-    scale: VoltageScale,
-    u: _Voltage[N],
-    place: _Place[N],
-    column: N,
-    drop: N,
-) -> N:
-    """Squared voltage on a column, between the rows of a place."""
-    flux, heat = (
-        _along(o, mesh, table, place, column, upwards=True) for table in (mesh.flux, mesh.heat)
-    )
-    return o.total("voltage", _taken(o, scale, u, flux, heat), drop)
-
-
-def _crossing(o: Arithmetic[N, Any], mesh: CurrentMesh, much: N, little: N, room: N) -> N:
-    """Share of the way from ``much`` down to ``little`` at which it is ``room``; at least that."""
-    one = 1 << mesh.fraction
-    excess = o.total("excess", much, o.negative(room))
-    span = o.shifted(o.total("span", much, o.negative(little)), mesh.fraction)
-    return o.clamp(o.quotient("share of a column", excess, o.clamp(span, 1, 8 * one)), 0, one)
-
-
-def _torque_at(o: Arithmetic[N, Any], mesh: CurrentMesh, place: _Place[N]) -> N:
-    start = o.entry(mesh.torque, place.row)
-    beyond = o.entry(mesh.torque, o.total("row", place.row, o.const(1)))
-    found = _between(o, "torque", start, beyond, place.share, mesh.fraction, upwards=True)
-    return o.clamp(found, 0, mesh.end)
-
-
-def _granted(
-    o: Arithmetic[N, Any],
-    mesh: CurrentMesh,
-    scale: VoltageScale,
-    u: _Voltage[N],
-    size: N,
-    place: _Place[N],
-) -> tuple[_Place[N], N]:
-    """The torque itself where some currents of its row keep the voltage, else the largest that
-    can be had: where the voltage of the last column crosses its limit.
-    """
-    drop, last = _drop(o, mesh, scale, size, u.along), o.const(mesh.columns - 1)
-
-    def at_row(row: N) -> N:
-        node = _node(o, mesh, row, last)
-        flux, heat = o.entry(mesh.flux, node), o.entry(mesh.heat, node)
-        taken = _drop(o, mesh, scale, o.entry(mesh.torque, row), u.along)
-        return o.total("voltage", _taken(o, scale, u, flux, heat), taken)
-
-    row = o.const(0)
-    for step in _halves(mesh.rows):
-        trial = o.total("row", row, o.const(step))
-        kept = o.choose(o.at_least(u.room, at_row(trial)), trial, row)
-        row = o.choose(o.at_least(place.row, trial), kept, row)
-    low, high = at_row(row), at_row(o.total("row", row, o.const(1)))
-    less = _Place(row, _rising(o, mesh, low, high, u.room))
-
-    def either(mine: N, other: N) -> N:
-        needed = (_on_row(o, mesh, scale, u, place, end, drop) for end in (last, o.const(0)))
-        found = other
-        for voltage in needed:
-            found = o.choose(o.at_least(u.room, voltage), mine, found)
-        return found
-
-    granted = _Place(either(place.row, less.row), either(place.share, less.share))
-    return granted, either(size, _torque_at(o, mesh, less))
-
-
-def _rising(o: Arithmetic[N, Any], mesh: CurrentMesh, low: N, high: N, room: N) -> N:
-    """Share of the way from ``low`` up to ``high`` at which it is ``room``; at most that."""
-    one = 1 << mesh.fraction
-    left = o.clamp(o.total("left", room, o.negative(low)), 0, 8 * one * one - 1)
-    span = o.shifted(o.total("span", high, o.negative(low)), mesh.fraction)
-    above = o.clamp(o.total("span", span, o.const(1)), 1, 8 * one)
-    return o.clamp(o.quotient("share of a row", left, above), 0, one)
+        column, one = o.search("column", self.columns - 1, over), 1 << self.fraction
+        place = o.let("place", o.total("node", node, column))
+        much = o.let("much", voltage(place))
+        little = voltage(o.total("node", place, o.const(1)))
+        fall = o.shifted(o.total("span", much, o.negative(little)), self.fraction)
+        span = o.known(o.clamp(o.let("fall", fall), 1, None), 1, 8 * one)
+        excess = o.total("excess", much, o.negative(left))
+        excess = o.let("excess", o.choose(o.above(much, left), excess, o.const(0)))
+        excess = o.known(excess, 0, 8 * one * one - 1)
+        share = o.let("met", o.quotient("share of a column", excess, span))
+        return place, o.clamp(share, None, one)

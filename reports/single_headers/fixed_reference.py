@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
-from typing import TYPE_CHECKING
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,13 +21,22 @@ from dqforge.reports.c_code.harness import (
     integer_kinds,
     title,
 )
-from dqforge.reports.c_code.numbers import rounded_up
+from dqforge.reports.c_code.numbers import comment_text, int32_literal, rounded_up
 from dqforge.reports.capability import Capability, Passage, ReportPart, Rows
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols
 from dqforge.reports.pages.templating import REFERENCE, render
 from dqforge.reports.single_headers.fixed_mesh_reading import mesh_from
-from dqforge.reports.steps.code_text import code_types
+from dqforge.reports.steps.code_arrays import Entries
+from dqforge.reports.steps.code_reader import Code
+from dqforge.reports.steps.code_text import (
+    SHIFTS_KEEP_SIGNS,
+    code_reader,
+    code_types,
+    texts,
+    write,
+)
+from dqforge.reports.steps.record_text import comment, struct
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -66,30 +75,87 @@ def reference_results(mesh: CurrentMesh, inputs: CodeArray) -> CodeArray:
     return np.stack([found.x, found.y], axis=1)
 
 
-def _nodes(mesh: CurrentMesh) -> list[tuple[int, ...]]:
-    columns = [mesh.d, mesh.q]
+def _eights(numbers: Sequence[int]) -> list[Sequence[int]]:
+    return [numbers[n : n + 8] for n in range(0, len(numbers), 8)]
+
+
+def _tables(mesh: CurrentMesh, prefix: str) -> tuple[str, CurrentMesh]:
+    """The tables of a mesh in C, and the mesh with their names."""
+    f, number = mesh.format, f"int{mesh.width}_t"
+    rows, nodes = f"{prefix}_reference_torque_{f}", f"{prefix}_reference_nodes_{f}"
+    names = ("d", "q") if mesh.voltage is None else ("d", "q", "flux", "heat")
+    node = f"{prefix}_reference_node_{f}_t"
+    parts = {name: getattr(mesh, name) for name in names}
+    values = zip(*parts.values(), strict=True)
+    said = "Currents."
     if mesh.voltage is not None:
-        columns += [mesh.flux, mesh.heat]
-    return list(zip(*columns, strict=True))
+        said = (
+            "Currents, squared flux linkage and squared current, the latter two as squared "
+            "voltages."
+        )
+    text = [
+        "/* Torques of the rows. */",
+        f"static const {number} {rows}[{mesh.rows + 1}] = {{",
+        ",\n".join(f"    {', '.join(map(int32_literal, row))}" for row in _eights(mesh.torque)),
+        "};",
+        "",
+        *comment(said),
+        *struct(node, [(f"{number} {name}", "") for name in names]),
+        "",
+        f"static const {node} {nodes}[{len(mesh.d)}] = {{",
+        ",\n".join(f"    {{ {', '.join(map(int32_literal, each))} }}" for each in values),
+        "};",
+    ]
+    named: dict[str, Any] = {
+        name: Entries(own, nodes, number, node, name) for name, own in parts.items()
+    }
+    return "\n".join(text), replace(mesh, torque=Entries(mesh.torque, rows, number), **named)
+
+
+def _body(design: Design, fit: FixedReferenceFit) -> str:
+    """What stands between the guards of the header."""
+    mesh, prefix, macro = fit.reference, design.export.prefix, title(design)["macro"]
+    begin = f"#define {macro}_REFERENCE_{mesh.format.upper()}"
+    tables, own = _tables(mesh, prefix)
+    reader, number = code_reader(prefix, mesh.width), Code("number", kind="wide")
+    said = f"From a to b by a share of which {1 << mesh.fraction} are 1, to the nearest integer."
+    write(reader, own.reference_between, "", *[number] * 3, text=said)
+    if mesh.voltage is not None:
+        write(reader, own.reference_above, "", *[number] * 3)
+    function, given = reader.fixed(own.currents, [number] * 3)
+    reader.write("reference", function, given)
+    what = " within what dc link and speed allow"
+    if mesh.voltage is None:
+        what = "; dc link and speed limit nothing"
+    lines = ["", *meaning_lines(design, fit)]
+    meaning = [f"/* Current references for a torque{what}."]
+    meaning += [f" * {comment_text(line)}".rstrip() for line in lines] + [" */", ""]
+    functions = reader.functions.texts
+    _, _, text = functions["reference"].partition("*/\n")
+    functions["reference"] = "\n".join(meaning) + text
+    columns = (
+        [f"{begin}_COLUMNS ({mesh.columns - 1}U) /* cells along the flux linkage */"]
+        if mesh.voltage is not None
+        else []
+    )
+    macros = [
+        f"{begin}_ROWS ({mesh.rows}U) /* cells along the torque */",
+        *columns,
+        f"{begin}_TORQUE_MAX ({mesh.end}) /* code; {mesh.end_torque:.6g} N m */",
+    ]
+    parts = [SHIFTS_KEEP_SIGNS, code_types(prefix, macro, mesh.width), "\n".join(macros)]
+    return "\n\n".join([*parts, tables, texts(reader)])
 
 
 def _context(design: Design, fit: FixedReferenceFit) -> PlainData:
-    mesh = fit.reference
     return {
         **title(design),
-        "format": mesh.format,
-        "width": mesh.width,
-        "types": code_types(design.export.prefix, title(design)["macro"], mesh.width),
-        "top": mesh.top,
-        "rows": mesh.rows,
-        "columns": mesh.columns,
-        "end": mesh.end,
-        "end_torque": f"{mesh.end_torque:.6g}",
-        "torque": mesh.torque,
-        "nodes": _nodes(mesh),
-        "voltage": None if mesh.voltage is None else asdict(mesh.voltage),
+        "part": f"reference_{fit.reference.format}",
+        "subject": "current references in fixed point",
         "preamble": preamble_lines(design, fit),
-        "comment": meaning_lines(design, fit),
+        "includes": ["<stdint.h>"],
+        "body": _body(design, fit),
+        "vectors": True,
     }
 
 
@@ -98,7 +164,7 @@ def reference_files(design: Design, fit: FixedReferenceFit) -> dict[str, bytes]:
     mesh = fit.reference
     inputs = reference_inputs(mesh, design.export.vectors, _SEED)
     rows = np.concatenate([inputs, reference_results(mesh, inputs)], axis=1)
-    text = render("single_headers/fixed_reference/reference.h.j2", _context(design, fit))
+    text = render("c_code/header.h.j2", _context(design, fit))
     return mesh_harness(mesh).files(design, text, rows)
 
 

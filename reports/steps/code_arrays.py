@@ -63,6 +63,33 @@ class Table:
         return f"{self.text}[{index.bare()}{behind}]"
 
 
+class Entries(tuple[int, ...]):
+    """The numbers of a constant array of the header.
+
+    Args:
+        numbers: The numbers.
+        array, kind: Name and type in C; the type of a number, also where the items are structs.
+        item, member: Type of such items, and the name of the number in them.
+    """
+
+    array: str
+    kind: str
+    item: str
+    member: str
+
+    def __new__(
+        cls, numbers: Sequence[int], array: str, kind: str, item: str = "", member: str = ""
+    ) -> Entries:
+        """The numbers with their names."""
+        found = super().__new__(cls, numbers)
+        found.array, found.kind, found.item, found.member = array, kind, item, member
+        return found
+
+    def at(self, index: Expression) -> str:
+        """Text of an entry."""
+        return f"{self.array}[{index.bare()}]{self.member and f'.{self.member}'}"
+
+
 def tables(value: Any, text: str, kind: str) -> Any:
     """The rows of an array of numbers."""
     if is_array(value[0]):

@@ -27,6 +27,7 @@ from dqforge.reports.c_code.numbers import int32_literal, int64_literal
 from dqforge.reports.steps.blocks import Block, Functions
 from dqforge.reports.steps.code_arrays import (
     Call,
+    Entries,
     Filled,
     Table,
     elements,
@@ -45,7 +46,7 @@ from dqforge.reports.steps.counted_loops import filled
 from dqforge.reports.steps.integers import CODES
 from dqforge.reports.steps.record_text import c_name
 from dqforge.reports.steps.step_reader import StepReader
-from dqforge.reports.steps.symbols import Condition, Expression, Origin
+from dqforge.reports.steps.symbols import Condition, Expression, Origin, folded
 
 _T = TypeVar("_T")
 _P = ParamSpec("_P")
@@ -485,6 +486,10 @@ class CodeReader(StepReader):
         """A product, constants behind what they are multiplied with."""
         if a.value is not None:
             a, b = b, a
+        if b.value == 1:
+            return a
+        if a.kind == self.words.of(COUNT) and b.value is not None:
+            return _made(f"{a.operand()} * {b.value}U", a.kind, a)
         x, y = a.minus or a, b.minus or b
         found = _made(" * ".join(self._wide((x, y))), self.words.wide, x, y)
         return found if (a.minus is None) == (b.minus is None) else found.negative()
@@ -524,6 +529,10 @@ class CodeReader(StepReader):
     def halved(self, a: Any) -> Any:
         """Half of a number."""
         return self.shifted(a, 1)
+
+    def widened(self, a: Any) -> Any:
+        """A wide word of the same number."""
+        return _made(a.text, self.words.wide, a, atom=a.atom)
 
     def shifted(self, a: Any, bits: Any) -> Any:
         """A right shift."""
@@ -663,8 +672,43 @@ class CodeReader(StepReader):
 
     def entry(self, table: Any, index: Any) -> Any:
         """An entry of a table of a record."""
-        assert isinstance(table, Table)
+        assert isinstance(table, Table | Entries)
         return _made(table.at(index), table.kind, index, atom=True)
+
+    def entries(
+        self, names: Sequence[str], tables: Sequence[Any], index: Any, steps: Sequence[int]
+    ) -> list[tuple[Any, ...]]:
+        """Members of items of an array of structs, to which pointers are declared."""
+        first, place = tables[0], f"&{tables[0].array}[{index.bare()}]"
+        self.take((index,))
+        for name, step in zip(names, steps, strict=True):
+            self.block.take(name)
+            text = f"{names[0]} + {step}" if step else place
+            self.block.add(f"const {first.item} *{name} = ", text)
+        return [
+            tuple(Code(f"{name}->{table.member}", kind=table.kind) for table in tables)
+            for name in names
+        ]
+
+    def search(self, name: str, cells: int, holds: Callable[[Any], Condition]) -> Any:
+        """A loop that halves a step, and a place to which it is added."""
+        if cells == 1:
+            return self.const(0)
+        block, kind = self.block, self.words.of(COUNT)
+        block.take(name)
+        block.add(f"{kind} {name} = ", "0U")
+        if "step" not in block.names:
+            block.take("step")
+            block.variable(kind, "step")
+        self.block = inner = block.inner()
+        condition = holds(Code(f"{name} + step", kind=kind, atom=False, free=True))
+        self.take(condition.terms)
+        head = folded("if (", condition.text(), ") {", inner.indent)
+        self.block = block
+        begin = f"{block.indent}for (step = {cells >> 1}U; step != 0U; step >>= 1) {{"
+        end = [f"{inner.indent}    {name} += step;", f"{inner.indent}}}", f"{block.indent}}}"]
+        block.work([begin, *inner.lines, *head, *end])
+        return Code(name, kind=kind)
 
     def halvings(self, name: str, a: Any, most: int, into: tuple[str, str]) -> Any:  # noqa: ARG002
         """A loop that halves a copy of a number and counts."""

@@ -38,6 +38,10 @@ from dqforge.reports.steps.symbols import folded
 _ANY: Any = Code("number", kind="wide")  # Stands for any number, where its type is asked for.
 NO_GAIN = FixedGain(0, 0, 0.0)
 
+SHIFTS_KEEP_SIGNS = """#if ((-1) >> 1) != (-1)
+#error "fixed point needs arithmetic right shifts of negative numbers"
+#endif"""
+
 
 def code_reader(prefix: str, width: int, form: str = "", known: Any = None) -> CodeReader:
     """A reader of functions in codes of so many bits.
