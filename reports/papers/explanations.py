@@ -413,8 +413,8 @@ def _tried_pieces(
     """
     base = per_unit_base(machine).torque
     for (name, nodes), degree in itertools.product(_NODES.items(), breakpoints):
-        before = itertools.takewhile(lambda kind, own=name: kind != own, _NODES)
-        if any(np.allclose(_NODES[kind](degree + 1), nodes(degree + 1)) for kind in before):
+        before = list(_NODES.values())[: list(_NODES).index(name)]
+        if any(np.allclose(other(degree + 1), nodes(degree + 1)) for other in before):
             continue
         said, dear = f"degree {degree}, {name}", int(degree != _STATED_DEGREE)
         whole = (

@@ -293,9 +293,8 @@ class Simulation:
 # The program is compiled once; machines, gains and scenarios are data that it reads, so that
 # thousands of drives take one process. docs/methods/simulation.md has the equations and the limits.
 
-# Of every program with a plant in it, which more optimisation makes no faster. It compiles in half
-# the time that -O1 takes, and its bits are the same.
-PLANT_FLAGS = ("-std=c99", "-Og", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
+# Of every program with a plant in it, which more optimisation makes no faster.
+PLANT_FLAGS = ("-std=c99", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
 
 _HEARD = {
     "sum-voltage": "heard[0] + heard[1] + heard[2]",
