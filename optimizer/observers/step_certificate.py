@@ -41,8 +41,8 @@ POINTS = 20_000
 _BISECTIONS = 3
 _LEFT_OUT = (0.0, 0.25, 0.5, 0.75)
 
-# A row of A below this is that of a member that a step takes from its inputs: differences of
-# doubles are exact to 1e-9. A factor must stay as far below one.
+# A row of A below this is that of a member that a step takes from its inputs: what central
+# differences of doubles leave of a zero. A factor must stay as far below one.
 _NOTHING = 1e-7
 
 
