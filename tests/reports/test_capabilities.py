@@ -144,7 +144,16 @@ ASKED = {
     "bare": {"mtpa", "fit", "gains"},
     "small": {"mtpa", "fit", "gains", "losses", "speed_observer"},
     "beyond": {"mtpa", "fit", "gains", "overmodulation", "dynamic_references"} | {"firmware"},
-    "everything": {"mtpa", "fit", "gains", "losses", "control", "control_fixed", "reference_fixed"}
+    "everything": {
+        "mtpa",
+        "fit",
+        "gains",
+        "losses",
+        "observer_proof",
+        "control",
+        "control_fixed",
+        "reference_fixed",
+    }
     | {"position_observer", "observer_fixed"},
     "sections": {"mtpa", "fit", "gains", "losses", "speed_observer", "weakening"}
     | {"modulation_choice"},
