@@ -87,6 +87,7 @@ from dqforge.reports.single_headers.current_feedback import rule_files
 
 _FAMILY = math.radians(6.0)  # Between neighbours of one family the angles differ by less.
 _BEYOND = 1.15  # Speed up to which patterns are made, over the largest asked for.
+_LEAST_FUNDAMENTAL = 0.02  # Of the largest current: below, distortion says nothing.
 _REACH = 2.5  # Last place of the grid of currents over the largest current.
 _PIECES = 20  # Pieces of a control period at least, between which comparators are looked at.
 _NEVER = 1e30  # Sampling period in s of a regulator that does not sample.
@@ -265,12 +266,13 @@ def _figures(design: Design, numbers: FloatArray) -> BridgeFigures:
     square = 2.0 * states["i_square"] / time
     fundamental = i_d * i_d + i_q * i_q
     beside = max(square - fundamental, 0.0)
+    least = (_LEAST_FUNDAMENTAL * design.i_max) ** 2
     return BridgeFigures(
         use=whole,
         tail=tail,
         frequency=float(np.sum(whole.edges)) / (6.0 * whole.duration),
         tail_frequency=float(np.sum(tail.edges)) / (6.0 * time),
-        distortion=math.sqrt(beside / fundamental) if fundamental > 0.0 else math.nan,
+        distortion=math.sqrt(beside / fundamental) if fundamental > least else math.nan,
         ripple_current=math.sqrt(0.5 * beside),
         torque=torque,
         torque_ripple=ripple,

@@ -186,7 +186,7 @@ def _bridge_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
         ("switched by", found.design.control.current_loop.method),
         ("switching frequency of a leg", _value(seen.frequency, "Hz")),
         ("last tenth: switching frequency of a leg", _value(seen.tail_frequency, "Hz")),
-        ("... distortion of the phase currents", f"{100.0 * seen.distortion:.3g} %"),
+        ("... distortion of the phase currents", _share_of_fundamental(seen.distortion, " %")),
         ("... mean torque", _value(seen.torque, "N m")),
         ("... torque ripple, peak to peak", _value(seen.torque_ripple, "N m", 3)),
         ("... torque ripple, r.m.s.", _value(seen.torque_rms, "N m", 3)),
@@ -272,6 +272,11 @@ _CLOSED_SAID = (
 )
 
 
+def _share_of_fundamental(distortion: float, unit: str = "") -> str:
+    """In %, a dash where there is next to no fundamental."""
+    return f"{100.0 * distortion:.1f}{unit}" if math.isfinite(distortion) else "-"
+
+
 def closed_cells(point: ClosedPoint, *, chosen: bool) -> tuple[str, ...]:
     """A row of `closed_tables`."""
     if point.obstacle:
@@ -279,7 +284,7 @@ def closed_cells(point: ClosedPoint, *, chosen: bool) -> tuple[str, ...]:
     return (
         point.name,
         f"{1e-3 * point.frequency:.2f}",
-        f"{100.0 * point.distortion:.1f}",
+        _share_of_fundamental(point.distortion),
         f"{in_rpm(point.speed_error):.2f}",
         f"{point.torque_ripple:.3g}",
         f"{point.copper:.4g}",
@@ -384,9 +389,7 @@ def simulation_passage(found: DriveSimulation) -> Passage:
         "The controller of {}, compiled, runs the simulated drive sample by sample; {}.{} The "
         "samples are in {}."
     ).format(held, acts, loops, files)
-    caption = (
-        "Speed, torque, currents and duty cycles at the sampling instants; dashed: references."
-    )
+    caption = f"{_panels(found.run)} at the sampling instants; dashed: references."
     names = [figure_name(each.label, number) for number, each in enumerate(found.every)]
     captions = [caption, *(f"The same, {name.split('_')[-1]}." for name in names[1:])]
     drawings = list(zip(names, captions, strict=True))
@@ -644,6 +647,8 @@ def _duties(axes: Axes, time: FloatArray, run: Simulation) -> None:
 
 def _frequency(axes: Axes, time: FloatArray, run: Simulation, record: BridgeRecord) -> None:
     """Switching frequency of a leg, mean over some periods."""
+    if run.t.size < 2:
+        return
     span = max(1, min(_WINDOW, run.t.size - 1))
     gone = record.edges[span:] - record.edges[:-span]
     mean = gone / (6.0 * (run.t[span:] - run.t[:-span]))
@@ -672,8 +677,14 @@ def _states(axes: Axes, time: FloatArray, record: StartRecord) -> None:
             )  # fmt: skip
 
 
+def _panels(run: Simulation) -> str:
+    """What the figure shows; a regulator of the phase currents has no duty cycles."""
+    last = "duty cycles" if run.bridge is None else "switching frequency"
+    return f"Speed, torque, currents and {last}"
+
+
 def plot_simulation(found: DriveSimulation) -> Figure:
-    """Speed, torque, currents and duty cycles, with their references where they have some."""
+    """What `_panels` says, with references where there are some."""
     run = found.run
     factor, unit = (1e3, "ms") if run.t[-1] < 0.5 else (1.0, "s")
     time = run.t * factor
@@ -681,22 +692,19 @@ def plot_simulation(found: DriveSimulation) -> Figure:
         seen = found.observed
         angle = seen is not None and seen.angle_rms is not None
         split = run.phases is not None and bool(np.isfinite(run.phases.v_midpoint).all())
-        counted = run.bridge is not None and run.t.size > 1
-        more = angle + split + counted
+        more = angle + split
         ratios = (1.3, 1.0, 1.3, *(0.8,) * more, 0.9)
         figure = new_figure(
             "simulation",
             6.6 + 1.3 * more,
-            "Speed, torque, currents and duty cycles of the simulated drive",
+            f"{_panels(run)} of the simulated drive",
         )
         axes = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
-        speed, torque, currents, duty = axes[0], axes[1], axes[2], axes[-1]
+        speed, torque, currents, bridge = axes[0], axes[1], axes[2], axes[-1]
         if angle:
             _angle(axes[3], time, found)
         if split and run.phases is not None:
             _midpoint(axes[-2], time, run.phases.v_midpoint)
-        if counted and run.bridge is not None:
-            _frequency(axes[-2], time, run, run.bridge)
         _line(speed, time, in_rpm(run.omega_m), TEAL, "speed")
         if run.start is not None:
             _states(speed, time, run.start)
@@ -709,15 +717,18 @@ def plot_simulation(found: DriveSimulation) -> Figure:
         _line(torque, time, run.torque_load, MUTED, "load", 0.9)
         torque.set_ylabel("Torque in N m")
         _currents(currents, time, run)
-        _duties(duty, time, run)
-        duty.set(xlabel=f"Time in {unit}", xlim=(0.0, float(time[-1])))
+        if run.bridge is None:
+            _duties(bridge, time, run)
+        else:
+            _frequency(bridge, time, run, run.bridge)
+        bridge.set(xlabel=f"Time in {unit}", xlim=(0.0, float(time[-1])))
         wanted_of = {"speed": (speed, in_rpm(run.reference)), "torque": (torque, run.reference)}
         if run.scenario.mode in wanted_of:
             _reference(wanted_of[run.scenario.mode][0], time, wanted_of[run.scenario.mode][1])
         for panel in axes:
             panel.legend(frameon=False, loc="upper right", ncols=5, fontsize=7.0)
             low, high = panel.get_ylim()
-            if panel is not duty and np.isfinite(high - low):
+            if (panel is not bridge or run.bridge is not None) and np.isfinite(high - low):
                 panel.set_ylim(low, high + 0.18 * (high - low))  # room for the legend
         figure.align_ylabels(axes)
         figure.subplots_adjust(left=0.1, right=0.985, top=0.985, bottom=0.065, hspace=0.14)
