@@ -57,6 +57,9 @@ SampledRuleName = Literal["look-up-table", "circle", "predictive"]
 # Current loops that switch the bridge themselves, without a modulator in between.
 FeedbackMethod = Literal["hysteresis", "ramp-comparison", "trajectory", SampledRuleName]
 
+# Those of them whose comparators are analogue: no converter stands before them, nothing is sampled.
+ANALOGUE_METHODS: tuple[FeedbackMethod, ...] = ("hysteresis", "ramp-comparison")
+
 CurrentLoopMethod = Literal[
     "bandwidth",
     "damping",

@@ -59,28 +59,16 @@ class ApplicationPlan:
     rest: float
 
 
-def _kind(design: Design) -> Kind:
-    """What leads the rotor."""
-    control = design.control
-    if control.start_up is not None:
-        return "start-up"
-    assert control.speed_loop is not None
-    measurement = control.speed_loop.measurement
-    if measurement is None:
-        return "observer"
-    return "counts" if measurement.method == "counts" else "edges"
-
-
-def _lines(design: Design) -> int:
-    """Lines of the encoder per revolution, 0 without one."""
+def _led_by(design: Design) -> tuple[Kind, int]:
+    """What leads the rotor, and lines of its encoder per revolution, 0 without one."""
     if design.control.start_up is not None:
-        return 0
+        return "start-up", 0
     assert design.control.speed_loop is not None
     measurement = design.control.speed_loop.measurement
     if measurement is not None:
-        return measurement.lines
+        return "counts" if measurement.method == "counts" else "edges", measurement.lines
     assert design.simulation is not None
-    return design.simulation.encoder.lines
+    return "observer", design.simulation.encoder.lines
 
 
 def application_plan(design: Design) -> ApplicationPlan | None:
@@ -94,7 +82,7 @@ def application_plan(design: Design) -> ApplicationPlan | None:
     if design.export.application is None:
         return None
     assert control.speed_loop is not None
-    kind, linear = _kind(design), linearised(machine)
+    (kind, lines), linear = _led_by(design), linearised(machine)
     largest = control.bases.speed if machine.omega_m_max is None else machine.omega_m_max
     align = _ALIGN_SHARE * design.i_max
     time = alignment_time(linear, align)
@@ -109,7 +97,7 @@ def application_plan(design: Design) -> ApplicationPlan | None:
         align_current=align,
         align_samples=math.ceil(time / control.t_s),
         align_damping=machine.pole_pairs * alignment_damping(linear, align, _DAMPING),
-        counts=4 * _lines(design),
+        counts=4 * lines,
         pole_pairs=machine.pole_pairs,
         stop_step=largest * control.t_s / _STOP_TIME,
         rest=_REST * largest,

@@ -18,6 +18,7 @@ step takes from its inputs alone (the last current) have no error and are left o
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -132,17 +133,8 @@ def certify_step(asked: ObserverRange, points: int = POINTS) -> StepCertificate:
     reasons = []
     span = asked.omega_high / asked.omega_low
     for share in _LEFT_OUT:
-        part = ObserverRange(
-            asked.method,
-            asked.gains,
-            asked.machine,
-            asked.t_s,
-            asked.omega_low * span**share,
-            asked.omega_high,
-            asked.i_q,
-        )
         try:
-            return _certified(part, points)
+            return _certified(replace(asked, omega_low=asked.omega_low * span**share), points)
         except NoSolutionError as error:
             reasons.append(error.message)
     raise NoSolutionError(f"no certificate: {reasons[0]}")

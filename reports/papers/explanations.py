@@ -474,16 +474,13 @@ def _places(gap: FloatArray) -> NDArray[np.intp]:
 
 
 def _judged_errors(
-    machine: LinearMachine, torque: FloatArray, own: _Polynomials
+    machine: LinearMachine, torque: FloatArray, exact: FloatArray, own: _Polynomials
 ) -> Iterable[tuple[str, Alternative]]:
-    """What errs, and an alternative of it, for every share and end."""
-    exact = np.array(mtpa_currents(machine, torque))
+    """What errs against the ``exact`` currents, and an alternative of it, for every share and
+    end.
+    """
     size = np.hypot(*exact)
-    made = (
-        machine.torque_per_ampere
-        + 1.5 * machine.pole_pairs * (machine.l_d - machine.l_q) * own.currents[0]
-    ) * own.currents[1]
-    slope = np.abs(made - torque) / np.maximum(torque, 1e-9)
+    slope = np.abs(machine.torque(*own.currents) - torque) / np.maximum(torque, 1e-9)
     gaps = own.currents - exact
     errors = (
         (np.abs(gaps[0]), np.abs(exact[0])),
@@ -530,12 +527,13 @@ def explain_largest_error(
     ranking = Explanation("", _FIGURE_4, (), "")
     last = _END * per_unit_base(machine).torque
     torque = np.linspace(0.0, last, round(last / _STEP) + 1)
+    exact = np.array(mtpa_currents(machine, torque))
     polynomials = itertools.chain(
         _printed_pieces(machine, torque, printed, breakpoints),
         _tried_pieces(machine, torque, breakpoints),
     )
     for own in polynomials:
-        for what, one in _judged_errors(machine, torque, own):
+        for what, one in _judged_errors(machine, torque, exact, own):
             known = best.setdefault((own.kind, what), one)
             best[own.kind, what] = min(known, one, key=ranking.rank)
     return explain(

@@ -163,17 +163,14 @@ AVERAGED = replace(STEADY, inverter="averaged", dead_time=0.0)
 TAIL = 1.0 - _TAIL / _STEADY  # Share of a steady run from which on it is judged.
 
 
-def _load_step(program: Simulator, drive: Drive) -> Simulation:
-    """750 rpm, free shaft, 0 to 1 N m of load."""
-    scenario = Scenario(
-        _STEP_END,
-        "speed",
-        constant(BENCH_SPEED),
-        load=Profile((0.0, _STEP_AT), (0.0, BENCH_TORQUE)),
-        inverter="switched",
-        omega_m=BENCH_SPEED,
-    )
-    return simulate(program, drive, scenario)
+# 750 rpm, free shaft, 0 to 1 N m of load.
+_LOAD_STEP = Scenario(
+    _STEP_END,
+    "speed",
+    constant(BENCH_SPEED),
+    load=Profile((0.0, _STEP_AT), (0.0, BENCH_TORQUE)),
+    omega_m=BENCH_SPEED,
+)
 
 
 def _asked(found: Simulation, case: LoopCase, count: int) -> tuple[float, float]:
@@ -225,7 +222,8 @@ def run_case(case: LoopCase) -> LoopRun:
         # Its C drives the legs of another circuit on purpose.
         program = replace(made, topology=case.plant)
         averaged = simulate(program, drive, AVERAGED, stride=1000, tail=TAIL)
-        steady, step = simulate(program, drive, STEADY, tail=TAIL), _load_step(program, drive)
+        steady = simulate(program, drive, STEADY, tail=TAIL)
+        step = simulate(program, drive, replace(_LOAD_STEP, inverter="switched"))
     if not (bool(steady.figures.bounded[0]) and bool(step.figures.bounded[0])):
         raise NoSolutionError(f"{case.circuit}, {case.controller}: the currents leave all bounds")
     count = round(2.0 * np.pi / (machine.pole_pairs * BENCH_SPEED * design.control.t_s))
@@ -371,35 +369,16 @@ _SETTINGS = (
 )
 
 
-def _led_scenario(led_by: str) -> Scenario:
-    """750 rpm, free shaft, 0 to 1 N m of load, averaged inverter with its dead time."""
-    return Scenario(
-        _STEP_END,
-        "speed",
-        constant(BENCH_SPEED),
-        load=Profile((0.0, _STEP_AT), (0.0, BENCH_TORQUE)),
-        omega_m=BENCH_SPEED,
-        sensorless=(
-            None
-            if led_by == "encoder"
-            else Sensorless(_OBSERVED_FROM * RPM, 0.8 * _OBSERVED_FROM * RPM)
-        ),
-    )
-
-
 def run_led(led_by: str) -> LedRun:
     """Run the shipped drive's dqy, ``led_by`` the encoder or the observer.
 
     Raises:
         VerificationError: There is no compiler.
     """
-    design = catalogue.load(DESIGN_NAME, _SETTINGS)
-    inertia = design.machine.inertia
-    assert inertia is not None
-    kp = inertia * SPEED_BANDWIDTH
-    loop = SpeedLoopSettings(method="given", kp=kp, ki=0.25 * kp * SPEED_BANDWIDTH)
-    control = replace(design.control, speed_loop=loop)
-    run = simulate_design(replace(design, control=control, simulation=_led_scenario(led_by))).run
+    design = _with_speed_loop(catalogue.load(DESIGN_NAME, _SETTINGS))
+    observed = Sensorless(_OBSERVED_FROM * RPM, 0.8 * _OBSERVED_FROM * RPM)
+    scenario = replace(_LOAD_STEP, sensorless=None if led_by == "encoder" else observed)
+    run = simulate_design(replace(design, simulation=scenario)).run
     error = angle_error(run)
     kept = run.t >= _STEP_AT - 0.01
     last = run.t >= _STEP_END - 0.1
@@ -455,14 +434,16 @@ def phase_control(case: LoopCase, machine: PhaseMachine, t_s: float) -> PhaseCon
 
 def case_design(case: LoopCase) -> Design:
     """The shipped design on the circuit of a case, with a speed loop."""
-    design = catalogue.load(DESIGN_NAME)
+    design = _with_speed_loop(catalogue.load(DESIGN_NAME))
+    return replace(design, inverter=replace(design.inverter, topology=case.plant))
+
+
+def _with_speed_loop(design: Design) -> Design:
     inertia = design.machine.inertia
     assert inertia is not None
     kp = inertia * SPEED_BANDWIDTH
     speed = SpeedLoopSettings(method="given", kp=kp, ki=0.25 * kp * SPEED_BANDWIDTH)
-    control = replace(design.control, speed_loop=speed)
-    inverter = replace(design.inverter, topology=case.plant)
-    return replace(design, control=control, inverter=inverter)
+    return replace(design, control=replace(design.control, speed_loop=speed))
 
 
 def _speed_loop(design: Design) -> LoopGains:

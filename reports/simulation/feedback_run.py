@@ -8,10 +8,7 @@ time, with the errors of the current sensors but without their converters.
 from __future__ import annotations
 
 import math
-import tempfile
-from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -21,9 +18,9 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError
+from dqforge.machines.names import ANALOGUE_METHODS
 from dqforge.machines.plants.scenario import Profile, Scenario, constant
 from dqforge.machines.transforms import linear_voltage
-from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.current_feedback.closed_drive import (
     COUNTED,
     ClosedPoint,
@@ -38,16 +35,11 @@ from dqforge.optimizer.current_feedback.closed_drive import (
 )
 from dqforge.optimizer.current_feedback.regulator_runs import (
     METHODS,
-    CurrentFeedback,
     RegulatorPlan,
     WorkingPoints,
 )
-from dqforge.optimizer.current_reference.fit import signed_designs
-from dqforge.optimizer.current_reference.solve import solve_fit
-from dqforge.optimizer.field_weakening.fit import solve_weakening
 from dqforge.optimizer.losses.drive_budget import known_bridge
-from dqforge.optimizer.operating_points.solve import solve_curves
-from dqforge.optimizer.solution import Solution, solve_negative
+from dqforge.optimizer.solution import Solution, solve_control
 from dqforge.reports.operating_system.host_compiler import require_compiler
 from dqforge.reports.simulation.design_run import (
     DriveSimulation,
@@ -79,9 +71,9 @@ from dqforge.reports.simulation.recorded_run import (
     Simulator,
     Switching,
     as_recorded,
-    compile_simulator,
     execute,
     records_of,
+    simulator,
 )
 from dqforge.reports.single_headers.current_feedback import rule_files
 
@@ -107,23 +99,8 @@ def closed_solution(design: Design, solution: Solution | None = None) -> Solutio
     if solution is not None and solution.current_feedback is not None:
         return replace(solution, loops=lag_gains(design, solution.current_feedback))
     found = own_feedback(design)
-    return _solution(design, lag_gains(design, found), found)
-
-
-def _solution(design: Design, gains: GainSet, found: CurrentFeedback | None) -> Solution:
-    """The least from which a controller is emitted."""
-    positive = signed_designs(design)[0]
-    return Solution(
-        design=design,
-        curves=solve_curves(positive),
-        fit=solve_fit(positive).fit,
-        alternatives=(),
-        loops=gains,
-        losses=None,
-        weakening=solve_weakening(design),
-        negative=solve_negative(design),
-        current_feedback=found,
-    )
+    control = solve_control(design)
+    return replace(control, loops=lag_gains(design, found), current_feedback=found)
 
 
 def feedback_files(design: Design, solution: Solution) -> dict[str, bytes]:
@@ -144,7 +121,7 @@ def _plan_parameters(design: Design, plan: RegulatorPlan | None) -> dict[str, fl
     if plan is None:
         return values
     ramp = plan.method == "ramp-comparison"
-    sampled = plan.method not in ("hysteresis", "ramp-comparison")
+    sampled = plan.method not in ANALOGUE_METHODS
     return values | {
         "band": plan.band,
         "kp": plan.kp,
@@ -290,7 +267,7 @@ def _figures(design: Design, numbers: FloatArray) -> BridgeFigures:
 
 
 def simulate_bridge(
-    simulator: Simulator,
+    program: Simulator,
     design: Design,
     scenario: Scenario,
     plan: RegulatorPlan | None,
@@ -302,7 +279,7 @@ def simulate_bridge(
     """Run a drive whose bridge is counted.
 
     Args:
-        simulator: Compiled for what switches.
+        program: Compiled for what switches.
         design, scenario, plan, stride, tail: As for `bridge_input`.
         progress: Called with the share that is done.
 
@@ -314,7 +291,7 @@ def simulate_bridge(
     run = bridge_input(design, switched, plan, stride, tail)
     if progress is not None:
         run.parameters["progress"] = 1.0
-    written = execute(simulator.program, np.array([1.0]).tobytes() + run.content(), progress)
+    written = execute(program.program, np.array([1.0]).tobytes() + run.content(), progress)
     ((figures, rows),) = records_of(written, 1)
     if figures[0] == 2.0:
         raise NoSolutionError(
@@ -348,28 +325,12 @@ def simulate_feedback(
     found = whole.current_feedback
     assert found is not None
     stride = recorded_stride(scenario, design.control.t_s)
-    with tempfile.TemporaryDirectory(prefix="dqforge-") as folder:
-        program = compile_bridge(
-            Path(folder), design, feedback_files(design, whole), found.plan.method
-        )
+    files, prefix = feedback_files(design, whole), design.export.prefix
+    with simulator(files, prefix, bridge=found.plan.method) as program:
         run = simulate_bridge(
             program, design, scenario, found.plan, stride=stride, progress=progress
         )
     return evaluate(design, run)
-
-
-def compile_bridge(
-    folder: Path, design: Design, files: Mapping[str, bytes], switching: Switching
-) -> Simulator:
-    """The program of a counted bridge.
-
-    Args:
-        folder: Where it is written.
-        design: Whose headers they are.
-        files: Emitted headers by name.
-        switching: What switches the bridge.
-    """
-    return compile_simulator(folder, files, design.export.prefix, bridge=switching)
 
 
 # All regulators in the closed drive at loads, and the carrier beside them.
@@ -377,6 +338,10 @@ def compile_bridge(
 
 def _with_loop(design: Design, loop: CurrentLoopSettings) -> Design:
     return replace(design, control=replace(design.control, current_loop=loop))
+
+
+def _periods_per_second(design: Design, omega_m: float) -> float:
+    return design.machine.pole_pairs * abs(omega_m) / (2.0 * math.pi)
 
 
 def load_scenario(design: Design, torque: float, omega_m: float, crossover: float) -> Scenario:
@@ -389,7 +354,7 @@ def load_scenario(design: Design, torque: float, omega_m: float, crossover: floa
         torque, omega_m: Of the machine in N m, and mechanical speed in rad/s.
         crossover: Of its speed loop in rad/s.
     """
-    electrical = design.machine.pole_pairs * abs(omega_m) / (2.0 * math.pi)
+    electrical = _periods_per_second(design, omega_m)
     load = torque - design.machine.friction * omega_m
     return Scenario(
         duration=_SETTLED / crossover + _PERIODS / electrical,
@@ -453,7 +418,7 @@ def _closed_points(
     plan = None
     if switching == "carrier":
         design = _with_loop(design, CurrentLoopSettings(method="magnitude-optimum"))
-        solution = _solution(design, solve_gains(design, proofs=False), None)
+        solution = solve_control(design)
         files = controller_files(solution)
     else:
         loop = design.control.current_loop
@@ -467,13 +432,10 @@ def _closed_points(
     if speed is None:
         raise InputError("the closed drive needs control.speed_loop")
     found = []
-    with tempfile.TemporaryDirectory(prefix="dqforge-") as folder:
-        program = compile_bridge(Path(folder), design, files, switching)
+    with simulator(files, design.export.prefix, bridge=switching) as program:
         for torque, omega_m in zip(points.torque, points.omega_m, strict=True):
             scenario = load_scenario(design, float(torque), float(omega_m), speed.margins.crossover)
-            tail = 1.0 - _WATCHED / scenario.duration / (
-                design.machine.pole_pairs * abs(float(omega_m)) / (2.0 * math.pi)
-            )
+            tail = 1.0 - _WATCHED / (scenario.duration * _periods_per_second(design, omega_m))
             run = simulate_bridge(program, design, scenario, plan, tail=tail)
             found.append(_point(design, name, run, float(omega_m)))
     return tuple(found)

@@ -19,7 +19,13 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError, KeyPath
 from dqforge.machines.files.positioned_yaml import YamlDocument
-from dqforge.machines.names import SIX_STEP_METHODS, SPEED_OBSERVER, FeedbackMethod, Topology
+from dqforge.machines.names import (
+    ANALOGUE_METHODS,
+    SIX_STEP_METHODS,
+    SPEED_OBSERVER,
+    FeedbackMethod,
+    Topology,
+)
 from dqforge.machines.phase_machines.phase_machine import AnyPhaseMachine, SalientPhaseMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import (
@@ -257,8 +263,6 @@ _KEYS: dict[str, tuple[str, ...]] = {
     "predictive": ("sampling",),
 }
 
-# Methods whose comparators are analogue: no converter stands before them.
-_ANALOGUE = ("hysteresis", "ramp-comparison")
 
 _OWN = ("band", "outer_band", "carrier", "comparator_band", "sampling", "pulses")
 
@@ -380,7 +384,7 @@ def _check_simulation(file: Asked, document: YamlDocument) -> None:
     wanted, method = file.simulation, file.control.current_loop.method
     if wanted is None:
         return
-    sensor, analogue = wanted.current_sensor, method in _ANALOGUE
+    sensor, analogue = wanted.current_sensor, method in ANALOGUE_METHODS
     asked: list[tuple[bool, KeyPath, str]] = [
         (
             "inverter" in wanted.model_fields_set and wanted.inverter == "averaged",

@@ -33,12 +33,11 @@ from dqforge.reports.simulation.design_run import DriveSimulation, controller_fi
 from dqforge.reports.simulation.feedback_run import (
     closed_points,
     closed_solution,
-    compile_bridge,
     feedback_files,
     simulate_bridge,
     simulate_feedback,
 )
-from dqforge.reports.simulation.recorded_run import BridgeFigures, Simulation
+from dqforge.reports.simulation.recorded_run import BridgeFigures, Simulation, compile_simulator
 from dqforge.reports.simulation.tables import (
     closed_tables,
     plain_closed,
@@ -138,7 +137,9 @@ def _run(design: Design, scenario: Scenario, folder: Path) -> Simulation:
     solution = closed_solution(design)
     assert solution.current_feedback is not None
     plan = solution.current_feedback.plan
-    program = compile_bridge(folder, design, feedback_files(design, solution), plan.method)
+    program = compile_simulator(
+        folder, feedback_files(design, solution), design.export.prefix, bridge=plan.method
+    )
     return simulate_bridge(program, design, scenario, plan)
 
 
@@ -245,9 +246,8 @@ def test_means_and_losses_are_those_of_the_carrier_drive(tmp_path: Path) -> None
     scenario = replace(LOADED, dead_time=0.0, encoder=Encoder())
     regulated = _figures(_run(ramp, scenario, tmp_path))
     carrier = _with_carrier(ramp)
-    program = compile_bridge(
-        tmp_path, carrier, controller_files(solve(replace(carrier, losses=None))), "carrier"
-    )
+    files = controller_files(solve(replace(carrier, losses=None)))
+    program = compile_simulator(tmp_path, files, carrier.export.prefix, bridge="carrier")
     pulsed = _figures(simulate_bridge(program, carrier, scenario, None))
     assert regulated.tail_frequency == pytest.approx(3e3, rel=1e-3)
     assert pulsed.tail_frequency == pytest.approx(3e3, rel=1e-3)
