@@ -8,9 +8,14 @@ alone too.
 from __future__ import annotations
 
 import ast
+import json
 import re
+import subprocess
+import sys
 from collections import Counter
+from pathlib import Path
 
+import pytest
 from house import FLOORS, ROOT, Imports, imports, modules
 
 LARGEST_ROOM = 15
@@ -18,6 +23,7 @@ LARGEST_ROOM = 15
 MOST_LINES = 800
 MOST_DISTRICTS = 10
 MOST_SERVANTS = 60
+MOST_FILES_OF_A_GAIN = 25
 LEAST_CODE = 0.625
 # What several rooms may call a part of theirs: the room says of what.
 # fmt: off
@@ -183,3 +189,17 @@ def test_tests_lie_in_rooms_of_the_package() -> None:
         for folder in folders
         if not (ROOT / folder).is_dir() and not (ROOT / folder).with_suffix(".py").is_file()
     } == set()
+
+
+@pytest.mark.parametrize(
+    "command", ["tune", pytest.param("run -o out", marks=pytest.mark.slow)], ids=["tune", "run"]
+)
+def test_the_gain_of_i_q_goes_through_few_files(command: str, tmp_path: Path) -> None:
+    """From where it is solved to the terminal, JSON, header and report."""
+    name, *options = command.split()
+    script = ROOT / "tests" / "gain_way.py"
+    words = [sys.executable, str(script), name, "paper000-ipmsm-100kw", *options]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
+    files = json.loads(done.stderr.splitlines()[-1])
+    assert "optimizer/loops/pi_methods.py" in files
+    assert len(files) <= MOST_FILES_OF_A_GAIN, files

@@ -299,6 +299,13 @@ def format_quantity(value: float, unit: str, digits: int = 5) -> str:
     return f"{text} {prefix}{unit}".rstrip()
 
 
+def to_digits(value: float, digits: int, *, up: bool) -> float:
+    """A positive number to so many digits, not below (``up``) or not above what it was."""
+    step = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
+    whole = math.ceil(value / step - 1e-9) if up else math.floor(value / step + 1e-9)
+    return float(f"{whole * step:.{digits}g}")
+
+
 def _prefix(size: float, unit: str) -> tuple[float, str]:
     """Scale and letter of the prefix for a positive value, (1, "") where none is customary."""
     if (

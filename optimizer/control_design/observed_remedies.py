@@ -16,7 +16,7 @@ from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError
 from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.transforms import in_rpm
-from dqforge.machines.units.quantities import format_quantity
+from dqforge.machines.units.quantities import format_quantity, to_digits
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -73,17 +73,12 @@ def _refused(design: Design, method: str, found: ObservedLoop) -> str:
     parts += [] if found.cycle is None else [found.cycle.words]
     ways = [found.stable_advice] if found.stable_advice else []
     if found.pll_least is not None:
-        ways.append(f"with control.observer.pll_bandwidth = {_up(found.pll_least)} rad/s or more")
+        least = to_digits(found.pll_least, 3, up=True)
+        ways.append(f"with control.observer.pll_bandwidth = {least:.6g} rad/s or more")
     if ways:
         parts.append(f"to be stable {', or '.join(ways)}")
     left = f"to have {required} {found.advice}" if found.advice else f"no slower one has {required}"
     return "; ".join([*parts, left])
-
-
-def _up(value: float) -> str:
-    """Three digits, rounded up."""
-    unit = 10.0 ** (np.floor(np.log10(value)) - 2)
-    return f"{np.ceil(value / unit - 1e-9) * unit:.6g}"
 
 
 def _box(corners: CornerJudgement) -> str:
@@ -125,7 +120,7 @@ def _require_speeds(design: Design, found: ObservedLoop, *, tracked: bool) -> No
     if tracked and below is None:  # it may hold from rest, and nothing that is tried fails
         return
     if wanted.above * pole_pairs < low * (1.0 - _ROUNDING):
-        least = f"{_up(in_rpm(low / pole_pairs))} rpm"
+        least = f"{to_digits(in_rpm(low / pole_pairs), 3, up=True):.6g} rpm"
         raise InputError(
             f"{key} is {_rpm(design, wanted.above * pole_pairs)}, but the speed loop on the "
             f"{found.observer} holds at all corners {box} from {least} on{failing}; write {least} "

@@ -16,6 +16,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Core, FitForm, FitMethod, NumberFormat
 from dqforge.machines.records import dataclass
+from dqforge.machines.units.quantities import to_digits
 from dqforge.optimizer.current_reference.forms import (
     FIXED_WIDTHS,
     ClosedForm,
@@ -533,23 +534,17 @@ def code_scale(choice: CurrentChoice, settings: FitSettings, end: float) -> Code
     if end > torque_base * (1.0 + 1e-9):
         raise InputError(
             f"control.per_unit.torque: {torque_base:.4g} N m is full scale in {settings.format}, "
-            f"but the references go up to {end:.4g} N m; write torque: {_rounded_up(end)} N m, or "
-            "a smaller fit.max_torque"
+            f"but the references go up to {end:.4g} N m; write torque: "
+            f"{to_digits(end, 2, up=True):g} N m, or a smaller fit.max_torque"
         )
     largest = float(np.max(np.abs(choice.currents(np.linspace(0.0, end, 101)))))
     if largest > current_base * (1.0 + 1e-9):
         raise InputError(
             f"control.per_unit.current: {current_base:.4g} A is full scale in {settings.format}, "
-            f"but the references go up to {largest:.4g} A; write current: {_rounded_up(largest)} "
-            "A, or a smaller fit.max_torque"
+            f"but the references go up to {largest:.4g} A; write current: "
+            f"{to_digits(largest, 2, up=True):g} A, or a smaller fit.max_torque"
         )
     return CodeScale(torque_base, current_base, FIXED_WIDTHS[settings.format])
-
-
-def _rounded_up(value: float) -> str:
-    """Two significant digits, not below the value."""
-    unit = 10.0 ** (np.floor(np.log10(value)) - 1.0)
-    return f"{np.ceil(value / unit * (1.0 - 1e-12)) * unit:.6g}"
 
 
 def on_codes(edges: FloatArray, scale: CodeScale) -> FloatArray:

@@ -16,12 +16,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import accumulate, combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.single_precision import PiecewisePolynomial
 
@@ -258,10 +259,20 @@ def _rounded(row: FloatArray, scales: list[int], start: int) -> FixedSegment:
 
 
 def _safe_scales(row: FloatArray, length: int, width: int) -> list[int]:
-    """The largest scales for which no overflow is proven."""
+    """The largest scales for which no overflow is proven.
+
+    Raises:
+        NoSolutionError: Some coefficient is too large for an integer even without a scale.
+    """
     scales = _scales(row, length, width)
     while overflows(_rounded(row, scales, 0), length, width):
-        scales = [max(scale - power - 1, 0) for power, scale in enumerate(scales)]
+        if not any(scales):
+            raise NoSolutionError(
+                f"fit: a coefficient of {np.max(np.abs(row)):.3g} codes overflows integers of "
+                f"{width} bits; write a smaller fit.degree, or more fit.segments"
+            )
+        lower = (max(scale - power - 1, 0) for power, scale in enumerate(scales))
+        scales = list(accumulate(lower, max))  # no shift to the left
     return scales
 
 

@@ -15,7 +15,7 @@ from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals, in_rpm
-from dqforge.machines.units.quantities import format_quantity
+from dqforge.machines.units.quantities import format_quantity, to_digits
 from dqforge.optimizer.current_reference.forms import PENALTY_FROM
 from dqforge.optimizer.curves.single_precision import (
     SingleArray,
@@ -168,12 +168,11 @@ def _too_fast(region: WeakeningRegion, v_max: float, omega_m: float) -> str:
     left = sagged**2 - (machine.r_s * region.i_max) ** 2
     omega_e = (np.sqrt(half**2 + flux**2 * left) - half) / flux**2
     fastest = in_rpm(float(omega_e) / LEAST_VOLTAGE / machine.pole_pairs)
-    step = 10.0 ** (np.floor(np.log10(fastest)) - 2.0)
     return (
         f"field_weakening: at {100.0 * LEAST_VOLTAGE:g} % of {v_max:.4g} V, to which the dc link "
         f"may sag, and of {format_quantity(omega_m, 'rpm', 4)} the machine makes less than "
         f"{100.0 * LEAST_SHARE:g} % of its largest torque; lower the speed to "
-        f"{np.floor(fastest / step) * step:g} rpm"
+        f"{to_digits(fastest, 3, up=False):g} rpm"
     )
 
 

@@ -20,6 +20,7 @@ from dqforge.machines.dq_machines.synchronous import Machine, torque_per_ampere
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import Firmware
 from dqforge.machines.records import dataclass
+from dqforge.machines.units.quantities import to_digits
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     DriveValues,
@@ -615,8 +616,7 @@ def rounded_down(value: float) -> float:
     Args:
         value: Any positive number.
     """
-    step = 10.0 ** (math.floor(math.log10(value)) - _DIGITS + 1)
-    return float(f"{math.floor(value / step * (1.0 + 1e-12)) * step:.{_DIGITS}g}")
+    return to_digits(value, _DIGITS, up=False)
 
 
 # How the numbers of a moteus configuration are meant, and what in them does not fit together.

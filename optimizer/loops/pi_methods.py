@@ -20,6 +20,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import VendorMethod
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import CURRENT_DELAY
+from dqforge.machines.units.quantities import to_digits
 from dqforge.optimizer.sampled_systems import GOLDEN, GOLDEN_STEPS
 
 Settings = TypeVar("Settings", CurrentLoopSettings, SpeedLoopSettings)
@@ -207,16 +208,9 @@ def largest_factor(holds: Callable[[float], bool]) -> float | None:
     return low
 
 
-def _three_digits(value: float, *, up: bool) -> float:
-    """Three significant digits, rounded up or down."""
-    unit = 10.0 ** (np.floor(np.log10(value)) - 2)
-    rounded = np.ceil(value / unit - 1e-9) if up else np.floor(value / unit + 1e-9)
-    return float(rounded * unit)
-
-
 def _rate_text(omega: float, *, up: bool) -> str:
-    rounded = _three_digits(omega, up=up)
-    return f"{rounded:.6g} rad/s ({rounded / (2.0 * np.pi):.3g} Hz)"
+    rate = to_digits(omega, 3, up=up)
+    return f"{rate:.6g} rad/s ({rate / (2.0 * np.pi):.3g} Hz)"
 
 
 def loop_advice(key: str, settings: CurrentLoopSettings | SpeedLoopSettings, factor: float) -> str:
@@ -228,14 +222,14 @@ def loop_advice(key: str, settings: CurrentLoopSettings | SpeedLoopSettings, fac
         factor: Factor by which all gains may grow at most.
     """
     if settings.method == "given":
-        return f"multiply {key}.kp and {key}.ki by {_three_digits(factor, up=False):.6g} or less"
+        return f"multiply {key}.kp and {key}.ki by {to_digits(factor, 3, up=False):.6g} or less"
     if by_spread(settings):
         return (
-            f"it holds from {key}.spread = {_three_digits(settings.spread / factor, up=True):.6g} "
+            f"it holds from {key}.spread = {to_digits(settings.spread / factor, 3, up=True):.6g} "
             "upwards"
         )
     if settings.method == "optimised":
-        largest = 1.0 + _three_digits((settings.max_sensitivity - 1.0) * factor, up=False)
+        largest = 1.0 + to_digits((settings.max_sensitivity - 1.0) * factor, 3, up=False)
         return f"it holds from {key}.max_sensitivity = {largest:.6g} downwards"
     limit = _rate_text(
         required_setting(settings.bandwidth, "bandwidth", settings.method) * factor, up=False

@@ -28,7 +28,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.plants.scenario import plants
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.observers.methods.lpv_certificate import common_lyapunov
+from dqforge.optimizer.observers.methods.lpv_certificate import LyapunovSearch
 from dqforge.optimizer.observers.parts import ObserverMethod, steady_observer, vector_count
 
 # Grid of the programme: so many speeds at both ends of the current and without any.
@@ -208,11 +208,12 @@ def factors(p: FloatArray, matrices: FloatArray) -> FloatArray:
 
 def _smallest(grid: FloatArray, radius: float) -> FloatArray | None:
     """P of the smallest factor that some tries find on a grid of matrices, or None."""
-    best = common_lyapunov(grid, 1.0)
+    search = LyapunovSearch(grid)
+    best = search.within(1.0)
     low, high = radius, 1.0
     for _ in range(_BISECTIONS if best is not None else 0):
         middle = float(np.sqrt(low * high))
-        found = common_lyapunov(grid, middle)
+        found = search.within(middle)
         if found is None:
             low = middle
         else:

@@ -36,7 +36,7 @@ from dqforge.machines.design.settings import (
     settings_from,
 )
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
+from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, largest_torque_within
 from dqforge.machines.entries.former_keys import former
 from dqforge.machines.entries.kinds import (
     Bandwidth,
@@ -70,7 +70,7 @@ from dqforge.machines.names import (
 )
 from dqforge.machines.topologies import largest_phase_voltage
 from dqforge.machines.transforms import linear_voltage
-from dqforge.machines.units.quantities import format_quantity
+from dqforge.machines.units.quantities import format_quantity, to_digits
 
 
 class StartUpWithObserverSection(StartUpSection):
@@ -262,7 +262,8 @@ class PerUnitSection(Section):
         description="base mechanical speed (rad/s; write rpm); default the largest speed",
     )
     torque: Torque | None = Field(
-        default=None, description="base torque (N m); default 3/2 p psi_pm times the base current"
+        default=None,
+        description="base torque (N m); default the largest torque at the base current",
     )
 
 
@@ -611,13 +612,8 @@ def read_bases(
         if section.speed is None
         else (section.speed.si, "")
     )
-    torque = (
-        (machine.torque_per_ampere * current or 1.0)
-        if section.torque is None
-        else section.torque.si
-    )
-    torque_from = (
-        "3/2 p psi_pm times the base current" if machine.psi_pm else "1 N m, there are no magnets"
+    torque, torque_from = (
+        _base_torque(machine, current) if section.torque is None else (section.torque.si, "")
     )
     for name, value, unit, source, entry in (
         ("current", current, "A", "the current limit", section.current),
@@ -630,6 +626,17 @@ def read_bases(
                 f"control.per_unit.{name} is {format_quantity(value, unit)}: {source}"
             )
     return PerUnitBases(current=current, voltage=voltage, speed=speed, torque=torque)
+
+
+def _base_torque(machine: Machine, current: float) -> tuple[float, str]:
+    """Base torque in N m that the file leaves open, and where it comes from."""
+    of_magnets = machine.torque_per_ampere * current
+    largest = largest_torque_within(machine, current)
+    if largest <= of_magnets * (1.0 + 1e-12):
+        return of_magnets, "3/2 p psi_pm times the base current"
+    # A saturated machine is scanned: the margin covers what lies between two angles.
+    torque = to_digits(1.0001 * largest, 3, up=True)
+    return torque, "the largest torque at the base current, rounded up"
 
 
 def _base_voltage(inverter: Inverter, any_back_emf: bool) -> tuple[float, str]:

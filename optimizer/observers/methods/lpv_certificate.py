@@ -182,29 +182,42 @@ def _positive(matrix: list[list[Any]]) -> bool:
     return True
 
 
-def common_lyapunov(matrices: FloatArray, contraction: float) -> FloatArray | None:
-    """P with A^T P A < contraction^2 P for all A of shape (V, n, n) as a solver finds it,
-    or None.
-    """
-    try:
-        import cvxpy as cp
-    except ImportError as error:
-        raise InputError(
-            "the certificate needs cvxpy and clarabel; install with: pip install cvxpy clarabel"
-        ) from error
+class LyapunovSearch:
+    """P with A^T P A < contraction^2 P for all A of shape (V, n, n), for one contraction after the
+    other: the programme is compiled once.
 
-    n = matrices.shape[1]
-    p, size = cp.Variable((n, n), symmetric=True), cp.Variable()
-    square = (contraction * (1.0 - _MARGIN)) ** 2
-    rules = [p >> np.eye(n), p << size * np.eye(n)]
-    rules += [square * p - a.T @ p @ a >> 0 for a in matrices]
-    try:
-        with warnings.catch_warnings():  # what it finds is checked, inaccurate or not
-            warnings.simplefilter("ignore", UserWarning)
-            cp.Problem(cp.Minimize(size), rules).solve(solver=cp.CLARABEL)
-    except cp.SolverError:
-        return None
-    return None if p.value is None else np.asarray(0.5 * (p.value + p.value.T), dtype=np.float64)
+    Raises:
+        InputError: Names the packages that are missing.
+    """
+
+    def __init__(self, matrices: FloatArray) -> None:
+        try:
+            import cvxpy as cp
+        except ImportError as error:
+            raise InputError(
+                "the certificate needs cvxpy and clarabel; install with: pip install cvxpy clarabel"
+            ) from error
+        n = matrices.shape[1]
+        size = cp.Variable()
+        self._p = cp.Variable((n, n), symmetric=True)
+        self._square = cp.Parameter(nonneg=True)
+        rules = [self._p >> np.eye(n), self._p << size * np.eye(n)]
+        rules += [self._square * self._p - a.T @ self._p @ a >> 0 for a in matrices]
+        self._programme = cp.Problem(cp.Minimize(size), rules)
+
+    def within(self, contraction: float) -> FloatArray | None:
+        """P as the solver finds it, or None."""
+        import cvxpy as cp
+
+        self._square.value = (contraction * (1.0 - _MARGIN)) ** 2
+        try:
+            with warnings.catch_warnings():  # what it finds is checked, inaccurate or not
+                warnings.simplefilter("ignore", UserWarning)
+                self._programme.solve(solver=cp.CLARABEL)
+        except cp.SolverError:
+            return None
+        p = self._p.value
+        return None if p is None else np.asarray(0.5 * (p + p.T), dtype=np.float64)
 
 
 def certify_flux_observer(
@@ -248,10 +261,11 @@ def certify_flux_observer(
         for i_dq in currents
         for corner in corners.tolist()
     ]
+    search = LyapunovSearch(matrices)
     best, high = None, 1.0
     for _ in range(bisections):
         middle = high if best is None else float(np.sqrt(low * high))
-        p = common_lyapunov(matrices, middle)
+        p = search.within(middle)
         if p is not None and holds_exactly(p, middle, exact):
             best, high = LyapunovCertificate(p, middle, omega_low, omega_high, len(exact)), middle
         elif best is None:

@@ -102,7 +102,8 @@ def test_default_bases() -> None:
     assert bases.current == 6.4
     assert bases.voltage == pytest.approx(103.92304845413264, rel=1e-14)
     assert bases.speed == pytest.approx(5420.0 * math.pi / 30.0, rel=1e-14)
-    assert bases.torque == pytest.approx(1.728, rel=1e-14)
+    # The magnets make 1.728 N m of it, the saliency of 8 % a little more.
+    assert bases.torque == 1.73
 
 
 def test_base_speed_without_largest_speed() -> None:
@@ -130,8 +131,25 @@ def test_reluctance_machine() -> None:
     text = _changed(("0.06 Wb", "0 Wb"), ("1.74 mH", "12 mH"), ("torque-exact", "closed-form"))
     design = load_text(text, "f")
     assert design.machine.psi_pm == 0.0
-    assert design.control.bases.torque == 1.0
-    assert any("there are no magnets" in sentence for sentence in design.assumptions)
+    # 3/2 p (L_q - L_d) i^2 / 2 at 45 degrees: 0.9575 N m of a current of 6.4 A.
+    assert 0.9575 < 0.75 * 3 * (12.0e-3 - 1.61e-3) * 6.4**2 < design.control.bases.torque == 0.958
+    assert any("largest torque at the base current" in note for note in design.assumptions)
+
+
+def test_the_base_torque_that_is_not_given_holds_every_reference_of_the_library() -> None:
+    """A salient or saturated machine makes more than its magnets do."""
+    for name in [*catalogue.names(), *catalogue.motors()]:
+        design = catalogue.load(name)
+        if any("control.per_unit.torque is inferred" in note for note in design.assumptions):
+            continue
+        machine, bases = design.machine, design.control.bases
+        angle = np.linspace(0.0, 1.0, 5001) * np.pi
+        i_d, i_q = bases.current * np.cos(angle), bases.current * np.sin(angle)
+        made = machine.torque(i_d, i_q)
+        assert np.nanmax(made) <= bases.torque * (1.0 + 1e-9), name
+        assert bases.torque <= 1.02 * max(
+            np.nanmax(made), machine.torque_per_ampere * bases.current
+        )
 
 
 def test_terminal_values_are_halved_and_noted() -> None:
@@ -246,7 +264,7 @@ def test_assumptions_name_the_defaults() -> None:
         "machine.inertia is inferred: no reason is given",
         "control.sampling_frequency is taken as the switching frequency, 5 kHz",
         "control.per_unit.current is 6.4 A: the current limit",
-        "control.per_unit.torque is 1.728 N m: 3/2 p psi_pm times the base current",
+        "control.per_unit.torque is 1.73 N m: the largest torque at the base current, rounded up",
         "operation.strategy is mtpa",
         "fit.max_torque is the largest torque within the current limit",
         "export.prefix is motor",

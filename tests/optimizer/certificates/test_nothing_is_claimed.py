@@ -23,7 +23,7 @@ from dqforge.optimizer.field_weakening import error_bounds as dual
 from dqforge.optimizer.field_weakening.certificate import certify_surface
 from dqforge.optimizer.field_weakening.fit import WeakeningFit, fit_weakening
 from dqforge.optimizer.field_weakening.voltage_region import TORQUE_SHARE
-from dqforge.optimizer.observers.methods.lpv_certificate import common_lyapunov
+from dqforge.optimizer.observers.methods.lpv_certificate import LyapunovSearch
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 CHOICE = CurrentChoice(IPM, "mtpa", IPM.i_max)
@@ -127,17 +127,17 @@ def test_a_lyapunov_matrix_needs_its_solver(monkeypatch: pytest.MonkeyPatch) -> 
     import cvxpy
 
     matrices: FloatArray = np.diag([0.5, 0.4])[np.newaxis]
-    assert common_lyapunov(matrices, 0.9) is not None
+    assert LyapunovSearch(matrices).within(0.9) is not None
 
     def gives_up(*_: object, **__: object) -> None:
         raise cvxpy.SolverError("no")
 
     with monkeypatch.context() as failing:
         failing.setattr(cvxpy.Problem, "solve", gives_up)
-        assert common_lyapunov(matrices, 0.9) is None
+        assert LyapunovSearch(matrices).within(0.9) is None
     monkeypatch.setitem(sys.modules, "cvxpy", None)
     with pytest.raises(InputError, match="needs cvxpy and clarabel"):
-        common_lyapunov(matrices, 0.9)
+        LyapunovSearch(matrices).within(0.9)
 
 
 def test_where_two_conditions_may_hold_and_neither_is_solved_the_torque_still_stands(

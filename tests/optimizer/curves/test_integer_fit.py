@@ -14,7 +14,7 @@ from drives import IPM, RELUCTANCE, SURFACE
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import NumberFormat
 from dqforge.optimizer.current_reference.fit import ReferenceFit, fit_reference
 from dqforge.optimizer.current_reference.forms import FixedReference
@@ -26,6 +26,7 @@ from dqforge.optimizer.curves.integer_polynomial import (
     fit_fixed,
     overflows,
 )
+from dqforge.optimizer.curves.single_precision import PiecewisePolynomial
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 SCALES = (215.0, 283.0)
@@ -72,6 +73,37 @@ def test_no_input_overflows_and_the_accumulators_are_used(number_format: NumberF
                 longest = max(longest, bits)
                 assert value == int(polynomial.evaluate(np.array([segment.start + x]))[0])
     assert longest >= 2 * reference.width - 2
+
+
+def test_a_segment_of_a_few_codes_shifts_right_alone() -> None:
+    """The first segment of a root: large coefficients that cancel, whose scales are lowered."""
+    random = np.random.default_rng(30)
+    scale = CodeScale(1.0, 1.0, 16)
+    for degree, last in itertools.product((3, 4, 5), range(2, 8)):
+        nodes = np.linspace(0.0, last, degree + 1)
+        wanted = 270.0 * np.sqrt(nodes) * random.uniform(0.9, 1.1, nodes.size)
+        row = np.linalg.solve(np.vander(nodes, increasing=True), wanted)
+        in_units = row * scale.one ** (np.arange(degree + 1) - 1.0)
+        real = PiecewisePolynomial(np.array([0.0, (last + 0.5) / scale.one]), in_units[np.newaxis])
+        exact = np.polynomial.Polynomial(in_units)
+        found = fit_fixed(real, exact, scale, exact_at_zero=True, continuous=False)
+        codes = np.arange(last + 1)
+        assert min(found.segments[0].shifts) >= 0
+        assert not found.overflows()
+        assert np.max(np.abs(found.evaluate(codes) - exact(codes / scale.one) * scale.one)) <= 1.0
+
+
+def test_a_polynomial_that_no_integer_holds_is_refused() -> None:
+    row = np.array([[0.0, 1e9]])
+    real = PiecewisePolynomial(np.array([0.0, 1.0]), row)
+    with pytest.raises(NoSolutionError, match=r"coefficient of .* overflows .* fit\.degree"):
+        fit_fixed(
+            real,
+            lambda x: 1e9 * x,
+            CodeScale(1.0, 1.0, 16),
+            exact_at_zero=False,
+            continuous=False,
+        )
 
 
 def test_ranges_enclose_what_happens_and_overflow_is_seen() -> None:
