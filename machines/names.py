@@ -92,11 +92,12 @@ ObserverMethodName = Literal[
     "third-harmonic",
     "zero-crossing",
     "emf-integration",
+    "diode-conduction",
 ]
 
 # Methods that make the drive a six-step drive: blocks of 120 degrees, commutated by the voltage of
-# the phase that floats.
-SixStepMethod = Literal["zero-crossing", "emf-integration"]
+# the phase that floats, or by the instant from which its diode conducts.
+SixStepMethod = Literal["zero-crossing", "emf-integration", "diode-conduction"]
 
 # The one that observes the speed behind an encoder; all others observe the position.
 SIX_STEP_METHODS: tuple[str, ...] = get_args(SixStepMethod)
@@ -137,6 +138,7 @@ OBSERVER_KEYS: dict[str, tuple[str, ...]] = {
     "third-harmonic": ("bandwidth", "pll_bandwidth"),
     "zero-crossing": (),
     "emf-integration": (),
+    "diode-conduction": (),
 }
 
 # Those that correct the flux observer by what they have learned.

@@ -621,6 +621,7 @@ def _start_figures(asked: Question, method: StartUpMethodName) -> StartFigures:
 _SIX_STEP_TITLES = {
     "zero-crossing": "zero crossing of the floating phase's voltage, of a six-step drive",
     "emf-integration": "integral of the floating phase's voltage, of a six-step drive",
+    "diode-conduction": "conduction of the floating phase's diode, of a six-step drive",
 }
 
 

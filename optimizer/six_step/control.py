@@ -10,7 +10,8 @@ One leg is chopped, both switches in turn, the other stays at its rail, the thir
 chopped leg lies at the other's rail, the star point does so too, and the diode of the third leg at
 that rail conducts where its back-EMF points there. The integral is taken while it must not: where
 that EMF falls, the returning leg is chopped instead of the fed one. Up to the crossing, where such
-a current is nothing, it does not matter, and the fed leg is chopped throughout.
+a current is nothing, it does not matter, and the fed leg is chopped throughout. Where the diode is
+what is observed, it is to conduct from the crossing on: there the EMF must rise for that.
 
 Alignment and ramp apply a voltage, that of the start current and of the back-EMF at the forced
 speed: a regulated current would leave the rotor to swing without damping. Above the limit the
@@ -32,6 +33,7 @@ from dqforge.optimizer.six_step.sector_step import (
     at_rest,
     block_start,
     block_step,
+    diode_step,
     rises,
     six_step_phase,
     six_step_seen,
@@ -91,6 +93,9 @@ class SixStepGains:
         Member("periods with all legs at rest before the back-EMF is looked at", kind=_WHOLE),
     ]
     gap: Annotated[Number, Member("and between both looks", kind=_WHOLE)]
+    duty_most: Annotated[
+        Number | None, Member("while diodes are observed: in the off-time they can conduct")
+    ] = None
 
 
 @dataclass(slots=True)
@@ -297,6 +302,7 @@ def six_step_voltage(
         return (gains.v_start + emf) - gains.kp * excess, zero, zero
 
     runs = o.equal(drive.stage, _stage(o, RUNNING))
+    most = 1.0 if gains.duty_most is None else gains.duty_most
     wanted, error, low = o.cases(("wanted", "error", "low"), (runs, regulated), otherwise=forced)
     asked = o.let("asked", o.choose(v_dc > 0.0, wanted / v_dc, zero))
 
@@ -309,7 +315,7 @@ def six_step_voltage(
 
     def above() -> Reals:
         moved(o.choose(error < 0.0, error, zero))
-        return o.full(1.0, asked)
+        return o.full(1.0, asked) if gains.duty_most is None else gains.duty_most
 
     def below() -> Reals:
         moved(o.choose(error > 0.0, error, zero))
@@ -317,8 +323,8 @@ def six_step_voltage(
 
     return o.cases(
         "duty",
-        ((asked >= low) & (asked <= 1.0), within),
-        (asked > 1.0, above),
+        ((asked >= low) & (asked <= most), within),
+        (asked > most, above),
         otherwise=below,
         changing=(drive,),
     )
@@ -419,6 +425,34 @@ def six_step_step(
     """One period: voltages of the terminals and currents into the phases, both sampled in its
     middle, and the link's voltage in V; what the legs do in the next one.
     """
+    return _stepped(o, gains, drive, v, i, v_dc)
+
+
+def six_step_diode_step(
+    o: Arithmetic,
+    gains: SixStepGains,
+    drive: SixStep,
+    v: Abc,
+    diodes: Abc,
+    i: Abc,
+    v_dc: Reals,
+) -> SixStepLegs:
+    """One period: voltages of the terminals and currents into the phases, sampled in its middle;
+    1 of each leg whose switches rest and whose diode conducted at its beginning, else 0; the link's
+    voltage in V. The voltages serve the start alone. What the legs do in the next period.
+    """
+    return _stepped(o, gains, drive, v, i, v_dc, diodes)
+
+
+def _stepped(
+    o: Arithmetic,
+    gains: SixStepGains,
+    drive: SixStep,
+    v: Abc,
+    i: Abc,
+    v_dc: Reals,
+    diodes: Abc | None = None,
+) -> SixStepLegs:
     before = o.let("before", drive.sector)
     aligning, ramp, running = (_stage(o, stage) for stage in (ALIGNING, RAMP, RUNNING))
 
@@ -427,7 +461,10 @@ def six_step_step(
         o.call(six_step_begin, drive, _stage(o, FAULT))
 
     def estimated() -> None:
-        o.call(block_step, gains.observer, drive.observer, v)
+        if diodes is None:
+            o.call(block_step, gains.observer, drive.observer, v)
+        else:
+            o.call(diode_step, gains.observer, drive.observer, diodes)
         drive.sector = drive.observer.sector
         where(o, o.negated(o.equal(drive.observer.lost, 0)), lost, drive)
 
@@ -457,13 +494,7 @@ def six_step_step(
         duty = o.let("duty", o.call(six_step_voltage, gains, drive, shared, v_dc))
         high = o.let("high", o.at(first, drive.sector))
         low = o.let("low", o.at(second, drive.sector))
-        by_integral = o.negated(o.equal(gains.observer.by_integral, 0))
-        falls = o.negated(rises(drive.sector, drive.direction))
-        flat = o.let(
-            "falls",
-            o.equal(drive.stage, running) & by_integral & falls,
-            "the diodes of the third leg stay free of current while it is integrated",
-        )
+        flat = _flat(o, gains, drive, o.equal(drive.stage, running), diodes)
         return SixStepLegs(high, low, o.choose(flat, low, high), duty)
 
     def rests() -> SixStepLegs:
@@ -472,3 +503,14 @@ def six_step_step(
     acts = o.equal(drive.stage, aligning) | o.equal(drive.stage, ramp)
     acts = acts | o.equal(drive.stage, running)
     return o.cases("legs", (acts, fed), otherwise=rests, changing=(drive,))
+
+
+def _flat(o: Arithmetic, gains: SixStepGains, drive: SixStep, runs: Any, diodes: Abc | None) -> Any:
+    """Whether the returning leg is chopped instead of the fed one."""
+    rising = rises(drive.sector, drive.direction)
+    if diodes is not None:
+        text = "the diode of the third leg conducts from the crossing on"
+        return o.let("rising", runs & rising, text)
+    by_integral = o.negated(o.equal(gains.observer.by_integral, 0))
+    text = "the diodes of the third leg stay free of current while it is integrated"
+    return o.let("falls", runs & by_integral & o.negated(rising), text)

@@ -31,6 +31,7 @@ from dqforge.optimizer.six_step.sectors import (
 )
 
 _OFFSET = 0.002  # of the link voltage, where nothing is said
+_THRESHOLD = 0.2  # V of a diode and its comparator, where nothing is said
 
 
 _FULL_SCALE = 1.25  # of the converter of the terminal voltages, over the link voltage
@@ -42,7 +43,7 @@ _MARGIN = 1.15  # of the unseen time over that of the freewheeling
 _LEAST_DUTY = 0.02  # on-time in which a converter can sample
 
 
-_BLANK = 1.5  # periods that are never seen after a commutation
+_BLANK = 1.5  # periods that are never seen after a commutation, of a diode one more
 
 
 _PATIENCE = 3.0
@@ -77,7 +78,7 @@ class SixStepDesign:
     """A six-step drive.
 
     Args:
-        method: ``zero-crossing`` or ``emf-integration``.
+        method: One of `dqforge.machines.names.SIX_STEP_METHODS`.
         phases: The machine in phase quantities.
         shape: What its waveform makes of blocks.
         disturbed: Errors of the measured voltage.
@@ -148,13 +149,33 @@ def freewheeling_angle(design: Design, shape: BlockShape, omega: np.ndarray) -> 
     return np.asarray(omega * 0.5 * (machine.l_d + machine.l_q) * i / against)
 
 
-def _disturbed(design: Design, settings: SixStepSettings, phases: AnyPhaseMachine) -> Disturbed:
+def _by_diode(design: Design) -> bool:
+    observer = design.control.observer
+    return observer is not None and observer.method == "diode-conduction"
+
+
+def _disturbed(
+    design: Design, settings: SixStepSettings, phases: AnyPhaseMachine, shape: BlockShape
+) -> Disturbed:
     v_dc = design.inverter.v_dc
     step = _FULL_SCALE * v_dc / 2.0**settings.voltage_bits
     offset = settings.voltage_offset
     noise = settings.voltage_noise
     l_d, l_q = dq_inductances(phases)
     away = abs(l_q - l_d)
+    if _by_diode(design):
+        rate = -(l_q - l_d) / (math.sqrt(3.0) * 0.5 * (l_d + l_q))
+        return Disturbed(
+            offset=(_THRESHOLD if offset is None else offset) / STAR,
+            noise=0.0,
+            t_s=design.control.t_s,
+            filter_time=0.0,
+            free=SECTOR / 6.0,
+            step=away * design.i_max,
+            kappa=rate * 2.0 * design.machine.r_s * design.i_max,
+            bend=rate * shape.emf,
+            by_diode=True,
+        )
     return Disturbed(
         offset=(_OFFSET * v_dc if offset is None else offset) + 0.5 * step,
         noise=step if noise is None else noise,
@@ -194,7 +215,8 @@ def _limits(
         )
     free = freewheeling_angle(design, shape, omega) * _MARGIN
     window = SECTOR - shape.delay
-    by_free = _span(omega, free + (_BLANK + 0.5) * omega * t_s <= window)[1]
+    blank = _BLANK + (1.5 if known.by_diode else 0.5)
+    by_free = _span(omega, free + blank * omega * t_s <= window)[1]
     if math.isnan(by_free):
         raise NoSolutionError(
             f"control.observer: at {design.i_max:.4g} A the phase that is switched off carries "
@@ -226,6 +248,16 @@ def _require_machine(design: Design) -> None:
         )
 
 
+def _diode_delay(design: Design, shape: BlockShape) -> float:
+    """Periods from the crossing until the diode conducts, over the squared periods of 60 degrees.
+
+    While both chopped and resting leg lie at one rail, the floating phase stands 1.5 u off it.
+    """
+    device = design.inverter.device
+    threshold = 0.0 if device is None else device.diode_voltage
+    return threshold * design.control.t_s / (STAR * shape.slope * SECTOR**2)
+
+
 @on_design("control")
 def solve_six_step(design: Design) -> SixStepDesign | None:
     """The six-step drive that a design asks for, None for others.
@@ -250,7 +282,8 @@ def solve_six_step(design: Design) -> SixStepDesign | None:
             f"{math.degrees(shape.spread):.3g} deg off those that even blocks need, "
             f"{math.degrees(ANGLE_LIMIT):.3g} deg are permitted; choose another observer"
         )
-    known = _disturbed(design, settings, phases)
+    known = _disturbed(design, settings, phases, shape)
+    by_diode = _by_diode(design)
     duty = max(_LEAST_DUTY, (2.0 * design.inverter.dead_time) / t_s + 0.5 * _LEAST_DUTY)
     limits = _limits(design, shape, known, duty, by_integral=by_integral)
     l_d, l_q = dq_inductances(phases)
@@ -263,12 +296,13 @@ def solve_six_step(design: Design) -> SixStepDesign | None:
         by_integral=int(by_integral),
         delay=(shape.delay / SECTOR, mirrored.delay / SECTOR),
         threshold=(shape.threshold, mirrored.threshold),
-        latency=0.5 + (1.0 - share) / share,
+        latency=1.0 if by_diode else 0.5 + (1.0 - share) / share,
         blank_share=_MARGIN * limits.freewheeling / SECTOR,
-        blank_least=_BLANK,
-        smooth=share,
+        blank_least=_BLANK + 1.0 if by_diode else _BLANK,
+        smooth=1.0 if by_diode else share,
         patience=_PATIENCE,
         crossings=tuple(math.remainder(angle, 2.0 * math.pi) for angle in shape.crossings),
+        late=_diode_delay(design, shape) if by_diode else None,
     )
     gains = SixStepGains(
         observer=estimator,
@@ -293,6 +327,7 @@ def solve_six_step(design: Design) -> SixStepDesign | None:
         rate=start.rate,
         settle=start.settle,
         gap=start.gap,
+        duty_most=1.0 - duty if by_diode else None,
     )
     errors = commutation_errors(
         shape, known, np.geomspace(limits.low, limits.high, 5), by_integral=by_integral
@@ -438,7 +473,14 @@ def plan_start(
 # most 1.5 dv/(omega g') against each other, adds three eighths. For a sine dv x/(omega g_c) is
 # (pi/3) dv/(psi omega).
 
+# A diode is seen once a period: the crossing is known to half of one, by which the delay errs as by
+# an offset. The offset is that of its threshold, over 1.5; the current falls while both legs lie at
+# one rail: kappa = -(L_q - L_d) (2 R I + e omega)/(sqrt(3) L), with the mean EMF e of two phases.
+
 _FLAT = 1e-3  # least share of a slope that is left
+
+# A floating phase against the rail at which both others lie, over u.
+STAR = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -456,6 +498,8 @@ class Disturbed:
             |L_q - L_d| I in Wb: of the saliency at the largest current.
         kappa: (L_q - L_d) V_dc/(sqrt(3) L) in V/rad: voltage per angle that rising current induces,
             with the back-EMF where L_q is the larger one, against it where L_d is.
+        bend: What adds to kappa with the speed, in V s/rad^2.
+        by_diode: Whether the conduction of a diode is seen instead of a voltage.
     """
 
     offset: float
@@ -465,6 +509,8 @@ class Disturbed:
     free: float
     step: float
     kappa: float
+    bend: float = 0.0
+    by_diode: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -494,7 +540,7 @@ def commutation_errors(
         omega: Electrical speeds in rad/s, above 0, shape (N,).
         by_integral: Whether the integral decides, or the delay behind the crossing.
     """
-    steeper = 1.0 + known.kappa / (omega * shape.slope)
+    steeper = 1.0 + (known.kappa / omega + known.bend) / shape.slope
     if by_integral:
         lever = np.full_like(omega, shape.delay / shape.level)
         noise = known.noise * np.sqrt(shape.delay * known.t_s / omega) / shape.level
@@ -513,6 +559,8 @@ def commutation_errors(
         turned = omega * known.filter_time
         missing = turned * np.exp(-known.free / turned)
     grid = 0.5 * omega * known.t_s
+    if known.by_diode:
+        grid = grid * (1.0 + lever * shape.slope)
     return CommutationErrors(omega, known.offset * lever / omega, noise, grid + missing, saliency)
 
 

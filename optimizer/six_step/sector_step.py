@@ -1,10 +1,11 @@
-"""Position from the phase that floats: zero crossing and integral of the back-EMF, as the firmware
-runs it (paper 001, 7.2.1, methods 2 and 3).
+"""Position from the phase that floats: zero crossing and integral of the back-EMF, or conduction of
+its diode, as the firmware runs it (paper 001, 7.2.1, methods 2 to 4).
 
 Once per period it is told the voltages of the three terminals, sampled in the middle of the
-on-time. Times count in periods, between samples by a line. After a commutation the voltage is left
-unseen while the phase that was switched off frees its current. A crossing that was missed there, or
-while the drive accelerates, counts at the first sample that shows its sign.
+on-time, or whether a diode conducted in the middle of the off-time. Times count in periods, between
+samples by a line, of a diode by half a period. After a commutation nothing is seen while the phase
+that was switched off frees its current. A crossing that was missed there, or while the drive
+accelerates, counts at the first sample that shows its sign.
 """
 
 from __future__ import annotations
@@ -51,6 +52,10 @@ class BlockGains:
         float, Member("times of 60 degrees without a crossing, then the position is lost")
     ]
     crossings: Annotated[tuple[float, ...], Member("angles of the crossings forwards", "rad")]
+    late: Annotated[
+        float | None,
+        Member("a diode conducts behind the crossing, over the squared periods of 60 degrees"),
+    ] = None
 
 
 @dataclass(slots=True)
@@ -173,6 +178,8 @@ def see(o: Arithmetic, gains: BlockGains, observer: BlockState, y: Reals) -> Non
     def crossed() -> None:
         armed = o.negated(o.equal(observer.armed, 0))
         part = o.let("part", o.choose(armed, y / (y - observer.last), o.full(0.0, y)))
+        if gains.late is not None:
+            part = o.let("ago", part + gains.late * (observer.mean * observer.mean))
         low, high = o.let("low", 0.5 * observer.mean), o.let("high", 2.0 * observer.mean)
         span = o.let("span", observer.elapsed - part)
         above = o.let("above", o.choose(span < low, low, span))
@@ -223,7 +230,22 @@ def block_step(o: Arithmetic, gains: BlockGains, observer: BlockState, v: Abc) -
     """
     sector, direction = observer.sector, observer.direction
     floats = o.at(o.constant("SIX_STEP_FLOATING", FLOATING), sector)
-    y = o.let("y", o.call(six_step_rising, v, floats, sector, direction))
+    _passed(o, gains, observer, o.let("y", o.call(six_step_rising, v, floats, sector, direction)))
+
+
+def diode_step(o: Arithmetic, gains: BlockGains, observer: BlockState, diodes: Abc) -> None:
+    """One period: 1 of each leg whose switches rest and whose diode conducted in the middle of the
+    off-time, at the beginning of the period, else 0.
+    """
+    floats = o.at(o.constant("SIX_STEP_FLOATING", FLOATING), observer.sector)
+    conducts = o.let("conducts", o.call(six_step_phase, diodes, floats) > 0.5)
+    one = o.full(1.0, observer.mean)
+    _passed(o, gains, observer, o.let("y", o.choose(conducts, one, -one)))
+
+
+def _passed(o: Arithmetic, gains: BlockGains, observer: BlockState, y: Reals) -> None:
+    """A period, with what of the floating phase rises through zero at its crossing."""
+    direction = observer.direction
     share = o.let("share", gains.blank_share * observer.mean)
     blank = o.let("blank", o.choose(share < gains.blank_least, gains.blank_least, share))
     observer.since = since = o.let("since", observer.since + 1.0)

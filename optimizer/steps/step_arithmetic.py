@@ -381,7 +381,7 @@ EXACT = Arithmetic(np.float64, _wrap, _rotation)  # Double precision.
 
 
 def cast(gains: _Gains, maths: Arithmetic) -> _Gains:
-    """Gains (a dataclass of floats and tuples of floats) as numbers of an arithmetic."""
+    """Gains (a dataclass of floats, tuples of floats and None) as numbers of an arithmetic."""
     assert is_dataclass(gains)
     values: dict[str, Any] = {}
     for field in fields(gains):
@@ -390,7 +390,7 @@ def cast(gains: _Gains, maths: Arithmetic) -> _Gains:
             values[field.name] = cast(value, maths)
         elif isinstance(value, tuple):
             values[field.name] = tuple(maths.number(item) for item in value)
-        else:
+        elif value is not None:
             values[field.name] = maths.number(value)
     return replace(gains, **values)  # type: ignore[type-var]
 

@@ -151,7 +151,7 @@ METHODS = (
     Stated("7.2.1.1", "extended-emf", "poor near standstill; voltage and parameters needed"),
     Stated("7.2.1 (2)", "zero-crossing", "not for a sinusoidal EMF; filters delay; no start"),
     Stated("7.2.1 (3)", "emf-integration", "not for a sinusoidal EMF; poor at low speed"),
-    Stated("7.2.1 (4)", "", "conduction of the freewheeling diodes; named only"),
+    Stated("7.2.1 (4)", "diode-conduction", "conduction of the freewheeling diodes; named only"),
     Stated("7.2.2", "open-loop-flux", "better than the EMF at low speed; the integral drifts"),
     Stated("7.2.2", "flux", "the same in a closed loop"),
     Stated("7.2.3", "third-harmonic", "looked for in this motor and found absent"),

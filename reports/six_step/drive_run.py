@@ -16,7 +16,12 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.six_step.control import FAULTS, RUNNING, STAGES
-from dqforge.optimizer.six_step.design import SixStepDesign, commutation_errors, solve_six_step
+from dqforge.optimizer.six_step.design import (
+    STAR,
+    SixStepDesign,
+    commutation_errors,
+    solve_six_step,
+)
 from dqforge.optimizer.six_step.sectors import SECTOR
 from dqforge.reports.pages.templating import render
 from dqforge.reports.simulation.design_run import (
@@ -67,10 +72,19 @@ def _voltmeter(design: Design, found: SixStepDesign) -> bytes:
     settings = design.control.six_step
     bits = 0 if settings is None else settings.voltage_bits
     full_scale = 1.25 * design.inverter.v_dc
+    if found.disturbed.by_diode:  # voltages serve the start alone
+        return np.array([0.0, 0.0, float(bits), full_scale], dtype=np.float64).tobytes()
     offset = found.disturbed.offset - full_scale / 2.0 ** (bits + 1)
     # The noise of one phase against the mean of three is sqrt(2/3) of that of each.
     values = [offset, found.disturbed.noise * np.sqrt(1.5), float(bits + 1), full_scale]
     return np.array(values, dtype=np.float64).tobytes()
+
+
+def _diode_voltage(design: Design, found: SixStepDesign) -> float:
+    """Forward voltage of the diodes in V, with that of their threshold where they are observed."""
+    device, known = design.inverter.device, found.disturbed
+    threshold = 0.0 if device is None else device.diode_voltage
+    return threshold + (STAR * known.offset if known.by_diode else 0.0)
 
 
 def run_blocks(
@@ -98,7 +112,13 @@ def run_blocks(
     run = run_input(drive_of_blocks(design, found), switched, stride=stride, topology="three-wire")
     if progress is not None:
         run.parameters["progress"] = 1.0
-    main = render("six_step/six_step_main.c.j2", {"prefix": prefix, "macro": prefix.upper()})
+    run.parameters["diode_voltage"] = _diode_voltage(design, found)
+    context = {
+        "prefix": prefix,
+        "macro": prefix.upper(),
+        "diodes": found.disturbed.by_diode,
+    }
+    main = render("six_step/six_step_main.c.j2", context)
     sources = simulation_sources() | {"six_step_main.c": main}
     content = np.array([1.0]).tobytes() + run.content() + _voltmeter(design, found)
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:

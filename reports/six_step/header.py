@@ -24,6 +24,7 @@ from dqforge.optimizer.six_step.control import (
     SixStepGains,
     SixStepLegs,
     blank,
+    six_step_diode_step,
     six_step_reset,
     six_step_speed_control,
     six_step_step,
@@ -64,8 +65,9 @@ _LENGTH = 250  # rows of a short sequence
 _LONGEST = 12_000  # rows of the sequence that goes through alignment and ramp
 _FACTOR = 1.6539866862653762  # of a sine: emf over the amplitude of the flux
 
-# Columns of the inputs: reset, torque mode, v_a, v_b, v_c, i_a, i_b, i_c, v_dc, reference.
-COLUMNS = 10
+# Columns of the inputs: reset, torque mode, v_a, v_b, v_c, i_a, i_b, i_c, v_dc, reference, whether
+# the diodes of a, b and c conduct.
+COLUMNS = 13
 
 # Columns of the results: stage, fault, sector, high, low, duty, angle, speed, torque, chopped leg.
 RESULTS = 10
@@ -88,6 +90,7 @@ def _sequence(
         noise = 0.01 * (size + 0.1) * generator.standard_normal(rows)
         found[:, 2 + phase] = 0.5 * link - np.sign(omega) * size * np.sin(lag) + noise
         found[:, 5 + phase] = gains.i_max * generator.normal(0.0, 0.5, rows)
+        found[:, 10 + phase] = np.sign(omega) * np.sin(2.0 * lag) > 0.0
     found[:, 8] = link
     way = 1.0 if omega >= 0.0 else -1.0
     asked = gains.torque * gains.i_max if torque else 1.3 * abs(omega) / gains.pole_pairs
@@ -124,8 +127,11 @@ def _row(drive: SixStep, gains: SixStepGains, given: SingleArray) -> list[float]
         asked = six_step_torque_control(SINGLE, drive, given[9])
     else:
         asked = six_step_speed_control(SINGLE, gains, drive, given[9])
-    v, i = Abc(*given[2:5]), Abc(*given[5:8])
-    legs = six_step_step(SINGLE, gains, drive, v, i, given[8])
+    v, i, diodes = Abc(*given[2:5]), Abc(*given[5:8]), Abc(*given[10:13])
+    if gains.observer.late is None:
+        legs = six_step_step(SINGLE, gains, drive, v, i, given[8])
+    else:
+        legs = six_step_diode_step(SINGLE, gains, drive, v, diodes, i, given[8])
     seen = drive.observer
     found = (
         drive.stage,
@@ -183,10 +189,21 @@ class EmfIntegration(BlockState):
     """What the estimator keeps from sample to sample."""
 
 
+@dataclass(frozen=True, slots=True)
+class DiodeConductionGains(BlockGains):
+    """Numbers of the estimator; those with two entries hold forwards and backwards."""
+
+
+@dataclass(slots=True)
+class DiodeConduction(BlockState):
+    """What the estimator keeps from sample to sample."""
+
+
 # What the records of the estimator are called in C, by its name there.
 _KINDS: dict[str, tuple[type[BlockGains], type[BlockState]]] = {
     "zero_crossing": (ZeroCrossingGains, ZeroCrossing),
     "emf_integration": (EmfIntegrationGains, EmfIntegration),
+    "diode_conduction": (DiodeConductionGains, DiodeConduction),
 }
 
 
@@ -229,17 +246,27 @@ def control_text(code: str, gains: SixStepGains, prefix: str, macro: str) -> str
 def _functions(code: str, gains: SixStepGains, state: SixStep, prefix: str) -> Functions:
     names = {name: f"{code}_{name}" for name in ("crossing", "see", "due")}
     names |= {f"block_{name}": f"{code}_{name}" for name in ("start", "step")}
+    names["diode_step"] = f"{code}_step"
     functions = Functions(names=names)
     reader = StepReader(prefix, functions, Block("", set()))
     number, v, i = Expression("number"), vector(Abc, "v"), vector(Abc, "i")
     start = [gains.observer, state.observer, 0, 1, number, number]
     reader.write(f"{code}_start", sector_step.block_start, start)
-    reader.write(f"{code}_step", sector_step.block_step, [gains.observer, state.observer, v])
+    diodes = vector(Abc, "diodes")
+    seen = [gains.observer, state.observer]
+    if gains.observer.late is None:
+        reader.write(f"{code}_step", sector_step.block_step, [*seen, v])
+    else:
+        reader.write(f"{code}_step", sector_step.diode_step, [*seen, diodes])
     reader.write("six_step_reset", control.six_step_reset, [gains, state])
     speed, torque = control.six_step_speed_control, control.six_step_torque_control
     reader.write("six_step_speed_control", speed, [gains, state, number])
     reader.write("six_step_torque_control", torque, [state, number])
-    reader.write("six_step_step", control.six_step_step, [gains, state, v, i, number])
+    if gains.observer.late is None:
+        reader.write("six_step_step", control.six_step_step, [gains, state, v, i, number])
+    else:
+        own = [gains, state, v, diodes, i, number]
+        reader.write("six_step_step", control.six_step_diode_step, own)
     return functions
 
 
@@ -308,7 +335,7 @@ def plain_six_step(design: SixStepDesign) -> PlainData:
     }
     for field in fields(SixStepGains):
         value = getattr(design.gains, field.name)
-        if field.name != "observer":
+        if field.name != "observer" and value is not None:
             gains[field.name] = value if field.name in _WHOLE else _single(value)
     return {"method": design.method, "gains": gains}
 
@@ -316,6 +343,8 @@ def plain_six_step(design: SixStepDesign) -> PlainData:
 def _read(kind: type[Any], plain: Mapping[str, Any]) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for field in fields(kind):
+        if field.default is None and field.name not in plain:
+            continue
         value = plain[field.name]
         if field.name == "observer":
             values[field.name] = BlockGains(**_read(BlockGains, value))
@@ -371,9 +400,12 @@ def range_text(found: SixStepDesign) -> str:
 
 def _preamble(design: Design, found: SixStepDesign) -> list[str]:
     prefix, start = design.export.prefix, found.start
-    what = (
-        "the integral of its back-EMF" if found.by_integral else "the zero crossing of its back-EMF"
-    )
+    what = {
+        "zero-crossing": "the zero crossing of its back-EMF",
+        "emf-integration": "the integral of its back-EMF",
+        "diode-conduction": "the diode of the phase that rests",
+    }[found.method]
+    diodes = ", whether a diode conducted in the off-time before" * found.disturbed.by_diode
     period = found.gains.observer.t_s * 1e6
     return [
         f"Blocks of 120 degrees, commutated by {what}, every {period:.6g} us.",
@@ -387,8 +419,8 @@ def _preamble(design: Design, found: SixStepDesign) -> list[str]:
         *wrap(
             f"{prefix}_six_step_reset() once; in every period {prefix}_six_step_speed_control() or "
             f"{prefix}_six_step_torque_control(), then {prefix}_six_step_step() with the voltages "
-            "of the terminals and the currents sampled in the middle of the on-time; the legs it "
-            "returns act from the next period on.",
+            f"of the terminals{diodes} and the currents sampled in the middle of the on-time; the "
+            "legs it returns act from the next period on.",
             110,
         ),
         "Compile with -ffp-contract=off to equal the model bit for bit.",
@@ -420,15 +452,16 @@ def six_step_programme(emitted: EmittedSixStep) -> Programme:
     """
     inputs = six_step_inputs(emitted.gains, SWEEP_POINTS, SWEEP_SEED)
     outputs = six_step_outputs(emitted.gains, inputs)
-    return Programme(_HARNESS, inputs, outputs, "six-step control")
+    harness = _HARNESS if emitted.gains.observer.late is None else _DIODE_HARNESS
+    return Programme(harness, inputs, outputs, "six-step control")
 
 
 _GAINS = "&@@_SIX_STEP_GAINS, &drive"
 _HARNESS = Harness(
     "six_step",
-    "reset, torque mode, voltages, currents, link, reference; stage, fault, sector, legs, duty "
-    "cycle, angle, speed, torque, chopped leg",
-    (10, 10),
+    "reset, torque mode, voltages, currents, link, reference, diodes; stage, fault, sector, legs, "
+    "duty cycle, angle, speed, torque, chopped leg",
+    (COLUMNS, RESULTS),
     (
         "const @_abc_t v = { in[2], in[3], in[4] };",
         "const @_abc_t i = { in[5], in[6], in[7] };",
@@ -456,6 +489,15 @@ _HARNESS = Harness(
     vectors=False,
     states=("@_six_step_t drive;",),
     starts=(f"@_six_step_reset({_GAINS});",),
+)
+
+
+_DIODE_HARNESS = replace(
+    _HARNESS,
+    body=(
+        "const @_abc_t diodes = { in[10], in[11], in[12] };",
+        *(line.replace("v, i, in", "v, diodes, i, in") for line in _HARNESS.body),
+    ),
 )
 
 

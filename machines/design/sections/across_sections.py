@@ -12,6 +12,7 @@ from dqforge.machines.design.sections.control import ControlSection
 from dqforge.machines.design.sections.export import ExportSection
 from dqforge.machines.design.sections.inverter import InverterSection
 from dqforge.machines.design.sections.modulation_choice import ChoiceSection
+from dqforge.machines.design.sections.observer import SixStepSection
 from dqforge.machines.design.sections.operation import OperationSection
 from dqforge.machines.design.sections.simulation import SimulationSection
 from dqforge.machines.design.settings import CurrentLoopSettings
@@ -216,6 +217,17 @@ def _simulated(file: BlockSections) -> list[tuple[KeyPath, str]]:
     return [(path, why) for refused, path, why in found if refused]
 
 
+def _check_diodes(section: SixStepSection, document: YamlDocument) -> None:
+    for name in ("voltage_noise", "filter_time"):
+        if getattr(section, name) is not None:
+            raise document.error(
+                f"control.six_step.{name}: the observer diode-conduction sees whether a diode "
+                "conducts, not a voltage; omit it",
+                ("control", "six_step", name),
+                key=True,
+            )
+
+
 def check_six_step(file: BlockSections, document: YamlDocument) -> bool:
     """Check what a six-step drive cannot do, and say whether the design is one.
 
@@ -227,11 +239,14 @@ def check_six_step(file: BlockSections, document: YamlDocument) -> bool:
         if control.six_step is not None:
             raise document.error(
                 "control.six_step is for the observers that make a six-step drive; write "
-                "control.observer: {method: zero-crossing} or emf-integration, or omit it",
+                "control.observer: {method: zero-crossing}, emf-integration or diode-conduction, "
+                "or omit it",
                 path,
                 key=True,
             )
         return False
+    if method == "diode-conduction" and control.six_step is not None:
+        _check_diodes(control.six_step, document)
     for where, why in (*_refusals(file), *_simulated(file)):
         raise document.error(
             f"{'.'.join(map(str, where))}: a six-step drive (control.observer: {method}) does not "

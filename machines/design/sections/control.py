@@ -297,7 +297,8 @@ class ControlSection(Section):
     )
     six_step: SixStepSection | None = Field(
         default=None,
-        description="for the observers zero-crossing and emf-integration: the six-step drive",
+        description="for the observers zero-crossing, emf-integration and diode-conduction: the "
+        "six-step drive",
     )
     start_up: StartUpWithObserverSection | None = Field(
         default=None, description="from standstill to speed without an encoder"

@@ -142,7 +142,7 @@ _OBSERVER_ENTRIES = (
 )
 
 # Methods whose speed loop is not judged on them.
-_TOLD_NO_SPEED = (SPEED_OBSERVER, "zero-crossing", "emf-integration")
+_TOLD_NO_SPEED = (SPEED_OBSERVER, *SIX_STEP_METHODS)
 
 
 def check_observer(
@@ -330,11 +330,12 @@ _SETTINGS = SixStepSettings()
 
 
 class SixStepSection(Section):
-    """Six-step drive; only with the observers zero-crossing and emf-integration."""
+    """Six-step drive; only with the observers that make one."""
 
     voltage_offset: Drop | None = Field(
         default=None,
-        description="of the measured voltage of the floating phase (V); default 0.2 % of v_dc",
+        description="of the measured voltage of the floating phase, or of its diode's threshold "
+        "(V); default 0.2 % of v_dc, of a threshold 0.2 V",
     )
     voltage_noise: Drop | None = Field(
         default=None,

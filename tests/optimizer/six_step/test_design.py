@@ -33,6 +33,21 @@ def test_the_range_is_that_of_the_formulas() -> None:
     assert found.errors_at(found.limits.low).largest[0] <= limit * (1.0 + 1e-9)
 
 
+def test_the_range_of_a_diode_is_that_of_its_threshold_and_of_the_periods() -> None:
+    design = bench(
+        "control.observer.method=diode-conduction", "control.six_step={voltage_offset: 3 V}"
+    )
+    found = solve_six_step(design)
+    assert found is not None
+    # Off the rail by 1.5 u: 2 V of u. Half a period in the crossing, and half until a leg acts.
+    limit, needed, periods = math.radians(10.0), 1.375 * 3.0 / 1.5 / 0.06, 0.5 * (1.0 + 1.375)
+    omega = (limit - math.sqrt(limit**2 - 4.0 * needed * periods * 5e-5)) / (2.0 * periods * 5e-5)
+    assert found.limits.by_error[0] == pytest.approx(omega, rel=0.03)
+    assert found.gains.duty_most == 1.0 - found.gains.duty_least
+    with pytest.raises(InputError, match="sees whether a diode conducts, not a voltage"):
+        bench("control.observer.method=diode-conduction", "control.six_step={filter_time: 50 us}")
+
+
 def test_freewheeling_is_that_of_its_circuit() -> None:
     design = bench()
     found = solve_six_step(design)

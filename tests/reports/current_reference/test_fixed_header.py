@@ -206,8 +206,9 @@ def test_design_file_asks_for_a_format() -> None:
 
 
 def test_base_that_is_too_small_is_named() -> None:
+    rest = "control: {per_unit: {torque: 178.1 N m}}\nfit: {format: q15}"
     with pytest.raises(
         InputError,
         match=r"control.per_unit.torque: 178.1 N m is full scale in q15.*write torque: 210",
     ):
-        solve(load_text(DESIGN.format(rest="fit: {format: q15}").encode(), "design.yaml"))
+        solve(load_text(DESIGN.format(rest=rest).encode(), "design.yaml"))

@@ -19,7 +19,7 @@ from dqforge.optimizer.six_step.design import solve_six_step
 from dqforge.reports.simulation.recorded_run import Simulation
 from dqforge.reports.six_step.drive_run import commutations, simulate_six_step
 
-METHODS = ("zero-crossing", "emf-integration")
+METHODS = ("zero-crossing", "emf-integration", "diode-conduction")
 SALIENT = (
     ("zero-crossing", 1.5, 1.85, -1),
     ("emf-integration", 1.5, 1.85, -1),
@@ -42,7 +42,9 @@ WAVES = """
 
 
 @pytest.mark.thinned
-@pytest.mark.parametrize(("method", "way"), [("zero-crossing", 1), ("emf-integration", -1)])
+@pytest.mark.parametrize(
+    ("method", "way"), [("zero-crossing", 1), ("emf-integration", -1), ("diode-conduction", -1)]
+)
 def test_a_turning_rotor_is_caught_and_commutated_as_designed(method: str, way: int) -> None:
     design = bench(
         f"control.observer.method={method}",
@@ -109,6 +111,42 @@ def test_an_offset_shows_in_the_instants_as_the_formula_says() -> None:
     grid = 0.5 * omega * 5e-5
     assert np.max(np.abs(late)) == pytest.approx(shift, abs=1.1 * grid)
     assert abs(np.mean(late)) < 0.5 * grid
+
+
+DEVICE = """inverter.device={kind: mosfet, on_resistance: 50 mOhm, diode_voltage: 3 V,
+ diode_resistance: 0 Ohm, turn_on_energy: 1 mJ, turn_off_energy: 1 mJ, reference_current: 10 A,
+ reference_voltage: 300 V, thermal_resistance: 1 K/W}""".replace("\n", "")
+
+
+@pytest.mark.thinned
+@pytest.mark.parametrize("wrong", [0.0, 1.0, -1.0])
+def test_the_threshold_of_a_diode_is_compensated_but_for_its_error(wrong: float) -> None:
+    """Conduction begins (V_F + dV)/(1.5 psi omega) behind the crossing; V_F is known, and what is
+    not known shifts crossing and, by a delay counted from both, nothing else.
+    """
+    design = bench(
+        "control.observer.method=diode-conduction",
+        f"control.six_step={{voltage_offset: {abs(wrong)} V}}",
+        DEVICE if wrong >= 0.0 else DEVICE.replace("3 V", "1 V"),
+        "simulation.shaft.points[0].speed=600 rpm",
+        "simulation.duration=0.2 s",
+    )
+    made = solve_six_step(design)
+    assert made is not None
+    if wrong < 0.0:  # the design counts on more than there is
+        counted = 3.0 * made.gains.observer.late if made.gains.observer.late else 0.0
+        made = replace(
+            made,
+            gains=replace(made.gains, observer=replace(made.gains.observer, late=counted)),
+            disturbed=replace(made.disturbed, offset=1.0 / 1.5),
+        )
+    run = simulate_six_step(design, found=made).run
+    omega = 3.0 * math.pi * 600.0 / 30.0
+    _, late = commutations(made, run)
+    per_volt = 1.0 / (1.5 * 0.06 * omega)
+    volts = {0.0: 0.0, 1.0: 1.0, -1.0: 1.0 + 1.0 - 3.0}[wrong]
+    assert late.size > 10
+    assert np.mean(late) == pytest.approx(volts * per_volt, abs=1.1 * omega * 5e-5)
 
 
 def _potentials(high: float, low: float, fed: int, back: int) -> list[float | None]:
@@ -255,7 +293,12 @@ export: {{prefix: six}}
 
 
 @pytest.mark.parametrize(
-    "method", ["zero-crossing", pytest.param("emf-integration", marks=pytest.mark.slow)]
+    "method",
+    [
+        "zero-crossing",
+        pytest.param("emf-integration", marks=pytest.mark.slow),
+        pytest.param("diode-conduction", marks=pytest.mark.slow),
+    ],
 )
 def test_a_drive_starts_from_standstill_and_carries_its_load(method: str) -> None:
     text = BENCH[: BENCH.index("simulation:")]

@@ -22,7 +22,7 @@ from dqforge.reports.six_step.header import (
 
 
 @pytest.mark.thinned
-@pytest.mark.parametrize("method", ["zero-crossing", "emf-integration"])
+@pytest.mark.parametrize("method", ["zero-crossing", "emf-integration", "diode-conduction"])
 def test_the_compiled_control_equals_its_model(method: str) -> None:
     design = bench(f"control.observer.method={method}", "control.six_step.align_time=20 ms")
     output = export_design(design, verify=True)
