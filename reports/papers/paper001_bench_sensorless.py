@@ -140,7 +140,7 @@ CAUSES = {"r_s": 0.1, "l_q": 0.1, "psi_pm": 0.1, "dead_time": 1.0}
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """A method of the chapter: where it stands, its name here (empty: none), what is said of it."""
+    """A method of the chapter: where it stands, its name here, what is said of it."""
 
     section: str
     name: str
@@ -195,9 +195,7 @@ def _slopes(figures: EstimatorFigures, asked: Question) -> tuple[float, ...]:
     return tuple(degrees(size * float(slopes.angle[cause][at])) for cause, size in CAUSES.items())
 
 
-def _found(stated: Stated, candidate: Candidate | None, asked: Question) -> MethodFound:
-    if candidate is None:
-        return MethodFound(stated, "not made here")
+def _found(stated: Stated, candidate: Candidate, asked: Question) -> MethodFound:
     refusal = candidate.refusal(asked)
     if refusal:
         return MethodFound(stated, refusal)
@@ -227,4 +225,4 @@ def methods_found(design_name: str) -> tuple[MethodFound, ...]:
     """
     asked = replace(ask(catalogue.load(design_name)), steady=True)
     known = {candidate.name: candidate for candidate in estimators()}
-    return tuple(_found(stated, known.get(stated.name), asked) for stated in METHODS)
+    return tuple(_found(stated, known[stated.name], asked) for stated in METHODS)

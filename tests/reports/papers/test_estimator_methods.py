@@ -20,7 +20,8 @@ def test_every_method_of_the_chapter_is_found_or_refused_with_its_reason(
     for name in ("injection", "inform", "inductance-mapping"):
         assert "1.08" in rows[name].refusal
     assert "third harmonic" in rows["third-harmonic"].refusal
-    assert rows[""].refusal == "not made here"
+    # Conduction is seen once a period, voltages have a line between them.
+    assert rows["diode-conduction"].high_hz < rows["zero-crossing"].high_hz
     for row in reproduced.methods:
         assert row.refusal or (len(row.angle_deg) == 2 and len(row.slopes_deg) == len(CAUSES))
     # what the thesis says of the open-loop flux and of Matsui's current model does not hold here
