@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
+from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.frame_transforms import (
@@ -164,6 +164,84 @@ def telling_orders(curves: BenchCurves) -> tuple[int, ...]:
     """Orders by which the currents of phase a differ, the largest difference first."""
     difference = np.abs(curves.harmonics[1] - curves.harmonics[0])[: HIGHEST_ORDER + 1]
     return tuple(int(order) for order in np.argsort(-difference)[:4])
+
+
+# Which harmonics of the back-EMF the words of the thesis leave: it prints them as a figure alone,
+# and says that the currents of dqx and dqy differ most in the orders 1, 3 and 7.
+
+SPOKEN_ORDERS = (1, 3, 7)
+_SCAN_ANGLES = 240  # of a turn: enough for orders up to 7 and what the currents make of them
+
+# Shares of the fundamental; negative: in opposite phase.
+_THIRD = np.arange(2, 31) * 0.01
+_FIFTH, _SEVENTH = np.arange(-8, 9) * 0.01, np.arange(-6, 7) * 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class SpokenHarmonics:
+    """What the words leave.
+
+    Args:
+        sets, agreeing: How many sets of shares were scanned, and in how many the orders are those
+            of the thesis.
+        opposed: Whether the orders 5 and 7 together are opposite to the fundamental in all these.
+        loss_least, loss_largest: Copper loss of dqx over that of dqy among them.
+        shipped: Shares of the orders 3, 5, 7 of the shipped drive.
+        shipped_agrees: Whether they are among them; ``turned_agrees``: with order 5 in opposite
+            phase.
+    """
+
+    sets: int
+    agreeing: int
+    opposed: bool
+    loss_least: float
+    loss_largest: float
+    shipped: tuple[float, ...]
+    shipped_agrees: bool
+    turned_agrees: bool
+
+
+def apart_of(shares: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Differences of the currents of dqx and dqy by order, shape (M, `HIGHEST_ORDER` + 1), and
+    copper loss of dqx over dqy, shape (M,), of M sets of shares of the orders 3, 5 and 7, shape
+    (M, 3).
+    """
+    theta = 2.0 * np.pi * np.arange(_SCAN_ANGLES) / _SCAN_ANGLES
+    lags = theta - 2.0 * np.pi / 3.0 * np.arange(3)[:, np.newaxis]
+    waves = np.sin(np.multiply.outer(np.array([1.0, 3.0, 5.0, 7.0]), lags))
+    flux = waves[0] + np.tensordot(shares, waves[1:], axes=1)
+    seen = flux - np.mean(flux, axis=1, keepdims=True)
+    squares = [np.sum(wave**2, axis=1) for wave in (seen, flux)]
+    apart = flux[:, 0] / squares[1] - seen[:, 0] / squares[0]
+    lines = np.abs(np.fft.rfft(apart, axis=1))[:, : HIGHEST_ORDER + 1]
+    losses = [np.mean(1.0 / square, axis=1) for square in squares]
+    return lines, np.asarray(losses[0] / losses[1])
+
+
+def _as_spoken(lines: FloatArray) -> BoolArray:
+    largest = np.argsort(-lines, axis=1)[:, : len(SPOKEN_ORDERS)]
+    return np.asarray(np.all(np.sort(largest, axis=1) == SPOKEN_ORDERS, axis=1))
+
+
+def spoken_harmonics(curves: BenchCurves) -> SpokenHarmonics:
+    """Scan the shares of three harmonics for what the thesis says of their currents."""
+    grids = np.meshgrid(_THIRD, _FIFTH, _SEVENTH, indexing="ij")
+    shares = np.stack([grid.ravel() for grid in grids], axis=1)
+    lines, ratio = apart_of(shares)
+    agree = _as_spoken(lines)
+    orders = np.fft.rfft(curves.flux[0]).imag[[1, 3, 5, 7]]
+    shipped = orders[1:] / orders[0]
+    own = _as_spoken(apart_of(np.stack([shipped, shipped * np.array([1.0, -1.0, 1.0])]))[0])
+    return SpokenHarmonics(
+        sets=agree.size,
+        agreeing=int(np.count_nonzero(agree)),
+        opposed=bool(np.all(np.sum(shares[agree, 1:], axis=1) < 1e-9)),
+        loss_least=float(np.min(ratio[agree])),
+        loss_largest=float(np.max(ratio[agree])),
+        shipped=tuple(float(share) for share in shipped),
+        shipped_agrees=bool(own[0]),
+        turned_agrees=bool(own[1]),
+    )
 
 
 # Figures 6.2 to 6.7 and 6.9 to 6.16 of paper 002 as they follow from the definitions.

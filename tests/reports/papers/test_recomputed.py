@@ -25,6 +25,48 @@ RIGHT = {
 }
 
 
+def _least_currents(shares: tuple[float, ...], *, balanced: bool) -> np.ndarray:
+    """Currents of the phases for a torque of one, each angle a constrained least-norm problem."""
+    theta = 2.0 * np.pi * np.arange(180) / 180
+    found = np.empty((3, theta.size))
+    for place, angle in enumerate(theta):
+        lag = angle - 2.0 * np.pi / 3.0 * np.arange(3)
+        flux = np.sin(lag) + sum(
+            share * np.sin(order * lag) for order, share in zip((3, 5, 7), shares, strict=True)
+        )
+        rows, wanted = [flux], [1.0]
+        if balanced:
+            rows.append(np.ones(3))
+            wanted.append(0.0)
+        found[:, place] = np.linalg.lstsq(np.array(rows), np.array(wanted), rcond=None)[0]
+    return found
+
+
+@pytest.mark.parametrize(
+    "shares", [(0.12, 0.03, 0.01), (0.12, -0.03, 0.01), (0.2, 0.02, -0.04), (0.05, 0.06, -0.06)]
+)
+def test_the_orders_by_which_both_currents_differ_are_those_of_least_norm(
+    shares: tuple[float, ...],
+) -> None:
+    x, y = (_least_currents(shares, balanced=balanced) for balanced in (True, False))
+    theta = 2.0 * np.pi * np.arange(180) / 180
+    apart = [abs(np.sum((y - x)[0] * np.exp(-1j * order * theta))) for order in range(14)]
+    lines, ratio = paper002_bench_currents.apart_of(np.array([shares]))
+    assert lines[0] / np.max(lines) == pytest.approx(np.array(apart) / np.max(apart), abs=1e-4)
+    assert ratio[0] == pytest.approx(np.sum(x**2) / np.sum(y**2), rel=1e-4)
+
+
+def test_the_words_of_the_thesis_leave_fifth_and_seventh_against_the_fundamental() -> None:
+    spoken = paper002_bench_currents.spoken_harmonics(paper002_bench_currents.bench_curves())
+    assert spoken.shipped == pytest.approx((0.12, 0.03, 0.01))
+    assert spoken.opposed
+    assert not spoken.shipped_agrees
+    assert spoken.turned_agrees
+    assert 0.2 < spoken.agreeing / spoken.sets < 0.5
+    # dqy never has more copper loss than dqx.
+    assert 1.0 <= spoken.loss_least < spoken.loss_largest < 1.2
+
+
 def test_table_3_1_to_three_digits_and_the_copper_losses() -> None:
     rows = {row.shape: row for row in back_emf_components.table_3_1()}
     assert set(rows) == set(RIGHT) == set(back_emf_components.PRINTED_TABLE_3_1)
