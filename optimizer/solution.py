@@ -21,6 +21,7 @@ from dqforge.optimizer.current_reference.fit import (
     signed_reference,
 )
 from dqforge.optimizer.current_reference.solve import COVERED, DataUse, solve_fit
+from dqforge.optimizer.current_reference.torque_band import TorqueBand, torque_band
 from dqforge.optimizer.field_weakening.fit import solve_weakening
 from dqforge.optimizer.firmware.solve import FirmwareFit, solve_firmware
 from dqforge.optimizer.fixed_phase_control.solve import IntegerFit, solve_integers
@@ -82,6 +83,7 @@ class Solution:
     observer, None without one. ``start_up`` is how the drive leaves standstill without an
     encoder, None where it does not. ``six_step`` is None where the design is no six-step drive.
     ``application`` are the settings of the program around the functions, None without one.
+    ``torque_band`` is what the tolerances make of the torque, None without any that changes it.
     """
 
     design: Design
@@ -112,6 +114,7 @@ class Solution:
     six_step: SixStepDesign | None = None
     current_feedback: CurrentFeedback | None = None
     application: ApplicationPlan | None = None
+    torque_band: TorqueBand | None = None
 
     @property
     def positive(self) -> Design:
@@ -282,6 +285,7 @@ def solve(design: Design) -> Solution:
         observer_proof=_observer_proof(gains),
         firmware=solve_firmware(design, gains),
         current_feedback=_current_feedback(design),
+        torque_band=torque_band(positive.machine, control.curves.chosen, design.control.tolerances),
     )
 
 

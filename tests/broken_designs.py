@@ -939,13 +939,6 @@ _LOOPS: list[Broken] = [
         "the speed loop alone",
     ),
     (
-        "tolerance-magnet-alone",
-        _tolerances("psi_pm: 5 %", speed=False),
-        23,
-        5,
-        "the speed loop alone",
-    ),
-    (
         "schedule-of-constants",
         changed("    bandwidth: 200 Hz\n", "    bandwidth: 200 Hz\n    schedule: true\n"),
         22,

@@ -33,7 +33,13 @@ from dqforge.reports.capability import (
     Value,
 )
 from dqforge.reports.current_reference.figures import ROUNDING
-from dqforge.reports.current_reference.plain import data_lines, plain_fit, to_plain
+from dqforge.reports.current_reference.plain import (
+    band_text,
+    data_lines,
+    plain_band,
+    plain_fit,
+    to_plain,
+)
 from dqforge.reports.operating_points.figures import operating_table
 from dqforge.reports.operating_points.map_tables import plain_curves
 from dqforge.reports.pages.answer import Table
@@ -144,6 +150,10 @@ def errors_passage(solution: Solution) -> Passage:
         f"found by evaluating the arithmetic of the header {count(errors.samples)} times, on both "
         "sides of every breakpoint and, in single precision, with and without fused multiply-add."
     )
+    texts = [text]
+    if solution.torque_band is not None:
+        within = band_text(solution.torque_band)
+        texts.append(symbols(f"On a machine within control.tolerances the torque is {within}."))
     bounds = "They are sampled, not proven bounds."
     if proof is not None:
         bounds = f"Bounds, {proof_title(proof)}: {proven_text(proof, 3)}."
@@ -153,7 +163,7 @@ def errors_passage(solution: Solution) -> Passage:
         "rounding. The losses are on logarithmic scales."
     )
     return Passage(
-        text=[text],
+        text=texts,
         outcome=symbols(bounds),
         proven=proof is not None,
         drawings=[("errors", caption)],
@@ -534,6 +544,8 @@ def _summary(solution: Solution, _: Solution) -> Rows:
     ]
     if solution.certificate is not None:
         rows.append(("  proven bounds", proven_text(solution.certificate)))
+    if solution.torque_band is not None:
+        rows.append(("  torque within tolerances", band_text(solution.torque_band)))
     return rows + _negative_rows(solution.negative)
 
 
@@ -680,7 +692,7 @@ def _plain(solution: Solution, _: Solution) -> PlainData:
         solution.trials,
         solution.certificate,
         solution.data,
-    )
+    ) | {"torque_band": plain_band(solution.torque_band)}
 
 
 # Its result is the whole solution: the fit with its proof, its data and its alternatives.

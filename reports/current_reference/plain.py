@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Strategy
+from dqforge.machines.units.quantities import to_digits
 from dqforge.optimizer.certificates.current_reference import Certificate
 from dqforge.optimizer.current_reference.fit import Alternative, ReferenceFit
 from dqforge.optimizer.current_reference.forms import (
@@ -35,6 +37,7 @@ from dqforge.optimizer.current_reference.forms import (
     TorqueExact,
 )
 from dqforge.optimizer.current_reference.solve import COVERED, DataUse, Trial
+from dqforge.optimizer.current_reference.torque_band import TorqueBand
 from dqforge.optimizer.curves.integer_polynomial import CodeArray, FixedPolynomial, FixedSegment
 from dqforge.optimizer.curves.single_precision import (
     PiecewisePolynomial,
@@ -356,8 +359,44 @@ def _arithmetic(reference: Reference) -> str:
 
 
 def error_text(solution: Solution) -> list[str]:
-    """What the current reference errs by, as lines of at most 110 characters."""
-    return _error_lines(solution.fit, solution.certificate, solution.design.strategy)
+    """What the current reference errs by, and the torque of a drive within its tolerances, as lines
+    of at most 110 characters.
+    """
+    lines = _error_lines(solution.fit, solution.certificate, solution.design.strategy)
+    band = solution.torque_band
+    if band is None:
+        return lines
+    return [
+        *lines,
+        *wrap(f"On a machine within control.tolerances: torque {band_text(band)}.", 110),
+    ]
+
+
+def band_text(band: TorqueBand) -> str:
+    """The torque of a drive within its tolerances, in words."""
+    low, high, together = (_percent(value) for value in (-band.low, band.high, band.independent))
+    parts = ", ".join(f"{part.name} {_percent(part.size)} %" for part in band.parts)
+    least = f"{low} % less to {high} % more than requested"
+    if len(band.parts) == 1:
+        return f"{least} ({parts})"
+    return f"{least} ({parts}; {together} % together if independent)"
+
+
+def _percent(share: float) -> str:
+    """Two digits, rounded up."""
+    return f"{to_digits(100.0 * share, 2, up=True):g}" if share > 0.0 else "0"
+
+
+def plain_band(band: TorqueBand | None) -> PlainData | None:
+    """The same as shares of the requested torque."""
+    if band is None:
+        return None
+    return {
+        "low": band.low,
+        "high": band.high,
+        "independent": band.independent,
+        "parts": {part.name: [part.low, part.high] for part in band.parts},
+    }
 
 
 def _error_lines(

@@ -95,11 +95,6 @@ def read_tolerances(
     for key, missing, why in (
         ("psi_pm", machine.psi_pm == 0.0, "the machine has no magnets"),
         (
-            "psi_pm",
-            not has_speed_loop,
-            "it changes the speed loop alone, and there is none",
-        ),
-        (
             "inertia",
             not has_speed_loop,
             "it changes the speed loop alone, and there is none",
