@@ -5,6 +5,7 @@ here, and what is judged of it against closed forms.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,6 +39,7 @@ from dqforge.optimizer.online_estimation import (
 from dqforge.optimizer.steps.step_arithmetic import EXACT, AlphaBeta
 
 T_S, TAU = 1e-4, 0.05
+one: Any = np.float64
 BOTH = Sought(flux=True, resistance=True, dead_time=False)
 
 
@@ -51,7 +53,7 @@ def asked(machine: LinearMachine, dead_time: float = 0.0, **wanted: float) -> De
 
 def held(
     machine: LinearMachine, i_d: float, i_q: float, omega: float, count: int, substeps: int = 20
-) -> list[tuple[AlphaBeta, AlphaBeta, float]]:
+) -> list[tuple[AlphaBeta, AlphaBeta, Any]]:
     """Samples (voltage over the period before, current, angle) of a machine whose currents a plain
     proportional-integral control holds about a reference; its dq equations by small Euler steps,
     under voltages that rest in stationary coordinates.
@@ -75,8 +77,7 @@ def held(
             id_, iq = id_ + h * slope_d, iq + h * slope_q / machine.l_q
             theta += h * omega
     return [
-        (AlphaBeta(np.float64(v.real), np.float64(v.imag)),
-         AlphaBeta(np.float64(i.real), np.float64(i.imag)), angle)
+        (AlphaBeta(one(v.real), one(v.imag)), AlphaBeta(one(i.real), one(i.imag)), one(angle))
         for v, i, angle in rows
     ]  # fmt: skip
 
@@ -88,7 +89,7 @@ def estimates(
     gains, state = gains_of(asked(known)), at_rest()
     start(EXACT, gains, state)
     for v, i, theta in held(true, i_d, i_q, omega, count):
-        step(BOTH, EXACT, gains, state, v, i, np.float64(theta), np.float64(omega))
+        step(BOTH, EXACT, gains, state, v, i, theta, one(omega))
     return state
 
 
@@ -143,12 +144,12 @@ def test_estimates_stay_within_what_copper_and_magnets_can_be() -> None:
 def test_what_is_no_number_leaves_the_estimates() -> None:
     gains, state = gains_of(asked(SURFACE)), at_rest()
     start(EXACT, gains, state)
-    nothing = np.float64(np.nan)
+    nothing = one(np.nan)
     for v, i, theta in held(SURFACE, 0.0, 20.0, 0.0, 50):
-        step(BOTH, EXACT, gains, state, v, i, np.float64(theta), np.float64(0.0))
+        step(BOTH, EXACT, gains, state, v, i, theta, one(0.0))
     before = float(state.r_s)
-    for bad in (AlphaBeta(nothing, nothing), AlphaBeta(np.float64(np.inf), nothing)):
-        step(BOTH, EXACT, gains, state, bad, i, np.float64(theta), np.float64(0.0))
+    for bad in (AlphaBeta(nothing, nothing), AlphaBeta(one(np.inf), nothing)):
+        step(BOTH, EXACT, gains, state, bad, i, theta, one(0.0))
     assert float(state.r_s) == pytest.approx(before, rel=1e-3)
 
 

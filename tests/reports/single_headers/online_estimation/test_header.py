@@ -87,8 +87,8 @@ def test_the_rows_reach_every_branch_and_both_ends() -> None:
         (r_s, found.gains.r_least, found.gains.r_most),
         (psi_pm, found.gains.psi_least, found.gains.psi_most),
     ):
-        assert np.min(values) == np.float32(least)
-        assert np.max(values) == np.float32(most)
+        assert np.any(values == np.float32(least))
+        assert np.any(values == np.float32(most))
     assert np.any(~np.isfinite(inputs))
 
 
