@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from dqforge.optimizer.modulation_choice.solve import ModulationChoice
     from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad
     from dqforge.optimizer.observers.tuning import ObserverProof
+    from dqforge.optimizer.online_estimation import OnlineEstimationFit
     from dqforge.optimizer.overmodulation import Overmodulation
     from dqforge.optimizer.six_step.design import SixStepDesign
     from dqforge.optimizer.start_up.solve import StartUp
@@ -84,6 +85,7 @@ class Solution:
     encoder, None where it does not. ``six_step`` is None where the design is no six-step drive.
     ``application`` are the settings of the program around the functions, None without one.
     ``torque_band`` is what the tolerances make of the torque, None without any that changes it.
+    ``online_estimation`` is None where no parameter is estimated while the drive runs.
     """
 
     design: Design
@@ -115,6 +117,7 @@ class Solution:
     current_feedback: CurrentFeedback | None = None
     application: ApplicationPlan | None = None
     torque_band: TorqueBand | None = None
+    online_estimation: OnlineEstimationFit | None = None
 
     @property
     def positive(self) -> Design:
@@ -263,6 +266,14 @@ def _application(design: Design) -> ApplicationPlan | None:
     return application_plan(design)
 
 
+def _online_estimation(design: Design) -> OnlineEstimationFit | None:
+    if design.control.online_estimation is None:
+        return None
+    from dqforge.optimizer.online_estimation import solve_online_estimation
+
+    return solve_online_estimation(design)
+
+
 @on_design("machine")
 def solve(design: Design) -> Solution:
     """Solve everything that the design asks for.
@@ -326,6 +337,7 @@ def solve_control(design: Design, *, proofs: bool = False) -> Solution:
         six_step=_six_step(design),
         start_up=_start_up(design),
         application=_application(design),
+        online_estimation=_online_estimation(design),
     )
 
 

@@ -29,6 +29,7 @@ from dqforge.reports.single_headers.current_feedback import CURRENT_FEEDBACK
 from dqforge.reports.single_headers.field_weakening import WEAKENING
 from dqforge.reports.single_headers.fixed_reference import FIXED_REFERENCE
 from dqforge.reports.single_headers.frame_tables import FRAME_TABLES
+from dqforge.reports.single_headers.online_estimation import ONLINE_ESTIMATION
 from dqforge.reports.single_headers.overmodulation import OVERMODULATION
 from dqforge.reports.single_headers.speed_measurement import SPEED_MEASUREMENT
 from dqforge.reports.six_step.header import SIX_STEP
@@ -64,6 +65,7 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     SIX_STEP,
     START_UP,
     SPEED_MEASUREMENT,
+    ONLINE_ESTIMATION,
     APPLICATION,
     FIRMWARE,
     FORMATS_NOT_SIMULATED,

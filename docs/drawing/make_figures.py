@@ -42,6 +42,7 @@ import figures_measured_drive
 import figures_modulation
 import figures_observed_loops
 import figures_observers
+import figures_online_estimation
 import figures_operating_points
 import figures_overmodulation
 import figures_phase_control
@@ -117,6 +118,7 @@ FIGURES: dict[str, Callable[[Path], None]] = {
     "mtpa": figures_operating_points.mtpa,
     "observed-loops": figures_observed_loops.corners_over_speed,
     "observer-error": figures_gains.observer_error,
+    "online-estimation": figures_online_estimation.warm_windings,
     "operating-map": figures_operating_points.operating_points_map,
     "overmodulation": figures_overmodulation.methods,
     "periodic-stability": figures_stability.periodic_stability,

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, get_args
 
 from dqforge.machines.design import design as datasheet
 from dqforge.machines.design.design import Design, InputValue, Reading
@@ -47,6 +47,7 @@ from dqforge.machines.design.sections.losses import (
 )
 from dqforge.machines.design.sections.machine import check_halves, check_machine, read_machine
 from dqforge.machines.design.sections.modulation_choice import read_choice
+from dqforge.machines.design.sections.observer import check_online_estimation
 from dqforge.machines.design.sections.operation import (
     check_operation,
     check_overmodulation,
@@ -94,6 +95,7 @@ from dqforge.machines.files.positioned_yaml import (
     read_bytes,
     written,
 )
+from dqforge.machines.names import FeedbackMethod
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity, kind_said
 
@@ -237,6 +239,14 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
         file.export,
         document,
         any_back_emf=found.phases is not None,
+    )
+    check_online_estimation(
+        file.control.online_estimation,
+        machine,
+        document,
+        left_out=found.phases is not None
+        or blocks
+        or file.control.current_loop.method in get_args(FeedbackMethod),
     )
     check_start_up(
         file.control,

@@ -406,6 +406,17 @@ class SixStepSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class OnlineEstimationSettings:
+    """Which parameters are estimated while the drive runs, and the time constant in s with which
+    they are followed.
+    """
+
+    flux: bool = True
+    resistance: bool = True
+    time_constant: float = 5.0
+
+
+@dataclass(frozen=True, slots=True)
 class ControlSettings:
     """Sampling and controllers; ``t_s`` is the current-control sampling period in s.
 
@@ -414,7 +425,7 @@ class ControlSettings:
     them still has its current references. ``firmware`` is that of others whose loops are evaluated
     beside those of the emitted code, None without one. ``start_up`` is how the drive starts without
     an encoder, None where it does not. ``six_step`` is that of a six-step drive, None for drives in
-    rotor coordinates.
+    rotor coordinates. ``online_estimation`` is None where no parameter is estimated.
     """
 
     t_s: float
@@ -428,6 +439,7 @@ class ControlSettings:
     firmware: FirmwareSettings | None = None
     start_up: StartUpSettings | None = None
     six_step: SixStepSettings | None = None
+    online_estimation: OnlineEstimationSettings | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -556,6 +556,7 @@ SUFFIXES = tuple(
         "_observer_q31",
         "_speed_observer",
         "_speed_measurement",
+        "_online_estimation",
         "_start_observer",
         "_startup",
         "_six_step",

@@ -458,6 +458,34 @@ class PlantErrors:
 
 
 @dataclass(frozen=True, slots=True)
+class Drift:
+    """How resistance and magnet flux linkage of the plant move while it runs: by lines from nothing
+    at ``begin`` to the whole at ``end``, both in s.
+
+    ``r_s`` and ``psi_pm`` are relative, over the data of the design, and add to `PlantErrors`.
+
+    Raises:
+        InputError: It does not end behind its beginning.
+    """
+
+    begin: float
+    end: float
+    r_s: float = 0.0
+    psi_pm: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse instants out of order."""
+        if not 0.0 <= self.begin < self.end < np.inf:
+            raise InputError(
+                f"a drift from {self.begin:g} s cannot end at {self.end:g} s; write a later end"
+            )
+
+    def share(self, time: FloatArray) -> FloatArray:
+        """Share of the whole at times in s, any shape."""
+        return np.clip((np.asarray(time) - self.begin) / (self.end - self.begin), 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
 class PhaseOpening:
     """A phase that opens while the drive runs.
 
@@ -519,6 +547,7 @@ class Scenario:
             rest.
         brake: A brake that grips during the run; None for none.
         stop: Instant in s at which the command of a drive without encoder goes; None for never.
+        drift: How the plant's resistance and magnets change; None for not at all.
     """
 
     duration: float
@@ -543,3 +572,4 @@ class Scenario:
     load_kind: StartLoadName = "active"
     brake: ElasticBrake | None = None
     stop: float | None = None
+    drift: Drift | None = None

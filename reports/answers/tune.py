@@ -46,15 +46,17 @@ def answer_tune(design: Design) -> Answer:
     stage("proving the observer")
     proof, evidence, own = _observer(design, gains)
     starting, start = _start(design)
+    estimating, online = _online(design)
     tables = [
         *gains_tables(design, gains, proof),
         *own,
         *starting,
+        *estimating,
         *_moving(gains),
         *rounded,
     ]
     found = Tuning(design, gains, fixed, proof, evidence)
-    return Answer(design.name, tables, found.plain() | start, found.figure)
+    return Answer(design.name, tables, found.plain() | start | online, found.figure)
 
 
 # What not every design asks for is loaded where one does.
@@ -115,3 +117,18 @@ def _start(design: Design) -> tuple[list[Table], PlainData]:
 
     start = solve_start_up(design)
     return ([], {}) if start is None else (start_tables(start), {"start_up": plain_start(start)})
+
+
+def _online(design: Design) -> tuple[list[Table], PlainData]:
+    if design.control.online_estimation is None:
+        return [], {}
+    from dqforge.optimizer.online_estimation import solve_online_estimation
+    from dqforge.reports.single_headers.online_estimation import (
+        estimation_tables,
+        plain_estimation,
+    )
+
+    found = solve_online_estimation(design)
+    if found is None:
+        return [], {}
+    return estimation_tables(found), {"online_estimation": plain_estimation(found)}

@@ -21,6 +21,7 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.forms import FixedReference
+from dqforge.optimizer.online_estimation import FLUX, RESISTANCE
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.optimizer.start_up.start_records import StartupFault, StartupState
@@ -44,6 +45,7 @@ from dqforge.reports.simulation.recorded_run import (
     BlockFigures,
     BlockRecord,
     BridgeRecord,
+    EstimationRecord,
     PhaseRecord,
     Progress,
     Simulation,
@@ -55,6 +57,7 @@ from dqforge.reports.simulation.recorded_run import (
 from dqforge.reports.single_headers.application import application_files
 from dqforge.reports.single_headers.field_weakening import weakening_files
 from dqforge.reports.single_headers.fixed_reference import reference_files
+from dqforge.reports.single_headers.online_estimation import estimation_files
 from dqforge.reports.single_headers.speed_measurement import measurement_files
 from dqforge.reports.start_up.header import every_start_file
 from dqforge.reports.waveforms.tables import waveform_files
@@ -100,6 +103,20 @@ class ObservedFigures:
 
 
 @dataclass(frozen=True, slots=True)
+class EstimationFigures:
+    """How parameters were estimated on line: at the end the resistance in Ohm and the flux linkage
+    in Wb, estimated and of the plant, and the shares of the samples that moved each estimate.
+    """
+
+    r_s: float
+    r_s_plant: float
+    psi_pm: float
+    psi_pm_plant: float
+    r_s_share: float
+    psi_pm_share: float
+
+
+@dataclass(frozen=True, slots=True)
 class PhaseFigures:
     """What a phase machine did over the last tenth of a run.
 
@@ -141,13 +158,25 @@ def observed(run: Simulation) -> ObservedFigures | None:
     )
 
 
+# Of a simulation, what is no array: records of their own among it.
+_RECORDS = frozenset(
+    ("scenario", "figures", "phases", "start", "blocks", "application", "bridge", "estimation")
+)
+
+
 def npz_bytes(run: Simulation) -> bytes:
     """The samples as a NumPy archive: float64 arrays by name, without a date,
     the same bytes for the same run.
     """
-    more = (run.phases, run.start, run.blocks, run.application, run.bridge)
+    more = (run.phases, run.start, run.blocks, run.application, run.bridge, run.estimation)
     parts: list[
-        Simulation | PhaseRecord | StartRecord | BlockRecord | ApplicationRecord | BridgeRecord
+        Simulation
+        | PhaseRecord
+        | StartRecord
+        | BlockRecord
+        | ApplicationRecord
+        | BridgeRecord
+        | EstimationRecord
     ] = [
         run,
         *(part for part in more if part is not None),
@@ -156,7 +185,7 @@ def npz_bytes(run: Simulation) -> bytes:
         name: getattr(part, name)
         for part in parts
         for name in type(part).__dataclass_fields__
-        if name not in ("scenario", "figures", "phases", "start", "blocks", "application", "bridge")
+        if name not in _RECORDS
     }
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -226,7 +255,8 @@ class DriveSimulation:
     those in further formats; ``not_simulated`` are formats that the design emits and nothing ran.
     ``firmware`` names that of others whose loops ran in place of the emitted code, None for the
     latter; ``remarks`` say what is otherwise in a run, one sentence each. ``six_step`` are the
-    figures of a six-step drive, None for others; ``start`` those of a start without encoder.
+    figures of a six-step drive, None for others; ``start`` those of a start without encoder,
+    ``estimation`` those of parameters estimated on line.
     """
 
     design: Design
@@ -246,6 +276,7 @@ class DriveSimulation:
     remarks: tuple[str, ...] = ()
     six_step: BlockFigures | None = None
     start: StartFigures | None = None
+    estimation: EstimationFigures | None = None
 
     @property
     def every(self) -> tuple[DriveSimulation, ...]:
@@ -292,7 +323,12 @@ def emitted_files(solution: Solution, number_format: NumberFormat) -> dict[str, 
             if solution.application is None
             else application_files(solution, solution.application)
         )
-        return controller_files(in_float32(solution)) | measured | program
+        estimation = (
+            {}
+            if solution.online_estimation is None
+            else estimation_files(solution.design, solution.online_estimation)
+        )
+        return controller_files(in_float32(solution)) | measured | program | estimation
     fits = [fit for fit in solution.fixed if fit.control.format == number_format]
     if not fits:
         raise ValueError(f"the design emits no control functions in {number_format}")
@@ -482,6 +518,20 @@ def evaluate(design: Design, run: Simulation) -> DriveSimulation:
         observed=observed(run),
         phases=None if run.phases is None else phase_figures(run.figures, run.phases),
         start=None if run.start is None else start_figures(run, run.start),
+        estimation=None if run.estimation is None else estimation_figures(run.estimation),
+    )
+
+
+def estimation_figures(record: EstimationRecord) -> EstimationFigures:
+    """Figures of parameters estimated on line."""
+    status = record.estimation_status.astype(int)
+    return EstimationFigures(
+        r_s=float(record.r_s_estimated[-1]),
+        r_s_plant=float(record.r_s[-1]),
+        psi_pm=float(record.psi_pm_estimated[-1]),
+        psi_pm_plant=float(record.psi_pm[-1]),
+        r_s_share=float(np.mean((status & RESISTANCE) > 0)),
+        psi_pm_share=float(np.mean((status & FLUX) > 0)),
     )
 
 

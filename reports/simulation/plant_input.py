@@ -40,6 +40,7 @@ _LEAST_STEPS = 2
 _DEAD_STEPS = 4
 _MOST_STEPS = 200
 _STOP = 100.0
+_DRIFTING = ("r_s", "psi_pm", "scale_pm")
 LONGEST_DELAY = 3.0  # Most sampling periods that the program keeps duty cycles waiting.
 
 
@@ -106,6 +107,8 @@ PARAMETERS = (
     *("load_resists", "brake_time", "brake_stiffness", "brake_damping"),
     *("encoderless", "stop_time"),
     *("edges", "clock", "measured_ratio"),
+    *("drift_begin", "drift_end", "first_r_s", "first_psi_pm", "first_scale_pm"),
+    *("drift_r_s", "drift_psi_pm", "drift_scale_pm"),
 )
 
 # What is recorded at a sampling instant, in this order.
@@ -128,6 +131,7 @@ COLUMNS = (
     *("v_alpha", "v_beta", "theta_e_observed", "omega_m_observed", "sensorless"),
     *("start_state", "start_fault", "start_reference"),
     *("application_state", "application_fault"),
+    *("r_s", "psi_pm", "r_s_estimated", "psi_pm_estimated", "estimation_status"),
     *("duty_n", "duty_a2", "duty_b2", "duty_c2", "i_a", "i_b", "i_c", "i_n", "v_m", "torque_mean"),
 )
 
@@ -256,6 +260,23 @@ def _machine_parameters(drive: Drive, scenario: Scenario, topology: Topology) ->
             "flux map"
         )
     return values | {"kind": 0.0, "psi_pm": machine.psi_pm * (1.0 + errors.psi_pm)}
+
+
+def _drift_parameters(
+    machine: Machine, scenario: Scenario, electrical: dict[str, float]
+) -> dict[str, float]:
+    """Begin and end in s, what changes there as it is first, and by how much it changes."""
+    drift, first = scenario.drift, {f"first_{name}": electrical[name] for name in _DRIFTING}
+    if drift is None:
+        return first | {f"drift_{name}": 0.0 for name in ("begin", "end", *_DRIFTING)}
+    constant = electrical["kind"] < 1.0
+    return first | {
+        "drift_begin": drift.begin,
+        "drift_end": drift.end,
+        "drift_r_s": machine.r_s * drift.r_s,
+        "drift_psi_pm": machine.psi_pm * drift.psi_pm if constant else 0.0,
+        "drift_scale_pm": 0.0 if constant else drift.psi_pm,
+    }
 
 
 def _observer_parameters(scenario: Scenario) -> dict[str, float]:
@@ -449,6 +470,7 @@ def run_input(
             "encoderless": 1.0 if scenario.encoder.absent else 0.0,
             "stop_time": math.inf if scenario.stop is None else scenario.stop,
         }
+        | _drift_parameters(machine, scenario, electrical)
         | _observer_parameters(scenario)
         | _load_parameters(scenario)
     )

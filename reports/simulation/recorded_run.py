@@ -126,6 +126,22 @@ class ApplicationRecord:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class EstimationRecord:
+    """What an estimation of parameters records besides, arrays of shape (N,) at the sampling
+    instants.
+
+    ``r_s`` in Ohm and ``psi_pm`` in Wb are those of the plant, ``r_s_estimated`` and
+    ``psi_pm_estimated`` the estimates, ``estimation_status`` that of the emitted structure.
+    """
+
+    r_s: FloatArray
+    psi_pm: FloatArray
+    r_s_estimated: FloatArray
+    psi_pm_estimated: FloatArray
+    estimation_status: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class StartRecord:
     """What a start without encoder records besides, arrays of shape (N,) at the sampling instants.
 
@@ -252,7 +268,8 @@ class Simulation:
     the controller ran on them, and then ``theta_e_measured`` and ``omega_m_measured`` are theirs.
     ``figures`` are those of the one run, ``phases`` what phase machines have besides, ``start``
     what a start without encoder has, ``blocks`` what six-step drives have,
-    ``application`` what the program around the functions has.
+    ``application`` what the program around the functions has, ``estimation`` what an estimation of
+    parameters has.
     """
 
     scenario: Scenario
@@ -285,6 +302,7 @@ class Simulation:
     blocks: BlockRecord | None = None
     application: ApplicationRecord | None = None
     bridge: BridgeRecord | None = None
+    estimation: EstimationRecord | None = None
 
 
 # Simulation in the time domain: a compiled plant around the emitted controller,
@@ -331,7 +349,8 @@ class Simulator:
     and ``reduced_order``. ``topology`` is that of a controller for phase machines, None for one
     that drives three legs, or none. ``format`` is the number format of its control functions.
     ``starts`` says whether it can start without an encoder, ``measures`` that it can measure the
-    speed by the emitted functions, ``applies`` that it is led by the program around them.
+    speed by the emitted functions, ``applies`` that it is led by the program around them,
+    ``estimates`` that it estimates parameters on line.
     """
 
     program: Path
@@ -342,6 +361,7 @@ class Simulator:
     starts: bool = False
     measures: bool = False
     applies: bool = False
+    estimates: bool = False
 
 
 def measurement_of(files: Mapping[str, bytes], prefix: str) -> str:
@@ -394,6 +414,8 @@ def compile_simulator(
         starts=number_format == "float32" and f"{controller}_startup.h" in (files or {}),
         measures=bool(measurement_of(files or {}, controller)),
         applies=number_format == "float32" and f"{controller}_main.c" in (files or {}),
+        estimates=number_format == "float32"
+        and f"{controller}_online_estimation.h" in (files or {}),
     )
 
 
@@ -428,6 +450,7 @@ def simulation_sources(
         "low": _start_observer(prefix, files or {}),
         "start_up": not integers and f"{prefix}_startup.h" in (files or {}),
         "measurement": measurement_of(files or {}, controller),
+        "estimation": not integers and f"{controller}_online_estimation.h" in (files or {}),
         "application": not integers and f"{prefix}_main.c" in (files or {}),
         "torque_limit": any(b"*torque_limit;" in content for content in (files or {}).values()),
         "torque_control": not integers
@@ -625,12 +648,14 @@ def simulate(
         observer=observer,
     )
     ((figures, rows),) = _runs(simulator, [run], progress)
+    applied = simulator.applies and scenario.mode == "speed"
     return as_recorded(
         scenario,
         figures,
         rows,
         None if drive.phases is None else topology,
-        applied=simulator.applies and scenario.mode == "speed",
+        applied=applied,
+        estimated=simulator.estimates and not (applied or scenario.encoder.absent),
     )
 
 
@@ -641,6 +666,7 @@ def as_recorded(
     topology: Topology | None,
     *,
     applied: bool = False,
+    estimated: bool = False,
 ) -> Simulation:
     """A run from the numbers that a program wrote.
 
@@ -650,6 +676,7 @@ def as_recorded(
         rows: In the order of `COLUMNS`, shape (N, columns); further columns are left aside.
         topology: Of a phase machine, None for others.
         applied: Whether the program around the functions ran.
+        estimated: Whether parameters were estimated.
     """
     columns = {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(COLUMNS)}
     duty = np.stack([columns.pop(f"duty_{phase}") for phase in "abc"], axis=1)
@@ -657,6 +684,7 @@ def as_recorded(
     phases = _phase_record(columns, duty, topology)
     start = _start_record(columns, scenario)
     program = _application_record(columns, applied=applied)
+    known = EstimationRecord(*(columns.pop(name) for name in EstimationRecord.__slots__))
     return Simulation(
         scenario=scenario,
         duty=duty,
@@ -667,6 +695,7 @@ def as_recorded(
         blocks=None,
         application=program,
         bridge=None,
+        estimation=known if estimated else None,
         **columns,
     )
 

@@ -155,6 +155,23 @@ def _phase_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
     return tuple(rows)
 
 
+def _estimation_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
+    """Parameters estimated on line, nothing where none are."""
+    seen = found.estimation
+    if seen is None:
+        return ()
+    return tuple(
+        (
+            f"estimated {name} (plant), and share of the time seen",
+            f"{_value(own, unit)} ({_value(true, unit)}), {100.0 * part:.3g} %",
+        )
+        for name, own, true, unit, part in (
+            ("resistance", seen.r_s, seen.r_s_plant, "Ohm", seen.r_s_share),
+            ("flux linkage", seen.psi_pm, seen.psi_pm_plant, "Wb", seen.psi_pm_share),
+        )
+    )
+
+
 def _block_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
     """Figures of a six-step drive, nothing for others."""
     seen = found.six_step
@@ -230,6 +247,7 @@ def _lines(found: DriveSimulation) -> list[tuple[str, ...]]:
                 *_block_rows(each),
                 *_bridge_rows(each),
                 *_observer_rows(each),
+                *_estimation_rows(each),
                 *_start_rows(each),
             )
         )
@@ -512,6 +530,7 @@ def _plain_run(found: DriveSimulation) -> PlainData:
         | _plain_bridge(found)
         | _plain_firmware(found)
         | ({} if found.start is None else {"start": plain_start(found.start)})
+        | ({} if found.estimation is None else {"estimation": asdict(found.estimation)})
         | {
             "mode": run.scenario.mode,
             "inverter": run.scenario.inverter,

@@ -172,6 +172,7 @@ ELSEWHERE = {
     "simulation",
     "current_feedback",
     "speed_measurement",
+    "online_estimation",
     "start_up",
 }
 

@@ -14,6 +14,7 @@ from dqforge.machines.design.sections.export import ExportSection
 from dqforge.machines.design.sections.firmware import AnyFirmware, read_firmware
 from dqforge.machines.design.sections.observer import (
     ObserverSection,
+    OnlineEstimationSection,
     SixStepSection,
     SpeedMeasurementSection,
     check_measurement,
@@ -30,6 +31,7 @@ from dqforge.machines.design.settings import (
     CurrentLoopSettings,
     GainWish,
     ObserverSettings,
+    OnlineEstimationSettings,
     PerUnitBases,
     SpeedLoopSettings,
     StartUpSettings,
@@ -303,6 +305,9 @@ class ControlSection(Section):
     start_up: StartUpWithObserverSection | None = Field(
         default=None, description="from standstill to speed without an encoder"
     )
+    online_estimation: OnlineEstimationSection | None = Field(
+        default=None, description="resistance and magnet flux estimated while the drive runs"
+    )
     gains: bool = Field(
         default=True, description="false: no loops are tuned, the header holds the references alone"
     )
@@ -456,6 +461,9 @@ def read_control(
         firmware=read_firmware(section.firmware),
         six_step=read_six_step(section.six_step, None if observer is None else observer.method),
         start_up=_read_start_up(section.start_up, reading),
+        online_estimation=None
+        if section.online_estimation is None
+        else settings_from(OnlineEstimationSettings, section.online_estimation),
     )
 
 

@@ -1,6 +1,6 @@
 """The sections that say what knows the position and the speed: ``control.observer``,
 ``control.speed_loop.measurement`` and ``control.six_step``, with what observer and loop leave
-to each other.
+to each other; and what knows the machine, ``control.online_estimation``.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dqforge.machines.design.design import Reading
 from dqforge.machines.design.settings import (
     SPEED_ERROR,
     ObserverSettings,
+    OnlineEstimationSettings,
     SixStepSettings,
     SpeedLoopSettings,
     SpeedMeasurementSettings,
@@ -21,6 +22,7 @@ from dqforge.machines.design.settings import (
     settings_from,
 )
 from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.entries.kinds import (
     Bandwidth,
     Drop,
@@ -365,3 +367,61 @@ def read_six_step(section: SixStepSection | None, method: str | None) -> SixStep
     if method not in SIX_STEP_METHODS:
         return None
     return settings_from(SixStepSettings, section or SixStepSection())
+
+
+# The section ``control.online_estimation``: resistance and flux linkage while the drive runs.
+
+_ESTIMATION = OnlineEstimationSettings()
+
+EstimationTime = Annotated[Quantity, QuantityRule("time", 0.01, 1e4)]
+
+
+class OnlineEstimationSection(Section):
+    """Parameters that are estimated while the drive runs; no control function uses them."""
+
+    flux: bool = Field(
+        default=_ESTIMATION.flux, description="flux linkage of the magnets, where speed shows it"
+    )
+    resistance: bool = Field(
+        default=_ESTIMATION.resistance, description="resistance, where current shows it"
+    )
+    time_constant: EstimationTime | None = Field(
+        default=None, description="with which they are followed (s); default 5 s"
+    )
+
+
+def check_online_estimation(
+    section: OnlineEstimationSection | None,
+    machine: Machine,
+    document: YamlDocument,
+    *,
+    left_out: bool,
+) -> None:
+    """Check what the estimation needs of the machine.
+
+    ``left_out`` says that nothing is controlled in rotor coordinates by a modulator. Raises
+    `InputError` with a position.
+    """
+    if section is None:
+        return
+    path = ("control", "online_estimation")
+
+    def fault(message: str) -> Exception:
+        return document.error(f"control.online_estimation: {message}", path, key=True)
+
+    if left_out:
+        raise fault(
+            "it compares the voltage reference of a control in rotor coordinates of a machine with "
+            "a sinusoidal back-EMF; remove it, or the waveform, six_step or switching current loop"
+        )
+    if not isinstance(machine, LinearMachine):
+        raise fault(
+            "the inductances of this machine change with the current, which it knows nothing of; "
+            "remove it, or write model: linear"
+        )
+    if machine.psi_pm == 0.0:
+        raise fault("it needs a magnet flux, the machine has none; remove it")
+    if machine.r_s == 0.0:
+        raise fault("it needs a resistance above 0 Ohm; write machine.resistance, or remove it")
+    if not (section.flux or section.resistance):
+        raise fault("neither flux nor resistance is estimated; write one of them as true")

@@ -29,6 +29,7 @@ from dqforge.machines.names import SPEED_OBSERVER, OpenPhase, StartLoadName, Top
 from dqforge.machines.plants.scenario import (
     ControlMode,
     CurrentSensor,
+    Drift,
     Encoder,
     InverterModel,
     PhaseOpening,
@@ -191,6 +192,25 @@ def _errors(section: PlantErrorsSection) -> PlantErrors:
     return PlantErrors(*(si_of(entry) or 0.0 for entry in entries))
 
 
+def _drift(section: DriftSection | None, waveform: bool, reading: Reading) -> Drift | None:
+    """The change of the plant, None for none.
+
+    Raises `InputError` with a position.
+    """
+    if section is None:
+        return None
+    path: KeyPath = (*_PATH, "drift")
+    begin = si_of(section.begin) or 0.0
+    if begin >= section.end.si:
+        message = f"simulation.drift: it ends at {section.end.text}; write an end behind its begin"
+        raise reading.document.error(message, (*path, "end"))
+    if waveform:
+        message = "simulation.drift is not there for machines of model: waveform; remove it"
+        raise reading.document.error(message, path, key=True)
+    changes = (si_of(section.resistance) or 0.0, si_of(section.magnet_flux) or 0.0)
+    return Drift(begin, section.end.si, *changes)
+
+
 def _load_kind(section: SimulationSection, control: ControlSettings) -> StartLoadName:
     """That of the start where there is no encoder; a torque that always acts where there is."""
     start = control.start_up if section.encoder.absent else None
@@ -267,6 +287,7 @@ def read_scenario(
         open_phase=_opening(section.open_phase, waveform, inverter.topology, reading),
         load_kind=section.load.kind or _load_kind(section, control),
         stop=si_of(section.stop),
+        drift=_drift(section.drift, waveform, reading),
     )
 
 
@@ -604,6 +625,21 @@ class PlantErrorsSection(Section):
     v_dc: RelativeError | None = Field(default=None, description="relative; default 0")
 
 
+class DriftSection(Section):
+    """How the simulated machine changes while it runs, by lines: a winding that warms up, magnets
+    that cool down.
+    """
+
+    begin: Instant | None = Field(default=None, description="of the change (s); default 0")
+    end: Instant = Field(description="of the change (s); from there on it is whole")
+    resistance: RelativeError | None = Field(
+        default=None, description="relative to the data, beside errors; default 0"
+    )
+    magnet_flux: RelativeError | None = Field(
+        default=None, description="relative to the data, beside errors; default 0"
+    )
+
+
 class PhaseOpeningSection(Section):
     """A phase that opens while the drive runs."""
 
@@ -673,6 +709,9 @@ class SimulationSection(Section):
     )
     errors: PlantErrorsSection = Field(
         default_factory=PlantErrorsSection, description="differences from the data"
+    )
+    drift: DriftSection | None = Field(
+        default=None, description="how resistance and magnets change over the run; default: not"
     )
     initial: InitialSection = Field(
         default_factory=InitialSection, description="state at the start"
