@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from dqforge.machines.design.catalogue import load_text
@@ -26,9 +27,16 @@ def block(page: str, language: str) -> str:
     return found[1]
 
 
-def example_files(name: Firmware, design_text: str, prefix: str) -> dict[str, str]:
+def settings_of(page: str) -> list[str]:
+    """Keys that the command of a page sets in the design of another page."""
+    return [found.replace("'", "") for found in re.findall(r"--set ([\w.]+=(?:'[^']*'|\S+))", page)]
+
+
+def example_files(
+    name: Firmware, design_text: str, prefix: str, settings: Sequence[str] = ()
+) -> dict[str, str]:
     """Texts of the files, by their names, that a design with its own gains comes to."""
-    design = load_text(design_text.encode(), f"{prefix}.yaml")
+    design = load_text(design_text.encode(), f"{prefix}.yaml", None, settings)
     gains = solve_gains(design)
     target = TARGETS[name]
     held = target.method.configure(asked(design, gains.i_d, gains.i_q, gains.speed))
@@ -38,10 +46,12 @@ def example_files(name: Firmware, design_text: str, prefix: str) -> dict[str, st
 
 def assert_example(name: Firmware, file: str, language: str, *, least: int) -> None:
     """Every line that the page prints in a language stands in the file that its design gives, and
-    those lines are more than `least`.
+    those lines are more than `least`. A page without a design has that of VESC and sets keys in it.
     """
     page = page_of(name)
-    text = example_files(name, block(page, "yaml"), file.partition("_")[0])[file]
+    own = "```yaml" in page
+    design, settings = (page, []) if own else (page_of("vesc"), settings_of(page))
+    text = example_files(name, block(design, "yaml"), file.partition("_")[0], settings)[file]
     printed = block(page, language).splitlines()
     assert len(printed) > least
     assert [line for line in printed if line not in text.splitlines()] == []

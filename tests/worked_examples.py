@@ -1,5 +1,5 @@
 """The worked examples of docs/project/contributing.md: their files, as a contributor would write
-them.
+them, in the page or in tests/toys.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 
 PAGE = Path(__file__).parents[1] / "docs" / "project" / "contributing.md"
+TOYS = Path(__file__).parent / "toys"
 
 
 def text_of(path: str, place: int = 0) -> str:
@@ -24,9 +25,10 @@ def text_of(path: str, place: int = 0) -> str:
 
 @contextmanager
 def module_of(path: str, folder: Path) -> Iterator[ModuleType]:
-    """The module that the page gives for a file of the package, imported from another folder."""
+    """The module that stands for a file of the package, imported from another folder."""
     file = folder / Path(path).name
-    file.write_text(text_of(path))
+    toy = TOYS / file.name
+    file.write_text(toy.read_text() if toy.exists() else text_of(path))
     name = f"worked_example_{file.stem}"
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None

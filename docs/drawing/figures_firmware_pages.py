@@ -64,11 +64,18 @@ _PLL_DEFAULT = 30000.0
 
 
 def page_design(page: str) -> Design:
-    """The design that a page goes from a data sheet with."""
+    """The design that a page goes from a data sheet with; a page without one has that of VESC, in
+    which its command sets keys.
+    """
     text = (_PAGES / f"{page}.md").read_text(encoding="utf-8")
+    settings: list[str] = []
+    if "```yaml" not in text:
+        named = re.findall(r"--set ([\w.]+=(?:'[^']*'|\S+))", text)
+        settings = [setting.replace("'", "") for setting in named]
+        text = (_PAGES / "vesc.md").read_text(encoding="utf-8")
     found = re.search(r"```yaml\n(dqforge: .*?)```", text, flags=re.DOTALL)
     assert found is not None
-    return load_text(found[1].encode(), f"{page}.md")
+    return load_text(found[1].encode(), f"{page}.md", None, settings)
 
 
 def page_fit(page: str, name: Firmware) -> FirmwareFit:

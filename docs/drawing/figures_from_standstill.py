@@ -1,8 +1,7 @@
-"""Figure of the page on library drives that start from standstill: its YAML is what is drawn."""
+"""Figure of the page on library drives that start from standstill: its settings are drawn."""
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +11,15 @@ import yaml
 import dqforge
 from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, new_figure, save, style
 
-PAGE = Path(__file__).resolve().parents[1] / "methods" / "start-up.md"
+SETTINGS = Path(__file__).resolve().parents[1] / "methods" / "files" / "from-standstill.yaml"
 
 _RPM = np.pi / 30.0
 
 
 def settings_of_the_page() -> dict[str, dict[str, Any]]:
-    """The YAML of the page: settings by the name of the library drive in its first line."""
-    blocks = re.findall(r"```yaml\n# (\S+)\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    """The file that the page names: settings by the name of the library drive."""
     found: dict[str, dict[str, Any]] = {}
-    for name, text in blocks:
-        sections = yaml.safe_load(text)
+    for name, sections in yaml.safe_load(SETTINGS.read_text(encoding="utf-8")).items():
         found[name] = {
             f"{section}.{key}" if section != "simulation" else section: value
             for section, keys in sections.items()
