@@ -300,16 +300,25 @@ def _solved(method: ObserverMethod, gains: Any, case: _Case) -> SteadyObserver:
 def _newton(
     method: ObserverMethod, gains: Any, case: _Case, states: FloatArray
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """States (M, n) that a step leaves as they are, its derivative there, and which were found."""
+    """States (M, n) that a step leaves as they are, its derivative there, and which were found.
+
+    Those that rest are left alone: in most sets a few never do.
+    """
     jacobian = _derivative(method, gains, case, states)
+    states, moving, own = states.copy(), np.arange(len(states)), case
     for _ in range(_NEWTON_STEPS):
-        gap = _stepped(method, gains, case, states) - states
+        gap = _stepped(method, gains, own, states[moving]) - states[moving]
         gap[:, -2] = EXACT.wrap(gap[:, -2])
-        if np.max(np.abs(gap) / (1.0 + np.abs(states))) < 1e-11:
+        away = np.max(np.abs(gap) / (1.0 + np.abs(states[moving])), axis=1) >= 1e-11
+        if not np.any(away):
             break
-        states = states + newton_moves(np.eye(states.shape[1]) * (1.0 + 1e-13) - jacobian, gap)
-        states[:, -2] = EXACT.wrap(states[:, -2])
-        jacobian = _derivative(method, gains, case, states)
+        moving = moving[away]
+        own = case.taken(moving)
+        slope = np.eye(states.shape[1]) * (1.0 + 1e-13) - jacobian[moving]
+        moved = states[moving] + newton_moves(slope, gap[away])
+        moved[:, -2] = EXACT.wrap(moved[:, -2])
+        states[moving] = moved
+        jacobian[moving] = _derivative(method, gains, own, moved)
     gap = _stepped(method, gains, case, states) - states
     found = (np.abs(EXACT.wrap(gap[:, -2])) < 1e-9) & (np.abs(states[:, -2]) < 0.5 * np.pi)
     return states, jacobian, found
