@@ -278,6 +278,16 @@ def bemf(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
 
 
 @app.command()
+def identify(bench: given.Bench, out: given.OutOfBench = None, json: given.Json = False) -> int:
+    """Find a machine's parameters in bench logs.
+
+    With 95 % intervals for correlated rows, and what the logs do not hold.
+    """
+    ask = partial(answers.identify.answer_identify, bench)
+    return respond("identify", ask, json, out=out)
+
+
+@app.command()
 def reproduce(paper: given.Paper, json: given.Json = False, figures: given.Figures = None) -> None:
     """Recompute a paper's tables and figures.
 

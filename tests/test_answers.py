@@ -79,7 +79,7 @@ def test_the_command_line_is_short() -> None:
     # A command with all its options and what its help says takes some twenty lines, and there are
     # as many commands; nothing else stands there. The values of a data sheet are one
     # parameter of `new`.
-    assert len(Path(cli.__file__).read_text(encoding="utf-8").splitlines()) <= 380
+    assert len(Path(cli.__file__).read_text(encoding="utf-8").splitlines()) <= 400
 
 
 @pytest.mark.parametrize("command", COMMANDS)

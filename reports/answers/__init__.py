@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         estimators,
         explore,
         fit,
+        identify,
         library,
         losses,
         machines,
@@ -33,7 +34,8 @@ if TYPE_CHECKING:
 # fmt: off
 __all__ = [
     "bemf", "check", "compare", "current_feedback", "doctor", "dqy", "estimators", "explore", "fit",
-    "library", "losses", "machines", "mtpa", "reproduce", "run", "simulate", "tune", "verify",
+    "identify", "library", "losses", "machines", "mtpa", "reproduce", "run", "simulate", "tune",
+    "verify",
 ]
 # fmt: on
 

@@ -636,6 +636,15 @@ OutOfPair = Annotated[
 ]
 
 
+Bench = Annotated[Path, _argument("BENCH", "Bench file: the runs, their logs and columns.")]
+
+
+OutOfBench = Annotated[
+    Path | None,
+    Option("-o", "--out", metavar="OUT", help="Folder for design.yaml and result.json."),
+]
+
+
 LineToLine = Annotated[
     bool, Option("--line-to-line", help="The channels are ab, bc and ca, or ab alone.")
 ]

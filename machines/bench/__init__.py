@@ -1,0 +1,1 @@
+"""Bench files: the runs of a bench, their logs, and what is known of the machine."""

@@ -1,0 +1,247 @@
+"""From the runs of a bench to one list of parameters: each run is analysed by its kind, what
+several runs hold is combined, and what none holds is taken from what is known and said to be so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.bench.bench_file import Bench, LoggedRun
+from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
+from dqforge.optimizer.identification.parameters import Analysis, Parameter
+from dqforge.optimizer.identification.speed_sweep import Sweep, analyse_sweep, sweep_fault
+from dqforge.optimizer.identification.voltage_terms import SteadyRows, analyse_rows, rows_fault
+
+# What a design needs, and what is taken from what is known where no run holds it.
+DESIGN_PARAMETERS = (
+    ("resistance", "phase resistance", "Ohm"),
+    ("inductance_d", "d-axis inductance", "H"),
+    ("inductance_q", "q-axis inductance", "H"),
+    ("magnet_flux", "magnet flux linkage", "Wb"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """What the runs of a bench say.
+
+    ``parameters`` are those of all analyses, each once; ``contradictions`` sentences on what cannot
+    be, for which nothing may be taken into a design.
+    """
+
+    bench: Bench
+    analyses: tuple[Analysis, ...]
+    parameters: tuple[Parameter, ...]
+    remarks: tuple[str, ...]
+    contradictions: tuple[str, ...]
+
+    def of(self, key: str) -> Parameter | None:
+        """A parameter by its key."""
+        return next((one for one in self.parameters if one.key == key), None)
+
+
+def identify(bench: Bench) -> Identification:
+    """Parameters of a machine from its runs.
+
+    Raises:
+        NoSolutionError: Runs say nothing of what they were made for; the message begins with the
+            place of the first, the others are beside it.
+    """
+    faults: list[NoSolutionError] = []
+    analyses: list[Analysis] = []
+    for runs in _together(bench.runs):
+        try:
+            analyses.append(_believed(_ANALYSES[runs[0].kind](bench, runs)))
+        except NoSolutionError as fault:
+            faults.append(fault)
+    if faults:
+        first, *others = faults
+        first.others = tuple(others)
+        raise first
+    combined, remarks = _combined(analyses)
+    contradictions = [text for analysis in analyses for text in analysis.contradictions]
+    parameters = [_with_known(bench, one, bool(contradictions)) for one in combined]
+    parameters += _only_known(bench, {one.key for one in combined})
+    told = [text for run in bench.runs for text in run.remarks]
+    told += [text for analysis in analyses for text in analysis.remarks]
+    return Identification(
+        bench, tuple(analyses), tuple(parameters), (*told, *remarks), tuple(contradictions)
+    )
+
+
+def _believed(analysis: Analysis) -> Analysis:
+    """An analysis; where routes contradict each other it identifies nothing."""
+    if not analysis.contradictions:
+        return analysis
+    parameters = tuple(
+        replace(one, status="not identified", why="two routes contradict each other")
+        if one.status == "identified"
+        else one
+        for one in analysis.parameters
+    )
+    return replace(analysis, parameters=parameters)
+
+
+# Kinds whose runs are fitted together: the parameters are the same, the series are parted.
+_JOINT = ("constant-speed", "offset-sweep", "voltage-speed")
+
+
+def _together(runs: Sequence[LoggedRun]) -> list[list[LoggedRun]]:
+    """Runs that are analysed together, in the order of the bench file."""
+    found: dict[tuple[object, ...], list[LoggedRun]] = {}
+    for run in runs:
+        joint = run.kind in _JOINT
+        columns = tuple(sorted(run.parts[0].columns)) if run.kind == "constant-speed" else ()
+        key = (run.kind, columns, run.voltage) if joint else (run.kind, run.index)
+        found.setdefault(key, []).append(run)
+    return list(found.values())
+
+
+def refused(run: LoggedRun, why: str) -> NoSolutionError:
+    """A run that says nothing of what it was made for."""
+    return NoSolutionError(f"{run.place}: {why}")
+
+
+# Each kind: columns of the runs into arrays of its analysis.
+
+
+def _known_values(bench: Bench, runs: Sequence[LoggedRun]) -> dict[str, tuple[float, str]]:
+    """Other values by key, in SI units, and where they come from: the bench file before the log."""
+    found: dict[str, tuple[float, str]] = {}
+    for run in runs:
+        for part in run.parts:
+            for key, (value, place) in part.said.items():
+                origin = f"{place} of {part.file}"
+                if key == "kv":  # rpm per volt of the line-to-line peak
+                    flux = 30.0 / (math.pi * value * math.sqrt(3.0) * bench.pole_pairs)
+                    found.setdefault("magnet_flux", (flux, origin))
+                else:
+                    found.setdefault(key, (value, origin))
+    for key, value in bench.known.items():
+        found[key] = (value, f"machine.{bench.origins[key]}")
+    return found
+
+
+def _sweep(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+    (run,) = runs
+    u_q = run.column("u_q_less_drop")
+    sweep = Sweep(
+        run.name,
+        run.need("i_d"),
+        bench.pole_pairs * run.need("speed"),
+        run.need("u_q") if u_q is None else u_q,
+    )
+    why = sweep_fault(sweep)
+    if why:
+        raise refused(run, why)
+    return analyse_sweep(sweep, _known_values(bench, runs).get("magnet_flux"))
+
+
+def _rows(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+    series = np.concatenate(
+        [np.full(run.parts[0].rows.size, place) for place, run in enumerate(runs)]
+    )
+
+    def joined(quantity: str) -> FloatArray | None:
+        parts = [run.column(quantity) for run in runs]
+        whole = [part for part in parts if part is not None]
+        return np.concatenate(whole) if len(whole) == len(runs) else None
+
+    speed, i_q, u_q = (
+        np.concatenate([run.need(quantity) for run in runs]) for quantity in ("speed", "i_q", "u_q")
+    )
+    rows = SteadyRows(
+        tuple(run.name for run in runs),
+        series,
+        bench.pole_pairs * speed,
+        i_q,
+        u_q,
+        joined("i_d"),
+        joined("u_d"),
+        joined("temperature"),
+    )
+    why = rows_fault(rows)
+    if why:
+        raise refused(runs[0], why)
+    return analyse_rows(rows, _known_values(bench, runs), reference=runs[0].voltage == "reference")
+
+
+_ANALYSES: dict[str, Callable[[Bench, Sequence[LoggedRun]], Analysis]] = {
+    "speed-sweep": _sweep,
+    "constant-speed": _rows,
+}
+
+
+# One list of parameters.
+
+
+def _combined(analyses: Sequence[Analysis]) -> tuple[list[Parameter], list[str]]:
+    """Parameters by key in the order of the analyses; those that several hold are averaged."""
+    by_key: dict[str, list[Parameter]] = {}
+    for analysis in analyses:
+        for parameter in analysis.parameters:
+            by_key.setdefault(parameter.key, []).append(parameter)
+    found, remarks = [], []
+    for routes in by_key.values():
+        held = [one for one in routes if one.status == "identified"]
+        if len(held) < 2:
+            found.append(held[0] if held else routes[0])
+            continue
+        mean, scale = _mean(held)
+        found.append(mean)
+        if scale > 1.0:
+            values = ", ".join(f"{one.value:.5g}" for one in held)
+            remarks.append(
+                f"{mean.label}: the runs differ by more than their intervals ({values} "
+                f"{mean.unit}); the interval is widened by {scale:.1f}"
+            )
+    return found, remarks
+
+
+def _mean(held: Sequence[Parameter]) -> tuple[Parameter, float]:
+    """Mean of several estimates weighted by inverse variance, and the factor by which their
+    scatter widens its interval, as of the Particle Data Group.
+    """
+    values, sigmas = (np.array([getattr(one, name) for one in held]) for name in ("value", "sigma"))
+    halves = np.array([0.5 * (one.high - one.low) for one in held])
+    weights = sigmas**-2.0 / np.sum(sigmas**-2.0)
+    value = float(weights @ values)
+    chi2 = float(np.sum(((values - value) / sigmas) ** 2)) / (values.size - 1)
+    scale = max(1.0, math.sqrt(chi2))
+    sigma = scale * float(np.sum(sigmas**-2.0)) ** -0.5
+    half = scale * float(np.sqrt(np.sum((weights * halves) ** 2)))
+    runs = tuple(dict.fromkeys(run for one in held for run in one.runs))
+    mean = replace(
+        held[0], value=value, sigma=sigma, low=value - half, high=value + half, runs=runs
+    )
+    return mean, scale
+
+
+def _with_known(bench: Bench, parameter: Parameter, contradicted: bool) -> Parameter:
+    """A parameter that no run holds becomes what is known of it, and says so."""
+    known = bench.known.get(parameter.key)
+    if contradicted or known is None or parameter.status == "identified":
+        return parameter
+    return _from_known(bench, (parameter.key, parameter.label, parameter.unit), parameter.why)
+
+
+def _from_known(bench: Bench, named: tuple[str, str, str], why: str) -> Parameter:
+    nan = float("nan")
+    origin = f"machine.{bench.origins[named[0]]}"
+    return Parameter(
+        *named, bench.known[named[0]], nan, nan, nan, "prior-dominated", f"from {origin}: {why}"
+    )
+
+
+def _only_known(bench: Bench, there: set[str]) -> list[Parameter]:
+    return [
+        _from_known(bench, named, "no run of this kind")
+        for named in DESIGN_PARAMETERS
+        if named[0] in bench.known and named[0] not in there
+    ]

@@ -1,0 +1,207 @@
+"""What identification says: parameters with intervals, and whether the logs hold them at all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from scipy import stats
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
+
+Status = Literal["identified", "prior-dominated", "not identified"]
+
+# An interval that is wider than this share of the value to either side says next to nothing of it.
+WIDEST_SHARE = 0.5
+# Two parameters whose estimates move together this closely are named as partners.
+_PARTNERS = 0.7
+# Two routes to one parameter that differ by more cannot both be right, whatever their intervals:
+# data sheets promise 10 % of a magnet flux linkage, and a magnet loses 5 % from 20 to 70 degC.
+_CONTRADICTION = 1.15
+# Ratios that one convention taken for another leaves behind, and how close is close.
+_RATIOS = (
+    (2.0, "2: line-to-line taken for phase, or the reverse"),
+    (1.5, "3/2: power-invariant or two-phase quantities taken for amplitudes, or the reverse"),
+    (math.sqrt(3.0), "sqrt(3): line-to-line taken for phase voltage, or the reverse"),
+    (math.sqrt(2.0), "sqrt(2): r.m.s. taken for peak, or the reverse"),
+    (math.sqrt(1.5), "sqrt(3/2): power-invariant taken for amplitude-invariant, or the reverse"),
+)
+_CLOSE_RATIO = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter and what the logs say of it.
+
+    Args:
+        key: Its name in results; that of the design's key where there is one.
+        label: What it is.
+        unit: SI unit.
+        value, low, high: Estimate and its 95 % interval; NaN where there is none.
+        sigma: Standard deviation, for correlated residuals.
+        status: Whether the logs hold it.
+        why: What the status rests on, or what is missing.
+        partners: Parameters whose estimates move with it, and the correlation.
+        runs: Runs that hold it.
+    """
+
+    key: str
+    label: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    sigma: float
+    status: Status
+    why: str
+    partners: tuple[tuple[str, float], ...] = ()
+    runs: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RunResiduals:
+    """What a model leaves of a run: rows, their values in ``unit`` and the r.m.s. value."""
+
+    run: str
+    quantity: str
+    unit: str
+    rms: float
+    rows: int
+    effective: float
+    values: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """What one kind of evaluation finds in the runs that are of its kind.
+
+    Args:
+        name: Kind of the runs.
+        parameters: K parameters.
+        covariance: Shape (K, K), NaN for what has no estimate.
+        residuals: Of each run.
+        remarks: Sentences on what was found besides.
+        contradictions: Sentences on what cannot be; nothing may be taken from these runs.
+        terms: The terms that the model has, and those that the data do not support.
+    """
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    covariance: FloatArray
+    residuals: tuple[RunResiduals, ...] = ()
+    remarks: tuple[str, ...] = ()
+    contradictions: tuple[str, ...] = ()
+    terms: tuple[str, ...] = ()
+
+    def of(self, key: str) -> Parameter | None:
+        """A parameter by its key."""
+        return next((one for one in self.parameters if one.key == key), None)
+
+
+def student_95(freedom: float) -> float:
+    """Half width of a 95 % interval in standard deviations, for an effective number of degrees of
+    freedom.
+    """
+    return float(stats.t.ppf(0.975, max(freedom, 1.0)))
+
+
+Named = tuple[str, str, str]  # key, label and SI unit of a parameter
+
+
+def judged(
+    named: Named,
+    value: float,
+    sigma: float,
+    freedom: float,
+    *,
+    runs: Sequence[str] = (),
+    reason: str = "",
+    may_vanish: bool = False,
+    physical: bool = True,
+) -> Parameter:
+    """A parameter with its interval and status.
+
+    Args:
+        named: Key, label and unit.
+        value, sigma, runs: As in `Parameter`.
+        freedom: Effective degrees of freedom of ``sigma``.
+        reason: Why the data cannot hold it however small ``sigma`` is; '' where they can.
+        may_vanish: Whether zero is a value like others, such as of an offset.
+        physical: Whether it must be above zero, as resistances and inductances are.
+    """
+    half = student_95(freedom) * sigma
+    low, high = value - half, value + half
+    status: Status = "not identified" if reason else "identified"
+    why = reason
+    if not reason and not (math.isfinite(value) and math.isfinite(sigma)):
+        status, why = "not identified", "no estimate"
+    elif not reason and not may_vanish:
+        if low <= 0.0 <= high:
+            status, why = "not identified", "the 95 % interval holds 0"
+        elif half > WIDEST_SHARE * abs(value):
+            status, why = "not identified", "the 95 % interval is wider than half of the value"
+        elif physical and value < 0.0:
+            status, why = "not identified", "below 0, which it cannot be"
+    return Parameter(*named, value, low, high, sigma, status, why, (), tuple(runs))
+
+
+def unknown(named: Named, why: str) -> Parameter:
+    """A parameter without an estimate, and why."""
+    nan = float("nan")
+    return Parameter(*named, nan, nan, nan, nan, "not identified", why)
+
+
+def with_partners(parameters: Sequence[Parameter], covariance: FloatArray) -> list[Parameter]:
+    """Parameters with those that their estimates are strongly correlated with."""
+    sigma = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = covariance / np.outer(sigma, sigma)
+    found = []
+    for place, parameter in enumerate(parameters):
+        partners = tuple(
+            (other.key, float(correlation[place, column]))
+            for column, other in enumerate(parameters)
+            if column != place and abs(correlation[place, column]) >= _PARTNERS
+        )
+        found.append(replace(parameter, partners=partners))
+    return found
+
+
+def named_ratio(ratio: float) -> str:
+    """What a ratio of two routes may come from, '' where no convention is near."""
+    size = max(ratio, 1.0 / ratio)
+    return next((text for value, text in _RATIOS if abs(size / value - 1.0) <= _CLOSE_RATIO), "")
+
+
+def compared(found: Parameter, other: float, origin: str) -> tuple[str, bool]:
+    """A sentence on two routes to one parameter, and whether they contradict each other.
+
+    Args:
+        found: What the runs say.
+        other: The other value, above 0.
+        origin: Where that comes from.
+    """
+    if not (math.isfinite(found.value) and found.value > 0.0 and other > 0.0):
+        return "", False
+    ratio = found.value / other
+    size = max(ratio, 1.0 / ratio)
+    cause = named_ratio(ratio)
+    told = f" (near {cause})" if cause else ""
+    if size > _CONTRADICTION and not found.low <= other <= found.high:
+        text = (
+            f"{found.label}: two routes differ by a factor of {size:.2f}{told}: {found.value:.4g} "
+            f"{found.unit} from the runs, {other:.4g} {found.unit} from {origin}"
+        )
+        return text, True
+    within = "within" if found.low <= other <= found.high else "outside"
+    share = 100.0 * (ratio - 1.0)
+    side = "above" if share >= 0.0 else "below"
+    text = (
+        f"{found.label}: {abs(share):.1f} % {side} {other:.4g} {found.unit} from {origin}, which "
+        f"lies {within} the interval"
+    )
+    return text, False

@@ -1,0 +1,464 @@
+"""Resistance, flux linkages and the voltage error of the inverter from rows of currents, voltages
+and speed.
+
+The voltage of both axes is linear in what is sought:
+
+    u_d = R i_d - w L_q i_q + V0 s_d + offset
+    u_q = R i_q + w (psi_pm + L_d i_d + c |i_q|) + V0 s_q + offset
+
+with s = i/|i| smoothed about zero, and R that may change with the temperature. Which of the terms
+the rows support is decided by BIC with the effective number of rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.arrays import BoolArray, FloatArray
+from dqforge.machines.records import dataclass
+from dqforge.optimizer.identification.correlated_errors import (
+    SUPPORTED,
+    Groups,
+    Regression,
+    averaged,
+    correlation_time,
+    left_by,
+    own_shares,
+    regress,
+    separable,
+)
+from dqforge.optimizer.identification.parameters import (
+    Analysis,
+    Parameter,
+    RunResiduals,
+    compared,
+    judged,
+    unknown,
+    with_partners,
+)
+
+# Copper at 20 degC, per kelvin.
+COPPER = 0.00393
+# A temperature coefficient needs a range over which copper changes by 6 %.
+_LEAST_RANGE_K = 15.0
+# Below this share of the largest current the voltage of the dead time is not yet whole.
+_SMOOTH = 0.02
+# Currents below this share of the largest are none.
+_NONE = 0.05
+# Residuals below this share of a voltage are rounding and no noise.
+_LEAST_NOISE = 1e-9
+# Of one quadrant where fewer rows than this share are of another.
+_FEW = 0.05
+
+_TERMS: Mapping[str, tuple[str, str]] = {
+    "resistance": ("phase resistance", "Ohm"),
+    "resistance_slope": ("change of the resistance with temperature", "Ohm/K"),
+    "magnet_flux": ("magnet flux linkage", "Wb"),
+    "inductance_d": ("d-axis inductance", "H"),
+    "cross_saturation": ("change of psi_d with |i_q|", "Wb/A"),
+    "inductance_q": ("q-axis inductance", "H"),
+    "inverter_voltage": ("voltage error of the inverter along the current", "V"),
+    "offset_d": ("offset of u_d", "V"),
+    "offset_q": ("offset of u_q", "V"),
+}
+_BASE = ("resistance", "magnet_flux")
+_MAY_VANISH = ("cross_saturation", "inverter_voltage", "offset_d", "offset_q")
+
+
+@dataclass(frozen=True, slots=True)
+class SteadyRows:
+    """Rows of runs in SI units, each array of shape (N,): currents, voltages, electrical speed in
+    rad/s, temperature of the winding in degC; None for what was not logged. ``series`` is the place
+    of each row's run in ``runs``.
+    """
+
+    runs: tuple[str, ...]
+    series: Groups
+    omega_e: FloatArray
+    i_q: FloatArray
+    u_q: FloatArray
+    i_d: FloatArray | None = None
+    u_d: FloatArray | None = None
+    temperature: FloatArray | None = None
+
+    @property
+    def current(self) -> FloatArray:
+        """Amplitude of the current in A, shape (N,)."""
+        return np.hypot(self.i_q, 0.0 if self.i_d is None else self.i_d)
+
+    def some(self, kept: NDArray[np.bool_]) -> SteadyRows:
+        """Those rows for which ``kept``, shape (N,), is true."""
+        return SteadyRows(
+            self.runs,
+            self.series[kept],
+            self.omega_e[kept],
+            self.i_q[kept],
+            self.u_q[kept],
+            *(
+                None if each is None else each[kept]
+                for each in (self.i_d, self.u_d, self.temperature)
+            ),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Model:
+    """Columns by term over the rows of u_q, then those of u_d where it was logged."""
+
+    columns: Mapping[str, FloatArray]
+    values: FloatArray
+    series: Groups
+    axis: Groups
+    mean_temperature: float | None
+    scale: FloatArray
+
+    def weighted(self) -> _Model:
+        """The same with each axis in units of what all terms together leave of it."""
+        whole = np.column_stack(list(self.columns.values()))
+        left = left_by(whole[:, separable(whole)], self.values)
+        scale = np.ones(self.values.size)
+        for axis in np.unique(self.axis):
+            kept = self.axis == axis
+            least = _LEAST_NOISE * float(np.sqrt(np.mean(self.values[kept] ** 2)))
+            scale[kept] = max(float(np.sqrt(np.mean(left[kept] ** 2))), least, 1e-12)
+        columns = {term: column / scale for term, column in self.columns.items()}
+        values = self.values / scale
+        return _Model(columns, values, self.series, self.axis, self.mean_temperature, scale)
+
+
+def _model(rows: SteadyRows) -> _Model:
+    i_d = np.zeros_like(rows.i_q) if rows.i_d is None else rows.i_d
+    whole = np.hypot(rows.current, _SMOOTH * max(float(rows.current.max()), 1e-12))
+    zero, one = np.zeros_like(i_d), np.ones_like(i_d)
+    by_term: dict[str, tuple[FloatArray, FloatArray]] = {
+        "resistance": (rows.i_q, i_d),
+        "magnet_flux": (rows.omega_e, zero),
+        "cross_saturation": (rows.omega_e * np.abs(rows.i_q), zero),
+        "inverter_voltage": (rows.i_q / whole, i_d / whole),
+        "offset_q": (one, zero),
+    }
+    if rows.i_d is not None:
+        by_term["inductance_d"] = (rows.omega_e * i_d, zero)
+    if rows.u_d is not None:
+        by_term["inductance_q"] = (zero, -rows.omega_e * rows.i_q)
+        by_term["offset_d"] = (zero, one)
+    mean = None
+    if rows.temperature is not None:
+        mean = float(rows.temperature.mean())
+        warmer = rows.temperature - mean
+        by_term["resistance_slope"] = (warmer * rows.i_q, warmer * i_d)
+    axes = (0, 1) if rows.u_d is not None else (0,)
+    columns = {
+        term: np.concatenate([pair[axis] for axis in axes]) for term, pair in by_term.items()
+    }
+    values = np.concatenate([each for each in (rows.u_q, rows.u_d) if each is not None])
+    axis = np.repeat(np.array(axes, dtype=np.intp), rows.u_q.size)
+    series = np.tile(rows.series, len(axes)) + axis * len(rows.runs)
+    return _Model(columns, values, series, axis, mean, np.ones(values.size))
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """Coefficients of the terms with their covariance, the share of each column that is not in the
+    others, effective degrees of freedom, and the residuals of the best model.
+    """
+
+    coefficients: FloatArray
+    covariance: FloatArray
+    own: FloatArray
+    freedom: float
+    residuals: FloatArray
+
+
+def _base(model: _Model, *, reference: bool) -> list[str]:
+    """Terms that are there whatever the rows say: an inverter that is told a voltage always makes
+    an error along the current, and where it is left out the resistance takes it up.
+    """
+    terms = list(_BASE)
+    with_error = [*terms, "inverter_voltage"]
+    columns = np.column_stack([model.columns[term] for term in with_error])
+    return with_error if reference and bool(separable(columns).all()) else terms
+
+
+def _regression(model: _Model, terms: Sequence[str]) -> Regression:
+    rows = np.column_stack([model.columns[term] for term in terms])
+    return regress(rows, model.values, model.series)
+
+
+def rows_fault(rows: SteadyRows) -> str:
+    """Why rows say nothing, '' where they do."""
+    if float(rows.current.max()) <= 0.0:
+        return "no current flows in any row, which gives no resistance"
+    if float(np.ptp(rows.omega_e)) == 0.0 and float(np.max(np.abs(rows.omega_e))) == 0.0:
+        return "the shaft stands still in all rows, which gives no flux linkage"
+    kept = _BASE
+    found = np.column_stack([_model(rows).columns[term] for term in kept])
+    if not separable(found).all():
+        return "current and speed rise together in all rows; vary one without the other"
+    return ""
+
+
+def analyse_rows(
+    rows: SteadyRows, known: Mapping[str, tuple[float, str]], *, reference: bool
+) -> Analysis:
+    """Parameters of rows that `rows_fault` has nothing against.
+
+    Args:
+        rows: The rows.
+        known: Other values in SI units by key, with where they come from.
+        reference: Whether the voltages are what the controller asked for, which contain the error
+            of the inverter.
+    """
+    model = _model(rows).weighted()
+    open_terms = [term for term in model.columns if reference or term != "inverter_voltage"]
+    base = _base(model, reference=reference)
+    ordered = [*base, *(term for term in open_terms if term not in base)]
+    columns = np.column_stack([model.columns[term] for term in ordered])
+    mean = averaged(columns, range(len(base)), model.values, model.series)
+    # A base may hold what only together with a term that was not taken can be told.
+    places = [
+        place
+        for place in range(len(ordered))
+        if place < len(base) or mean.included[place] > SUPPORTED
+    ]
+    terms = [ordered[place] for place in places]
+    fit = _Found(
+        mean.coefficients[places],
+        mean.covariance[np.ix_(places, places)],
+        own_shares(columns[:, places]),
+        mean.best.freedom,
+        mean.best.residuals,
+    )
+    reasons = _reasons(rows, terms, fit, _quadrants(rows))
+    parameters = [
+        _parameter(rows, model, term, place, fit, reasons.get(term, ""))
+        for place, term in enumerate(terms)
+    ]
+    covariance = fit.covariance
+    parameters = with_partners(parameters, covariance)
+    parameters, covariance = _with_coefficient(rows, model, terms, fit, parameters, covariance)
+    absent = [_absent(term, rows, open_terms) for term in _TERMS if term not in terms]
+    absent.append(_angle())
+    whole = len(parameters) + len(absent)
+    padded = np.full((whole, whole), np.nan)
+    padded[: len(parameters), : len(parameters)] = covariance
+    remarks, contradictions = _told(rows, model, fit, parameters, known)
+    return Analysis(
+        "constant-speed",
+        (*parameters, *absent),
+        padded,
+        tuple(_residuals(rows, model, fit)),
+        tuple(remarks),
+        tuple(contradictions),
+        tuple(_TERMS[term][0] for term in terms),
+    )
+
+
+def _parameter(
+    rows: SteadyRows, model: _Model, term: str, place: int, fit: _Found, reason: str
+) -> Parameter:
+    label, unit = _TERMS[term]
+    if term == "resistance" and model.mean_temperature is not None:
+        label = f"{label} at {model.mean_temperature:.0f} degC"
+    return judged(
+        (term, label, unit),
+        float(fit.coefficients[place]),
+        float(np.sqrt(fit.covariance[place, place])),
+        fit.freedom,
+        runs=rows.runs,
+        reason=reason,
+        may_vanish=term in _MAY_VANISH,
+        physical=term in ("resistance", "magnet_flux", "inductance_d", "inductance_q"),
+    )
+
+
+def _quadrants(rows: SteadyRows) -> tuple[BoolArray, BoolArray]:
+    """Rows that drive, and rows that brake, each of shape (N,)."""
+    power = rows.i_q * rows.omega_e
+    least = _NONE * float(np.max(np.abs(power)))
+    return power > least, power < -least
+
+
+def _one_quadrant(quadrants: tuple[BoolArray, BoolArray]) -> str:
+    """Name of the only quadrant, '' where both have rows."""
+    motoring, braking = (int(each.sum()) for each in quadrants)
+    if min(motoring, braking) >= _FEW * max(motoring + braking, 1):
+        return ""
+    return "motoring" if motoring > braking else "braking"
+
+
+def _reasons(
+    rows: SteadyRows,
+    terms: Sequence[str],
+    fit: _Found,
+    quadrants: tuple[BoolArray, BoolArray],
+) -> dict[str, str]:
+    """What the rows cannot hold, whatever the errors say, by term."""
+    found = {}
+    only = _one_quadrant(quadrants)
+    if only:
+        found["resistance"] = (
+            f"only {only} rows: the fall of psi_d with |i_q| changes the apparent resistance by "
+            "|c| w, up to 17 % on bench rides; log both quadrants"
+        )
+    level = rows.current
+    flowing = level > _NONE * float(level.max())
+    if float(np.ptp(level[flowing])) < 0.2 * float(level.max()):
+        text = "one amplitude of the current: resistance and inverter voltage cannot be told apart"
+        found |= {"resistance": text, "inverter_voltage": text}
+    speed = np.abs(rows.omega_e)
+    one_speed = float(np.ptp(rows.omega_e)) < 0.1 * float(speed.max())
+    if one_speed and "offset_q" in terms:
+        found["offset_q"] = "one speed: an offset and the magnet flux linkage look the same"
+    if rows.temperature is not None and _range_k(rows) < _LEAST_RANGE_K:
+        found["resistance_slope"] = _narrow(rows)
+    for place, term in enumerate(terms):
+        if fit.own[place] < 1e-3 and term not in found:
+            found[term] = "it moves with other terms in all rows; vary current, speed and sign"
+    return found
+
+
+def _range_k(rows: SteadyRows) -> float:
+    """By how much the temperature of the winding changes."""
+    return 0.0 if rows.temperature is None else float(np.ptp(rows.temperature))
+
+
+def _narrow(rows: SteadyRows) -> str:
+    return (
+        f"the temperature changes by {_range_k(rows):.2g} K; a coefficient needs "
+        f"{_LEAST_RANGE_K:.0f} K"
+    )
+
+
+def _absent(term: str, rows: SteadyRows, open_terms: Sequence[str]) -> Parameter:
+    """A term that the model does not have, and why."""
+    why = "the data do not support the term: it gains less than 6 in BIC"
+    if term == "inductance_d" and rows.i_d is None:
+        why = "no d current was logged"
+    elif term == "inductance_d" and rows.i_d is not None:
+        spread, largest = float(np.ptp(rows.i_d)), float(rows.current.max())
+        if spread < _NONE * largest:
+            why = f"i_d changes by {spread:.2g} A of {largest:.3g} A; run with i_d"
+    elif term in ("inductance_q", "offset_d") and rows.u_d is None:
+        why = "no d voltage was logged"
+    elif term == "resistance_slope" and rows.temperature is None:
+        why = "no temperature was logged"
+    elif term == "resistance_slope" and _range_k(rows) < _LEAST_RANGE_K:
+        why = _narrow(rows)
+    elif term not in open_terms:
+        why = "the voltages are measured: they hold no error of the inverter"
+    return unknown((term, *_TERMS[term]), why)
+
+
+def _angle() -> Parameter:
+    """The angle of the encoder, which no such row shows."""
+    return unknown(
+        ("encoder_angle", "error of the encoder's angle", "rad"),
+        "a turned machine is a machine again: only psi_q(i_d, 0) = 0 or points at +-i_q in a flux "
+        "map, or an offset sweep, show it",
+    )
+
+
+def _with_coefficient(
+    rows: SteadyRows,
+    model: _Model,
+    terms: Sequence[str],
+    fit: _Found,
+    parameters: list[Parameter],
+    covariance: FloatArray,
+) -> tuple[list[Parameter], FloatArray]:
+    """Parameters with the temperature coefficient at 20 degC, where the slope is a term."""
+    if "resistance_slope" not in terms or model.mean_temperature is None:
+        return parameters, covariance
+    at, slope_at = terms.index("resistance"), terms.index("resistance_slope")
+    resistance, slope = fit.coefficients[at], fit.coefficients[slope_at]
+    cold = resistance - slope * (model.mean_temperature - 20.0)
+    gradient = np.zeros(fit.coefficients.size)
+    gradient[at] = -slope / cold**2
+    gradient[slope_at] = 1.0 / cold + slope * (model.mean_temperature - 20.0) / cold**2
+    row = gradient @ covariance
+    variance = float(row @ gradient)
+    found = judged(
+        ("temperature_coefficient", "temperature coefficient of the resistance at 20 degC", "1/K"),
+        float(slope / cold),
+        float(np.sqrt(variance)),
+        fit.freedom,
+        runs=rows.runs,
+        reason=_narrow(rows) if _range_k(rows) < _LEAST_RANGE_K else "",
+    )
+    whole = np.block([[covariance, row[:, None]], [row[None, :], np.array([[variance]])]])
+    return [*parameters, found], whole
+
+
+def _told(
+    rows: SteadyRows,
+    model: _Model,
+    fit: _Found,
+    parameters: Sequence[Parameter],
+    known: Mapping[str, tuple[float, str]],
+) -> tuple[list[str], list[str]]:
+    remarks: list[str] = []
+    contradictions: list[str] = []
+    names = ", ".join(rows.runs)
+    by_key = {parameter.key: parameter for parameter in parameters}
+    two_term = _regression(model, list(_BASE))
+    few, all_of = (
+        float(np.sqrt(np.mean((each.residuals * model.scale)[model.axis == 0] ** 2)))
+        for each in (two_term, fit)
+    )
+    remarks.append(
+        f"{names}: R i + w psi alone leaves {1e3 * few:.3g} mV r.m.s. of u_q, the chosen terms "
+        f"{1e3 * all_of:.3g} mV"
+    )
+    remarks += _quadrants_told(rows, names, by_key["resistance"])
+    coefficient = by_key.get("temperature_coefficient")
+    if coefficient is not None and coefficient.status == "identified":
+        is_copper = coefficient.low <= COPPER <= coefficient.high
+        remarks.append(
+            f"{names}: the temperature coefficient is {'that' if is_copper else 'not that'} of "
+            f"copper, {COPPER} 1/K"
+            + ("" if is_copper else "; the temperature is not the winding's, or a part is constant")
+        )
+    for key, (value, origin) in known.items():
+        if key in by_key:
+            text, against = compared(by_key[key], value, origin)
+            if text:
+                (contradictions if against else remarks).append(f"{names}: {text}")
+    return remarks, contradictions
+
+
+def _quadrants_told(rows: SteadyRows, names: str, whole: Parameter) -> list[str]:
+    """Resistances that each quadrant alone would give by the usual two terms."""
+    quadrants = _quadrants(rows)
+    if _one_quadrant(quadrants):
+        return []
+    alone = []
+    for kept in quadrants:
+        part = rows.some(kept)
+        if kept.sum() < 3 * len(_BASE) or rows_fault(part):
+            return []
+        alone.append(float(_regression(_model(part), list(_BASE)).coefficients[0]))
+    half = 0.5 * (whole.high - whole.low)
+    if max(abs(each - whole.value) for each in alone) <= half:
+        return []
+    text = (
+        f"{names}: by two terms motoring alone gives {1e3 * alone[0]:.4g} mOhm and braking alone "
+        f"{1e3 * alone[1]:.4g} mOhm, against {1e3 * whole.value:.4g} mOhm by all terms; one "
+        "quadrant is not enough"
+    )
+    return [text]
+
+
+def _residuals(rows: SteadyRows, model: _Model, fit: _Found) -> list[RunResiduals]:
+    found = []
+    for place, run in enumerate(rows.runs):
+        for axis, name in enumerate(("u_q", "u_d") if rows.u_d is not None else ("u_q",)):
+            kept = model.series == place + axis * len(rows.runs)
+            values = (fit.residuals * model.scale)[kept]
+            time = correlation_time(values, np.zeros(values.size, dtype=np.intp))
+            rms = float(np.sqrt(np.mean(values**2)))
+            found.append(RunResiduals(run, name, "V", rms, values.size, values.size / time, values))
+    return found

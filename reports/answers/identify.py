@@ -1,0 +1,52 @@
+"""What `dqforge identify` answers: parameters of a machine from the logs of a bench."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dqforge.machines.bench.bench_reader import read_bench
+from dqforge.machines.errors import NoSolutionError
+from dqforge.optimizer.identification.identify import identify
+from dqforge.reports.identification import (
+    design_of,
+    identification_tables,
+    plain_identification,
+)
+from dqforge.reports.pages.answer import Answer, Files, stage
+from dqforge.reports.pages.templating import to_text
+
+RESULT, DESIGN = "result.json", "design.yaml"
+
+
+def answer_identify(path: Path) -> Answer:
+    """Read the logs of a bench file and say what they hold.
+
+    The exit code is 1 where two routes contradict each other; no design is written then.
+
+    Raises:
+        InputError: The bench file or a log is wrong.
+        NoSolutionError: A run says nothing of what it was made for.
+    """
+    stage("reading the logs")
+    bench = read_bench(path)
+    stage("identifying")
+    try:
+        found = identify(bench)
+    except NoSolutionError as error:
+        for one in (error, *error.others):
+            bench.places.locate(one)
+        raise
+    plain = {"identification": plain_identification(found)}
+    design, lacking = design_of(found)
+    contents = {RESULT: to_text("identify", bench.name, plain).encode()}
+    if design is not None:
+        contents[DESIGN] = design
+    follow = f"dqforge check {{out}}/{DESIGN}" if design is not None else ""
+    return Answer(
+        bench.name,
+        identification_tables(found),
+        plain,
+        files=Files(contents, "", follow=follow),
+        notes=(lacking,) if lacking else (),
+        exit_code=1 if found.contradictions else 0,
+    )

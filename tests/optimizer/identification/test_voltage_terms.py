@@ -1,0 +1,128 @@
+"""Rides that were made of known machines: what is found, how sure, and what is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bench_files import slow_noise
+
+from dqforge.optimizer.identification.parameters import Analysis, Parameter
+from dqforge.optimizer.identification.voltage_terms import SteadyRows, analyse_rows, rows_fault
+
+TRUTH = {
+    "resistance": 68.6e-3,
+    "magnet_flux": 29.92e-3,
+    "cross_saturation": -15.5e-6,
+    "inductance_d": 199e-6,
+    "inductance_q": 210e-6,
+    "inverter_voltage": 38e-3,
+}
+
+
+def ride(seed: int, *, range_k: float = 0.0, alpha: float = 0.00393, rows: int = 900) -> SteadyRows:
+    """A ride of a hub motor, as section 1.2 of the notes has them: slow speed and current, slow
+    residuals.
+    """
+    rng = np.random.default_rng(seed)
+    omega_e = 15.0 * (20.0 + slow_noise(rng, rows, 0.99, 12.0))
+    i_q = 8.0 + slow_noise(rng, rows, 0.95, 14.0)
+    i_d = -np.abs(slow_noise(rng, rows, 0.98, 2.0))
+    temperature = 30.0 + np.linspace(0.0, range_k, rows)
+    along = (i_d + 1j * i_q) / np.hypot(i_d, i_q)
+    warm = TRUTH["resistance"] * (1.0 + alpha * (temperature - 20.0))
+    psi_d = (
+        TRUTH["magnet_flux"] + TRUTH["cross_saturation"] * np.abs(i_q) + TRUTH["inductance_d"] * i_d
+    )
+    drop = TRUTH["inverter_voltage"]
+    u_q = warm * i_q + omega_e * psi_d + drop * along.imag + slow_noise(rng, rows, 0.8, 0.075)
+    u_d = warm * i_d - omega_e * TRUTH["inductance_q"] * i_q + drop * along.real
+    u_d += slow_noise(rng, rows, 0.8, 0.05)
+    series = np.zeros(rows, dtype=np.intp)
+    return SteadyRows(("ride",), series, omega_e, i_q, u_q, i_d, u_d, temperature)
+
+
+def analysed(rows: SteadyRows) -> Analysis:
+    return analyse_rows(rows, {}, reference=True)
+
+
+def found(analysis: Analysis, key: str) -> Parameter:
+    parameter = analysis.of(key)
+    assert parameter is not None
+    return parameter
+
+
+def test_intervals_hold_the_truth() -> None:
+    held: dict[str, list[bool]] = {}
+    for seed in range(40):
+        analysis = analysed(replace(ride(seed), temperature=None))
+        for key, value in TRUTH.items():
+            one = found(analysis, key)
+            warm = 1.0393 if key == "resistance" else 1.0
+            if np.isfinite(one.value):
+                held.setdefault(key, []).append(one.low <= warm * value <= one.high)
+    assert {key: np.mean(each) for key, each in held.items() if np.mean(each) < 0.85} == {}
+    assert np.mean(np.concatenate(list(held.values()))) > 0.91
+    assert len(held["cross_saturation"]) > 30
+
+
+def test_copper_is_recognised_and_what_is_none_too() -> None:
+    copper = analysed(ride(1, range_k=60.0))
+    one = found(copper, "temperature_coefficient")
+    assert one.status == "identified"
+    assert one.low < 0.00393 < one.high
+    assert any("is that of copper" in text for text in copper.remarks)
+    other = analysed(ride(0, range_k=60.0, alpha=0.0018))
+    assert any("is not that of copper" in text for text in other.remarks)
+
+
+def test_a_coefficient_needs_a_range_of_temperature() -> None:
+    one = found(analysed(ride(1, range_k=3.7)), "resistance_slope")
+    assert one.status == "not identified"
+    assert "3.7 K" in one.why
+
+
+def test_one_quadrant_holds_no_resistance() -> None:
+    rows = ride(2)
+    driving = rows.some((rows.i_q > 1.0) & (rows.omega_e > 20.0))
+    one = found(analysed(driving), "resistance")
+    assert one.status == "not identified"
+    assert "only motoring rows" in one.why
+
+
+def test_one_amplitude_holds_no_resistance() -> None:
+    rows = ride(3)
+    i_q = 10.0 * np.sign(rows.i_q)
+    u_q = 0.07 * i_q + 0.03 * rows.omega_e + 0.2 * np.sign(i_q)
+    still = replace(rows, i_q=i_q, u_q=u_q, i_d=None, u_d=None, temperature=None)
+    one = found(analysed(still), "resistance")
+    assert one.status == "not identified"
+    assert "one amplitude of the current" in one.why
+
+
+def test_the_angle_of_the_encoder_is_never_identified() -> None:
+    one = found(analysed(ride(4)), "encoder_angle")
+    assert one.status == "not identified"
+
+
+def test_a_known_value_that_is_sqrt_3_off_is_named() -> None:
+    flux = TRUTH["magnet_flux"] * np.sqrt(3.0)
+    analysis = analyse_rows(ride(5), {"magnet_flux": (flux, "machine.kv")}, reference=True)
+    (text,) = analysis.contradictions
+    assert "a factor of 1.73 (near sqrt(3): line-to-line taken for phase" in text
+
+
+def test_rows_without_a_current_or_in_step_with_the_speed() -> None:
+    rows = replace(ride(6), i_d=None, u_d=None)
+    assert "no current" in rows_fault(replace(rows, i_q=np.zeros(900)))
+    assert "rise together" in rows_fault(replace(rows, omega_e=30.0 * rows.i_q))
+    assert rows_fault(rows) == ""
+
+
+@pytest.mark.parametrize("axis", ["i_d", "u_d"])
+def test_an_axis_that_was_not_logged(axis: str) -> None:
+    rows = replace(ride(7), u_d=None)
+    rows = replace(rows, i_d=None) if axis == "i_d" else rows
+    key = "inductance_d" if axis == "i_d" else "inductance_q"
+    assert "was logged" in found(analysed(rows), key).why

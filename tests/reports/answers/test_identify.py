@@ -1,0 +1,114 @@
+"""`dqforge identify` from a bench file to a design that is checked."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench_files import bench_text, moteus_bench, slow_noise, write_table
+
+from dqforge import cli
+from dqforge.machines.design.catalogue import load_design
+
+RUN = """
+- name: ride
+  kind: constant-speed
+  file: ride.csv
+  format: vesc-tool
+  currents: measured
+  voltage: reference
+"""
+MACHINE = "pole_pairs: 15\nmax_current: 60 A\nmagnet_flux: 30 mWb"
+INVERTER = "{v_dc: 60 V, switching_frequency: 20 kHz}"
+
+
+def call(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as stop:
+        cli.main([str(argument) for argument in arguments])
+    assert isinstance(stop.value.code, int)
+    return stop.value.code
+
+
+@pytest.fixture
+def ride(tmp_path: Path) -> Path:
+    """Bench file of a ride as VESC Tool writes it."""
+    rng = np.random.default_rng(1)
+    omega_e = 15.0 * (20.0 + slow_noise(rng, 900, 0.99, 12.0))
+    i_q, i_d = 8.0 + slow_noise(rng, 900, 0.95, 14.0), -np.abs(slow_noise(rng, 900, 0.98, 2.0))
+    along = (i_d + 1j * i_q) / np.hypot(i_d, i_q)
+    u_q = 0.07 * i_q + omega_e * (0.03 + 2e-4 * i_d) + 0.04 * along.imag
+    u_d = 0.07 * i_d - omega_e * 3e-4 * i_q + 0.04 * along.real
+    columns = {
+        "d_axis_current": i_d,
+        "q_axis_current": i_q,
+        "erpm": omega_e * 30.0 / np.pi,
+        "d_axis_voltage": u_d + slow_noise(rng, 900, 0.8, 0.05),
+        "q_axis_voltage": u_q + slow_noise(rng, 900, 0.8, 0.05),
+    }
+    write_table(tmp_path / "ride.csv", columns)
+    path = tmp_path / "bench.yaml"
+    path.write_text(bench_text(RUN, MACHINE, INVERTER))
+    return path
+
+
+def test_a_design_with_sources_and_tolerances(ride: Path, tmp_path: Path) -> None:
+    assert call("identify", ride, "-o", tmp_path / "one") == 0
+    assert call("identify", ride, "-o", tmp_path / "two") == 0
+    for name in ("design.yaml", "result.json"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    assert call("check", tmp_path / "one" / "design.yaml") == 0
+    design = load_design(tmp_path / "one" / "design.yaml")
+    values = {value.path: value for value in design.values}
+    assert "dqforge identify, bench.yaml: ride" in values["machine.resistance"].source
+    assert design.machine.r_s == pytest.approx(0.07, rel=0.03)
+    assert "control.tolerances.r_s" in values
+
+
+def test_json_holds_covariance_and_hashes(ride: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("identify", ride, "--json") == 0
+    found = json.loads(capsys.readouterr().out)["identification"]
+    (analysis,) = found["analyses"]
+    flux = analysis["keys"].index("magnet_flux")
+    (parameter,) = (one for one in found["parameters"] if one["key"] == "magnet_flux")
+    assert analysis["covariance"][flux][flux] == pytest.approx(parameter["sigma"] ** 2)
+    assert len(found["logs"][0]["sha256"]) == 64
+    angle = next(one for one in found["parameters"] if one["key"] == "encoder_angle")
+    assert (angle["value"], angle["status"]) == (None, "not identified")
+
+
+def test_routes_that_contradict_each_other_write_no_design(
+    tmp_path: Path, shared_data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = moteus_bench(tmp_path, shared_data, "hoverboard")
+    assert call("identify", path, "-o", tmp_path / "out") == 1
+    assert "two routes differ by a factor of 1.58" in capsys.readouterr().out.replace("\n", " ")
+    assert not (tmp_path / "out" / "design.yaml").exists()
+    assert (tmp_path / "out" / "result.json").exists()
+
+
+def test_what_a_design_lacks_is_said(
+    tmp_path: Path, shared_data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = moteus_bench(tmp_path, shared_data, "mj5208")
+    assert call("identify", path, "-o", tmp_path / "out") == 0
+    printed = capsys.readouterr().out
+    assert "no design.yaml is written" in printed
+    assert "max_current" in printed
+
+
+def test_a_run_that_says_nothing_has_its_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_table(
+        tmp_path / "ride.csv",
+        {"erpm": np.arange(5.0), "q_axis_current": np.zeros(5), "q_axis_voltage": np.ones(5)},
+    )
+    path = tmp_path / "bench.yaml"
+    path.write_text(bench_text(RUN, MACHINE))
+    assert call("identify", path) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert "bench.yaml:8:" in lines[0]
+    assert "no current flows" in lines[0]
