@@ -48,6 +48,7 @@ from dqforge.reports.loops.firmware_text import (
     proof_summary,
     robust_notes,
     robust_rows,
+    rotating_words,
     schedule_lines,
     schedule_notes,
     schedule_rows,
@@ -457,6 +458,7 @@ def _flashed(_: Solution, gains: GainSet) -> list[Flashed]:
 def _watched(_: Solution, gains: GainSet) -> list[str]:
     """Loops that swing, and what the observer leaves of the speed loop."""
     texts = [f"the {loop.loop} loop is unstable" for loop in gains.loops if not loop.stable]
+    texts += rotating_words(gains.rotating)
     speed = gains.speed
     if speed is not None and speed.observed is not None and not speed.observed.holds:
         texts.append(left_words(speed))
