@@ -112,14 +112,17 @@ def test_ranges_enclose_what_happens_and_overflow_is_seen() -> None:
     product = np.array([-20000]) * x + 700_000_000
     inner = product >> 14
     last = inner * x + 5_000
-    products, values, results = segment.ranges(30_000)
-    assert products[0] <= min(product.min(), last.min(), (inner * x).min())
-    assert products[1] >= max(product.max(), last.max(), (inner * x).max())
-    assert values[0] <= inner.min()
-    assert values[1] >= inner.max()
+    proven, results = segment.ranges(30_000, 16)
+    products, sums, values = (proven.reaches[n].range for n in ("product", "sum", "value"))
+    assert products.low <= min((x * -20000).min(), (inner * x).min())
+    assert products.high >= max((x * -20000).max(), (inner * x).max())
+    assert sums.low <= min(product.min(), last.min())
+    assert sums.high >= max(product.max(), last.max())
+    assert values.low <= inner.min()
+    assert values.high >= inner.max()
     found = last >> 16
-    assert results[0] <= found.min()
-    assert found.max() <= results[1] <= found.max() + 0.05 * np.ptp(found)
+    assert results.low <= found.min()
+    assert found.max() <= results.high <= found.max() + 0.05 * np.ptp(found)
     assert not overflows(segment, 30_000, 16)
     assert overflows(segment, 120_000, 16)
     assert overflows(replace(segment, leading=20000, constants=(2**31 - 1, 0)), 30_000, 16)
