@@ -14,7 +14,27 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.bench.bench_file import Bench, LoggedRun
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
+from dqforge.optimizer.identification.inverter_curve import (
+    InverterTable,
+    analyse_table,
+    table_fault,
+)
 from dqforge.optimizer.identification.parameters import Analysis, Parameter
+from dqforge.optimizer.identification.shaft_tests import (
+    Bursts,
+    OffsetCurve,
+    OffsetSweep,
+    SpinDown,
+    VoltageSteps,
+    analyse_bursts,
+    analyse_offsets,
+    analyse_spin,
+    analyse_steps,
+    bursts_fault,
+    offset_fault,
+    spin_fault,
+    steps_fault,
+)
 from dqforge.optimizer.identification.speed_sweep import Sweep, analyse_sweep, sweep_fault
 from dqforge.optimizer.identification.voltage_terms import SteadyRows, analyse_rows, rows_fault
 
@@ -172,9 +192,82 @@ def _rows(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
     return analyse_rows(rows, _known_values(bench, runs), reference=runs[0].voltage == "reference")
 
 
+def _offsets(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+    sweeps = []
+    for run in runs:
+        curves = []
+        for part in run.parts:
+            offset = part.columns.get("encoder_offset")
+            curves += [
+                OffsetCurve(quantity, offset, values)
+                for quantity, values in part.columns.items()
+                if quantity in ("u_d", "u_q", "psi_d", "psi_q") and offset is not None
+            ]
+        speed = run.constants.get("speed")
+        if speed is None:
+            found = run.column("speed")
+            speed = math.nan if found is None else float(np.mean(found))
+        sweep = OffsetSweep(run.name, speed, tuple(curves))
+        why = offset_fault(sweep) if curves else "no curve of u_d, u_q, psi_d or psi_q"
+        if why:
+            raise refused(run, why)
+        sweeps.append(sweep)
+    return analyse_offsets(sweeps, bench.pole_pairs, _known_values(bench, runs).get("magnet_flux"))
+
+
+def _voltage_steps(_bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+    steps = []
+    for run in runs:
+        columns = (run.need(name) for name in ("time", "voltage", "speed"))
+        steps.append(VoltageSteps(run.name, *columns))
+        why = steps_fault(steps[-1])
+        if why:
+            raise refused(run, why)
+    return analyse_steps(steps)
+
+
+def _bursts(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+    (run,) = runs
+    current = run.column("current")
+    bursts = Bursts(
+        run.name,
+        run.need("time"),
+        run.need("i_q") if current is None else current,
+        run.need("torque"),
+    )
+    why = bursts_fault(bursts)
+    if why:
+        raise refused(run, why)
+    known = _known_values(bench, runs).get("magnet_flux")
+    return analyse_bursts(bursts, bench.pole_pairs, known)
+
+
+def _spin(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+    (run,) = runs
+    spin = SpinDown(run.name, run.need("time"), run.need("speed"))
+    why = spin_fault(spin)
+    if why:
+        raise refused(run, why)
+    return analyse_spin(spin, bench.known["inertia"])
+
+
+def _inverter(_bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+    (run,) = runs
+    table = InverterTable(run.name, run.need("current"), run.need("voltage"))
+    why = table_fault(table)
+    if why:
+        raise refused(run, why)
+    return analyse_table(table)
+
+
 _ANALYSES: dict[str, Callable[[Bench, Sequence[LoggedRun]], Analysis]] = {
     "speed-sweep": _sweep,
     "constant-speed": _rows,
+    "offset-sweep": _offsets,
+    "voltage-speed": _voltage_steps,
+    "locked-torque": _bursts,
+    "spin-down": _spin,
+    "inverter-table": _inverter,
 }
 
 
