@@ -14,6 +14,13 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.bench.bench_file import Bench, LoggedRun
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
+from dqforge.optimizer.identification.correlated_errors import Groups
+from dqforge.optimizer.identification.flux_points import (
+    FluxFit,
+    FluxRows,
+    analyse_points,
+    points_fault,
+)
 from dqforge.optimizer.identification.inverter_curve import (
     InverterTable,
     analyse_table,
@@ -52,7 +59,7 @@ class Identification:
     """What the runs of a bench say.
 
     ``parameters`` are those of all analyses, each once; ``contradictions`` sentences on what cannot
-    be, for which nothing may be taken into a design.
+    be, for which nothing may be taken into a design; ``flux`` is the flux map of ``flux-points``.
     """
 
     bench: Bench
@@ -60,6 +67,7 @@ class Identification:
     parameters: tuple[Parameter, ...]
     remarks: tuple[str, ...]
     contradictions: tuple[str, ...]
+    flux: FluxFit | None = None
 
     def of(self, key: str) -> Parameter | None:
         """A parameter by its key."""
@@ -75,9 +83,14 @@ def identify(bench: Bench) -> Identification:
     """
     faults: list[NoSolutionError] = []
     analyses: list[Analysis] = []
+    flux: FluxFit | None = None
     for runs in _together(bench.runs):
         try:
-            analyses.append(_believed(_ANALYSES[runs[0].kind](bench, runs)))
+            if runs[0].kind == "flux-points":
+                flux = _flux(bench, runs)
+                analyses.append(flux.analysis)
+            else:
+                analyses.append(_believed(_ANALYSES[runs[0].kind](bench, runs)))
         except NoSolutionError as fault:
             faults.append(fault)
     if faults:
@@ -91,7 +104,12 @@ def identify(bench: Bench) -> Identification:
     told = [text for run in bench.runs for text in run.remarks]
     told += [text for analysis in analyses for text in analysis.remarks]
     return Identification(
-        bench, tuple(analyses), tuple(parameters), (*told, *remarks), tuple(contradictions)
+        bench,
+        tuple(analyses),
+        tuple(parameters),
+        (*told, *remarks),
+        tuple(contradictions),
+        flux,
     )
 
 
@@ -109,7 +127,7 @@ def _believed(analysis: Analysis) -> Analysis:
 
 
 # Kinds whose runs are fitted together: the parameters are the same, the series are parted.
-_JOINT = ("constant-speed", "offset-sweep", "voltage-speed")
+_JOINT = ("constant-speed", "flux-points", "offset-sweep", "voltage-speed")
 
 
 def _together(runs: Sequence[LoggedRun]) -> list[list[LoggedRun]]:
@@ -118,7 +136,8 @@ def _together(runs: Sequence[LoggedRun]) -> list[list[LoggedRun]]:
     for run in runs:
         joint = run.kind in _JOINT
         columns = tuple(sorted(run.parts[0].columns)) if run.kind == "constant-speed" else ()
-        key = (run.kind, columns, run.voltage) if joint else (run.kind, run.index)
+        voltage = None if run.kind == "flux-points" else run.voltage
+        key = (run.kind, columns, voltage) if joint else (run.kind, run.index)
         found.setdefault(key, []).append(run)
     return list(found.values())
 
@@ -163,28 +182,53 @@ def _sweep(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
     return analyse_sweep(sweep, _known_values(bench, runs).get("magnet_flux"))
 
 
-def _rows(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
-    series = np.concatenate(
-        [np.full(run.parts[0].rows.size, place) for place, run in enumerate(runs)]
+def _series(runs: Sequence[LoggedRun]) -> Groups:
+    """Place of each row's run, shape (N,)."""
+    return np.concatenate(
+        [np.full(run.parts[0].rows.size, place, dtype=np.intp) for place, run in enumerate(runs)]
     )
 
-    def joined(quantity: str) -> FloatArray | None:
-        parts = [run.column(quantity) for run in runs]
-        whole = [part for part in parts if part is not None]
-        return np.concatenate(whole) if len(whole) == len(runs) else None
 
+def _joined(runs: Sequence[LoggedRun], quantity: str) -> FloatArray | None:
+    """A quantity over the rows of all runs; None where not all have it."""
+    parts = [run.column(quantity) for run in runs]
+    whole = [part for part in parts if part is not None]
+    return np.concatenate(whole) if len(whole) == len(runs) else None
+
+
+def _flux(bench: Bench, runs: Sequence[LoggedRun]) -> FluxFit:
+    i_d, i_q, u_d, u_q, speed = (
+        np.concatenate([run.need(quantity) for run in runs])
+        for quantity in ("i_d", "i_q", "u_d", "u_q", "speed")
+    )
+    rows = FluxRows(
+        tuple(run.name for run in runs),
+        _series(runs),
+        i_d + 1j * i_q,
+        u_d + 1j * u_q,
+        bench.pole_pairs * speed,
+        _joined(runs, "temperature"),
+        any(run.voltage == "reference" for run in runs),
+    )
+    why = points_fault(rows)
+    if why:
+        raise refused(runs[0], why)
+    return analyse_points(rows)
+
+
+def _rows(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
     speed, i_q, u_q = (
         np.concatenate([run.need(quantity) for run in runs]) for quantity in ("speed", "i_q", "u_q")
     )
     rows = SteadyRows(
         tuple(run.name for run in runs),
-        series,
+        _series(runs),
         bench.pole_pairs * speed,
         i_q,
         u_q,
-        joined("i_d"),
-        joined("u_d"),
-        joined("temperature"),
+        _joined(runs, "i_d"),
+        _joined(runs, "u_d"),
+        _joined(runs, "temperature"),
     )
     why = rows_fault(rows)
     if why:
