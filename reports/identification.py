@@ -5,7 +5,9 @@ leads to.
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ from dqforge.machines.bench.bench_file import Bench
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError
 from dqforge.machines.units.quantities import format_quantity
+from dqforge.optimizer.identification.flux_points import FluxTable
 from dqforge.optimizer.identification.identify import DESIGN_PARAMETERS, Identification
 from dqforge.optimizer.identification.parameters import Analysis, Parameter
 from dqforge.reports.pages.answer import Table
@@ -145,6 +148,22 @@ def _analysis(one: Analysis) -> PlainData:
     }
 
 
+# The flux map, in columns that a design reads, with what is not known of it.
+
+MAP_NAME = "map.csv"
+_MAP_COLUMNS = ("i_d [A]", "i_q [A]", "psi_d [Wb]", "psi_q [Wb]", "sigma_d [Wb]", "sigma_q [Wb]")
+
+
+def map_csv(table: FluxTable) -> bytes:
+    """The map as CSV in UTF-8."""
+    columns = (table.i_d, table.i_q, table.psi_d, table.psi_q, table.sigma_d, table.sigma_q)
+    lines = [",".join((*_MAP_COLUMNS, "n"))]
+    for *values, count in zip(*columns, table.count, strict=True):
+        cells = [f"{0.0 if abs(value) < 1e-12 else value:.7g}" for value in values]
+        lines.append(",".join((*cells, str(count))))
+    return ("\n".join(lines) + "\n").encode()
+
+
 # The design file: every value with its source and interval.
 
 # Keys of control.tolerances that hold for a design without a speed loop, and the largest deviation
@@ -167,7 +186,10 @@ def design_of(found: Identification) -> tuple[bytes | None, str]:
     data = _design(found)
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100).encode()
     try:
-        load_text(text, "design.yaml")
+        with tempfile.TemporaryDirectory() as folder:
+            if found.flux is not None:
+                (Path(folder) / MAP_NAME).write_bytes(map_csv(found.flux.table))
+            load_text(text, "design.yaml", Path(folder))
     except InputError as error:
         reason = "; ".join(str(one.message) for one in (error, *error.others))
         return None, f"no design.yaml is written: {reason}; write it under machine or inverter"
@@ -177,16 +199,21 @@ def design_of(found: Identification) -> tuple[bytes | None, str]:
 def _design(found: Identification) -> dict[str, Any]:
     bench = found.bench
     machine: dict[str, Any] = {"pole_pairs": bench.entries["machine"]["pole_pairs"]}
+    dropped: set[str] = set()
     held = {key: found.of(key) for key, _, _ in DESIGN_PARAMETERS}
     taken = {key: one for key, one in held.items() if one is not None and _is_held(one)}
-    single = "inductance" in bench.entries["machine"]
+    single = "inductance" in bench.entries["machine"] and found.flux is None
     if single and ("inductance_d" in taken) != ("inductance_q" in taken):
         # A single inductance of a data sheet stands for the axis that no run holds.
         missing = "inductance_q" if "inductance_d" in taken else "inductance_d"
         machine[missing] = bench.entries["machine"]["inductance"]
+    if found.flux is not None:
+        dropped = {"inductance", "inductance_d", "inductance_q", *_REPLACED["magnet_flux"]}
+        machine = {"model": "flux-map", **machine, "flux_map": {"file": MAP_NAME}}
+        taken = {key: one for key, one in taken.items() if key not in dropped}
     for key, one in taken.items():
         machine[key] = _entry(one, bench.source)
-    replaced = {name for key in taken for name in _REPLACED[key]}
+    replaced = dropped | {name for key in taken for name in _REPLACED[key]}
     if "inductance_d" in taken or "inductance_q" in taken:
         replaced.add("inductance")
     for key, raw in bench.entries["machine"].items():

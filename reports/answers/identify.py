@@ -8,8 +8,10 @@ from dqforge.machines.bench.bench_reader import read_bench
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.identification.identify import identify
 from dqforge.reports.identification import (
+    MAP_NAME,
     design_of,
     identification_tables,
+    map_csv,
     plain_identification,
 )
 from dqforge.reports.pages.answer import Answer, Files, stage
@@ -39,6 +41,8 @@ def answer_identify(path: Path) -> Answer:
     plain = {"identification": plain_identification(found)}
     design, lacking = design_of(found)
     contents = {RESULT: to_text("identify", bench.name, plain).encode()}
+    if found.flux is not None:
+        contents[MAP_NAME] = map_csv(found.flux.table)
     if design is not None:
         contents[DESIGN] = design
     follow = f"dqforge check {{out}}/{DESIGN}" if design is not None else ""

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench_files import bench_text, moteus_bench, slow_noise, write_table
+from simulated_points import MeasuredMap, simulated
 
 from dqforge import cli
 from dqforge.machines.design.catalogue import load_design
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 
 RUN = """
 - name: ride
@@ -112,3 +114,34 @@ def test_a_run_that_says_nothing_has_its_line(
     assert len(lines) == 1
     assert "bench.yaml:8:" in lines[0]
     assert "no current flows" in lines[0]
+
+
+def test_a_flux_map_that_the_design_reads(tmp_path: Path, shared_data: Path) -> None:
+    rows = simulated(MeasuredMap(shared_data), 1, rpm=(400.0,))
+    columns = {
+        "i_d [A]": rows.current.real,
+        "i_q [A]": rows.current.imag,
+        "u_d [V]": rows.voltage.real,
+        "u_q [V]": rows.voltage.imag,
+        "T [degC]": rows.temperature,
+    }
+    write_table(
+        tmp_path / "points.csv", {name: each for name, each in columns.items() if each is not None}
+    )
+    run = """
+- name: grid
+  kind: flux-points
+  file: points.csv
+  columns: {i_d: i_d, i_q: i_q, u_d: u_d, u_q: u_q, temperature: T, speed: {value: 400 rpm}}
+  currents: measured
+  voltage: reference
+"""
+    path = tmp_path / "bench.yaml"
+    machine = "pole_pairs: 2\nmax_current: 18 A"
+    path.write_text(bench_text(run, machine, "{v_dc: 540 V, switching_frequency: 8 kHz}"))
+    assert call("identify", path, "-o", tmp_path / "out") == 0
+    design = load_design(tmp_path / "out" / "design.yaml")
+    assert isinstance(design.machine, SaturatedMachine)
+    assert design.machine.r_s == pytest.approx(0.63, abs=0.002)
+    heading = (tmp_path / "out" / "map.csv").read_text().splitlines()[0]
+    assert heading == "i_d [A],i_q [A],psi_d [Wb],psi_q [Wb],sigma_d [Wb],sigma_q [Wb],n"
