@@ -36,7 +36,7 @@ _DEGREE = 3
 # Weight of the penalty on third differences: it only holds coefficients that no point reaches.
 _FIRM = 1e-7
 _ROUNDS = 12
-_SETTLED = 1e-9
+_SETTLED = 1e-7
 # Points within this share of the largest current are the same point.
 _SAME = 0.01
 # Share of the points that need a partner at -i_q before the angle can be told.
@@ -162,16 +162,10 @@ class _Energy:
             + 1j * (self.columns(current, 0, 1) @ coefficients)
         )
 
-    def change(
-        self, current: ComplexArray, coefficients: FloatArray, along: ComplexArray
-    ) -> ComplexArray:
-        """Derivative of the flux linkages along a change of the currents, shape (N,)."""
-        dd, dq, qq = (
-            self.columns(current, *orders) @ coefficients for orders in ((2, 0), (1, 1), (0, 2))
-        )
-        return np.asarray(
-            dd * along.real + dq * along.imag + 1j * (dq * along.real + qq * along.imag)
-        )
+    def slopes(self, current: ComplexArray, coefficients: FloatArray) -> tuple[FloatArray, ...]:
+        """Differential inductances dd, dq and qq, H, each of shape (N,)."""
+        orders = ((2, 0), (1, 1), (0, 2))
+        return tuple(self.columns(current, *order) @ coefficients for order in orders)
 
     def firmness(self) -> sparse.csr_matrix:
         """Third differences of the coefficients along both axes, and their mean, which no flux
@@ -268,6 +262,7 @@ class _Model:
             "offset_q": -1j * turn * np.ones_like(current),
             "iron_conductance": np.zeros_like(current),
         }
+        dd, dq, qq = self.energy.slopes(through, state.energy)
         columns = []
         for key in self.keys:
             change = by_emf[key]
@@ -276,9 +271,9 @@ class _Model:
                 moved = moved + 1j * current
             if key == "iron_conductance":
                 moved = moved - emf
-            columns.append(
-                change / (1j * rows.omega_e) - self.energy.change(through, state.energy, moved)
-            )
+            of_machine = dd * moved.real + dq * moved.imag
+            of_machine = of_machine + 1j * (dq * moved.real + qq * moved.imag)
+            columns.append(change / (1j * rows.omega_e) - of_machine)
         return np.column_stack(columns)
 
     def fitted(self) -> tuple[_State, FloatArray, FloatArray, sparse.csr_matrix]:
@@ -403,7 +398,7 @@ def analyse_points(rows: FluxRows) -> FluxFit:
     normal = design.T @ design
     normal[np.diag_indices_from(normal)] += 1e-10 * np.trace(normal) / normal.shape[0]
     inverse = np.linalg.inv(normal)
-    leverage = np.einsum("ij,jk,ik->i", design, inverse, design, optimize=True)
+    leverage = np.sum((design @ inverse) * design, axis=1)
     one_out = float(np.sqrt(np.mean((residuals / np.maximum(1.0 - leverage, 0.05)) ** 2)))
     covariance, freedom = _error_covariance(model, residuals, errors, columns)
     parameters = _parameters(model, state, covariance, freedom)
@@ -500,7 +495,7 @@ def _table(model: _Model, state: _State, covariance: FloatArray) -> tuple[FluxTa
     slopes = np.column_stack([mean(column) for column in by_error.T])
     noise = _noise(folded - means[at], count[at])
     sigma = [
-        np.sqrt(size**2 / count + np.einsum("ij,jk,ik->i", part, covariance, part))
+        np.sqrt(size**2 / count + np.sum((part @ covariance) * part, axis=1))
         for size, part in zip(noise, (slopes.real, slopes.imag), strict=True)
     ]
     i_d = np.bincount(at, rows.current.real) / count

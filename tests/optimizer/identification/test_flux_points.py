@@ -95,12 +95,12 @@ def test_motoring_alone_holds_no_angle(machine: MeasuredMap, rpm: tuple[float, .
 
 def test_intervals_hold_the_truth(machine: MeasuredMap) -> None:
     held = dict.fromkeys(TRUTH, 0)
-    for seed in range(12):
+    for seed in range(8):
         fit = analyse_points(simulated(machine, seed))
         for key, value in TRUTH.items():
             one = parameter(fit, key)
             held[key] += one.low <= value <= one.high
-    assert min(held.values()) >= 10
+    assert min(held.values()) > 6
 
 
 def test_the_measured_points(shared_data: Path) -> None:
@@ -141,7 +141,8 @@ def test_what_gives_no_map(machine: MeasuredMap) -> None:
     rows = simulated(machine, 1)
     assert points_fault(rows) == ""
     assert "standstill" in points_fault(replace(rows, omega_e=0.0 * rows.omega_e))
-    assert "1 levels of i_d" in points_fault(replace(rows, current=1j * rows.current.imag))
+    upright = (1j * rows.current.imag).astype(np.complex128)
+    assert "1 levels of i_d" in points_fault(replace(rows, current=upright))
 
 
 def test_levels_and_mirrored_points() -> None:

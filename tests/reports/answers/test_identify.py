@@ -123,11 +123,9 @@ def test_a_flux_map_that_the_design_reads(tmp_path: Path, shared_data: Path) -> 
         "i_q [A]": rows.current.imag,
         "u_d [V]": rows.voltage.real,
         "u_q [V]": rows.voltage.imag,
-        "T [degC]": rows.temperature,
     }
-    write_table(
-        tmp_path / "points.csv", {name: each for name, each in columns.items() if each is not None}
-    )
+    assert rows.temperature is not None
+    write_table(tmp_path / "points.csv", columns | {"T [degC]": rows.temperature})
     run = """
 - name: grid
   kind: flux-points
