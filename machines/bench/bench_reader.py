@@ -209,9 +209,14 @@ class _Reading:
             self.section.kind,
             tuple(parts),
             constants,
-            self.section.voltage,
+            self.section.voltage or ("reference" if self._is_of_a_tool else None),
             remarks,
         )
+
+    @property
+    def _is_of_a_tool(self) -> bool:
+        """Whether the tool that wrote the log keeps measured currents and voltage references."""
+        return self.section.format in ("vesc-tool", "moteus-ld", "motortest")
 
     def _settings(self) -> Iterator[InputError]:
         section = self.section
@@ -221,14 +226,14 @@ class _Reading:
                 "become one of the machine; log the measured ones",
                 "currents",
             )
-        if self.kind.currents and section.currents is None:
+        if self.kind.currents and section.currents is None and not self._is_of_a_tool:
             yield self.fault(
                 f"{section.name}: whether the currents are measured or requested must be said; "
                 "write currents: measured",
                 key=True,
             )
         takes_voltage = any(name.startswith(("u_", "voltage")) for name in self.kind.quantities)
-        if takes_voltage and section.voltage is None:
+        if takes_voltage and section.voltage is None and not self._is_of_a_tool:
             yield self.fault(
                 f"{section.name}: whether the voltages are measured or references must be said; "
                 "write voltage: reference, or measured",
