@@ -168,7 +168,12 @@ def map_csv(table: FluxTable) -> bytes:
 
 # Keys of control.tolerances that hold for a design without a speed loop, and the largest deviation
 # that is written there.
-_TOLERANCES = {"resistance": "r_s", "inductance_d": "l_d", "inductance_q": "l_q"}
+_TOLERANCES = {
+    "resistance": "r_s",
+    "inductance_d": "l_d",
+    "inductance_q": "l_q",
+    "magnet_flux": "psi_pm",
+}
 _LARGEST_SHARE = 0.9
 # What a fitted value takes the place of.
 _REPLACED = {
