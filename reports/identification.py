@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,11 @@ import yaml
 
 from dqforge.machines.bench.bench_file import Bench
 from dqforge.machines.design.catalogue import load_text
+from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
+from dqforge.optimizer.identification.bench_plan import BenchPlan
 from dqforge.optimizer.identification.flux_points import FluxTable
 from dqforge.optimizer.identification.identify import DESIGN_PARAMETERS, Identification
 from dqforge.optimizer.identification.parameters import Analysis, Parameter
@@ -162,6 +166,97 @@ def map_csv(table: FluxTable) -> bytes:
         cells = [f"{0.0 if abs(value) < 1e-12 else value:.7g}" for value in values]
         lines.append(",".join((*cells, str(count))))
     return ("\n".join(lines) + "\n").encode()
+
+
+# The plan of a bench: a sheet of points, and the bench file that reads them back.
+
+SHEET, BENCH_FILE = "points.csv", "bench.yaml"
+_SHEET_COLUMNS = ("point", "speed_rpm", "i_d_A", "i_q_A", "seconds", "u_d_V", "u_q_V")
+
+
+def plan_sheet(plan: BenchPlan) -> bytes:
+    """The points in their order as CSV; the voltages are to be filled in."""
+    lines = [",".join(_SHEET_COLUMNS)]
+    for number, point in enumerate(plan.points, 1):
+        cells = (in_rpm(point.omega_m), point.i_d, point.i_q, point.seconds)
+        texts = (f"{0.0 if abs(cell) < 1e-9 else cell:.5g}" for cell in cells)
+        lines.append(",".join((str(number), *texts, "", "")))
+    return ("\n".join(lines) + "\n").encode()
+
+
+def plan_bench_file(design: Design) -> bytes:
+    """A bench file that reads the filled sheet, with what the design knows."""
+    machine, inverter = design.machine, design.inverter
+    data = {
+        "dqforge_bench": 1,
+        "name": design.name,
+        "machine": {
+            "pole_pairs": machine.pole_pairs,
+            "max_current": f"{design.i_max:.6g} A peak",
+            "resistance": f"{machine.r_s:.6g} Ohm",
+            "magnet_flux": f"{machine.psi_pm:.6g} Wb",
+        },
+        "inverter": {
+            "v_dc": f"{inverter.v_dc:.6g} V",
+            "switching_frequency": f"{inverter.f_sw:.6g} Hz",
+        },
+        "runs": [
+            {
+                "name": "points",
+                "kind": "constant-speed",
+                "file": SHEET,
+                "columns": {name: name for name in ("i_d", "i_q", "u_d", "u_q", "speed")},
+                "currents": "measured",
+                "voltage": "reference",
+            }
+        ],
+    }
+    head = (
+        "# Write over the columns of points.csv what was measured at each point: currents, mean\n"
+        "# voltages (or references: say which below) and speed; then dqforge identify bench.yaml\n"
+    )
+    return (head + yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100)).encode()
+
+
+def plan_tables(plan: BenchPlan) -> list[Table]:
+    """What to expect of the points, and how many it takes."""
+    rows = tuple(
+        (
+            one.label,
+            format_quantity(one.value, one.unit),
+            f"+- {format_quantity(one.half, one.unit, 2)}",
+            f"{100.0 * one.half / one.value:.2g} %" if one.value > 0.0 else "-",
+        )
+        for one in plan.expected
+    )
+    noise = format_quantity(plan.noise, "V", 2)
+    minutes = sum(point.seconds for point in plan.points) / 60.0
+    counts = ", ".join(
+        f"{count} for {100.0 * share:g} %" for share, count in plan.least_points.items()
+    )
+    notes = (
+        f"{len(plan.points)} points in {minutes:.2g} min, both directions and signs of i_q in turn "
+        "so that the winding is as warm in one quadrant as in the other"
+        + (f"; {plan.left_out} beyond the voltage limit are left out" if plan.left_out else ""),
+        f"largest torque within {100.0 * plan.torque:.2g} %; points needed for it: {counts}",
+        f"mean voltages are taken to have a standard deviation of {noise}",
+    )
+    heads = ("parameter", "before", "95 % interval to expect", "of the value")
+    return [Table("Expected of the points", heads, rows, notes)]
+
+
+def plain_plan(plan: BenchPlan) -> PlainData:
+    """The same as plain data."""
+    return {
+        "points": [asdict(point) for point in plan.points],
+        "left_out": plan.left_out,
+        "noise_V": plan.noise,
+        "expected": [asdict(one) for one in plan.expected],
+        "torque": plan.torque,
+        "least_points": [
+            {"torque": share, "points": count} for share, count in plan.least_points.items()
+        ],
+    }
 
 
 # The design file: every value with its source and interval.

@@ -639,6 +639,11 @@ OutOfPair = Annotated[
 Bench = Annotated[Path, _argument("BENCH", "Bench file: the runs, their logs and columns.")]
 
 
+Plan = Annotated[
+    bool, Option("--plan", help="BENCH is a design: write the points to run, and what to expect.")
+]
+
+
 OutOfBench = Annotated[
     Path | None,
     Option("-o", "--out", metavar="OUT", help="Folder for design.yaml and result.json."),

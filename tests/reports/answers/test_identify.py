@@ -143,3 +143,22 @@ def test_a_flux_map_that_the_design_reads(tmp_path: Path, shared_data: Path) -> 
     assert design.machine.r_s == pytest.approx(0.63, abs=0.002)
     heading = (tmp_path / "out" / "map.csv").read_text().splitlines()[0]
     assert heading == "i_d [A],i_q [A],psi_d [Wb],psi_q [Wb],sigma_d [Wb],sigma_q [Wb],n"
+
+
+def test_a_planned_bench_that_is_filled_is_identified(tmp_path: Path) -> None:
+    assert call("identify", "--plan", "hoverboard-hub", "-o", tmp_path) == 0
+    sheet = tmp_path / "points.csv"
+    heading, *points = [line.split(",") for line in sheet.read_text().splitlines()]
+    rng, filled = np.random.default_rng(5), [",".join(heading)]
+    for number, rpm, i_d, i_q, seconds, *_ in points:
+        omega, d, q = float(rpm) * np.pi / 30.0 * 15.0, float(i_d), float(i_q)
+        u_d = 0.2 * d - omega * 0.4e-3 * q + rng.normal(0.0, 0.05)
+        u_q = 0.2 * q + omega * (0.021 + 0.4e-3 * d) + rng.normal(0.0, 0.05)
+        filled.append(f"{number},{rpm},{i_d},{i_q},{seconds},{u_d:.5g},{u_q:.5g}")
+    sheet.write_text("\n".join(filled))
+    assert call("identify", tmp_path / "bench.yaml", "-o", tmp_path / "out") == 0
+    machine = load_design(tmp_path / "out" / "design.yaml").machine
+    assert machine.psi_pm == pytest.approx(0.021, rel=0.01)
+    assert machine.l_q == pytest.approx(0.4e-3, rel=0.03)
+    assert call("identify", "--plan", "abb-syrm-6k7", "-o", tmp_path / "no") == 1
+    assert not (tmp_path / "no").exists()
