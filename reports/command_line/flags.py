@@ -251,7 +251,7 @@ GROUPS = {
     "Design": ("new", "check", "run"),
     "Analysis": ("mtpa", "fit", "tune", "losses", "dqy", "simulate", "estimators"),
     "Firmware": ("export", "explain", "verify"),
-    "Data": ("bemf",),
+    "Data": ("bemf", "identify"),
     "Many": ("explore", "compare"),
     "Tools": ("serve", "machines", "schema", "doctor", "reproduce"),
 }
