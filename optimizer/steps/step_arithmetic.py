@@ -225,9 +225,9 @@ class Arithmetic(Floats):
 
     def placed(self, name: str, a: Reals, most: int) -> Any:  # noqa: ARG002
         """Places of an array: what numbers from 0 on are without what is behind the point, at most
-        ``most``.
+        ``most``; any place for others.
         """
-        return np.minimum(np.asarray(a).astype(np.intp), most)
+        return np.clip(np.asarray(a).astype(np.intp), 0, most)
 
     def with_item(self, array: tuple[_N, ...], place: Any, value: Any) -> tuple[_N, ...]:
         """An array of the state with another number at a place, which is given back to its member
