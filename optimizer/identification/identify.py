@@ -86,13 +86,17 @@ def identify(bench: Bench) -> Identification:
     flux: FluxFit | None = None
     for runs in _together(bench.runs):
         try:
-            if runs[0].kind == "flux-points":
-                flux = _flux(bench, runs)
-                analyses.append(flux.analysis)
-            else:
-                analyses.append(_believed(_ANALYSES[runs[0].kind](bench, runs)))
+            # What divides by nothing, or has no inverse, is a matter of the rows.
+            with np.errstate(divide="raise", invalid="raise", over="raise"):
+                if runs[0].kind == "flux-points":
+                    flux = _flux(bench, runs)
+                    analyses.append(flux.analysis)
+                else:
+                    analyses.append(_believed(_ANALYSES[runs[0].kind](bench, runs)))
         except NoSolutionError as fault:
             faults.append(fault)
+        except (ArithmeticError, np.linalg.LinAlgError):
+            faults.append(refused(runs[0], _UNDETERMINED))
     if faults:
         first, *others = faults
         first.others = tuple(others)
@@ -125,6 +129,11 @@ def _believed(analysis: Analysis) -> Analysis:
     )
     return replace(analysis, parameters=parameters)
 
+
+_UNDETERMINED = (
+    "its rows do not determine what a run of this kind holds: columns that stand still, or are in "
+    "step with each other; check them"
+)
 
 # Kinds whose runs are fitted together: the parameters are the same, the series are parted.
 _JOINT = ("constant-speed", "flux-points", "offset-sweep", "voltage-speed")

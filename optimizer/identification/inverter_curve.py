@@ -51,8 +51,10 @@ def table_fault(table: InverterTable) -> str:
     """Why a table says nothing, '' where it does."""
     if table.current.size < _LEAST_POINTS:
         return f"{table.current.size} points; a law needs {_LEAST_POINTS}"
-    if float(np.ptp(table.current)) == 0.0:
-        return "one current in all rows; vary it"
+    if np.unique(table.current).size < _LEAST_POINTS:
+        return f"fewer than {_LEAST_POINTS} different currents; vary it"
+    if float(np.ptp(table.voltage)) == 0.0:
+        return "the voltage is the same at all currents"
     return ""
 
 
@@ -80,7 +82,16 @@ def _fit(table: InverterTable, name: str) -> _Law:
         return np.asarray(size * shape(current / np.exp(log_width)) + series * current - voltage)
 
     start = [float(np.max(np.abs(voltage))), np.log(0.1 * largest), 0.0]
-    found = least_squares(left, start, loss="soft_l1", f_scale=max(float(np.std(voltage)), 1e-9))
+    low = [-np.inf, np.log(1e-4 * largest), -np.inf]
+    high = [np.inf, np.log(10.0 * largest), np.inf]
+    found = least_squares(
+        left,
+        start,
+        bounds=(low, high),
+        x_scale=[max(start[0], 1e-9), 1.0, max(start[0], 1e-9) / largest],
+        loss="soft_l1",
+        f_scale=max(float(np.std(voltage)), 1e-9),
+    )
     # The errors are those of the law made straight at its best values, neighbours correlated.
     order = np.argsort(current, kind="stable")
     straight = regress(

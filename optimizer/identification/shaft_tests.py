@@ -107,6 +107,8 @@ def offset_fault(sweep: OffsetSweep) -> str:
     if sweep.omega_m == 0.0:
         return "the shaft stands still; drive it"
     for curve in sweep.curves:
+        if np.ptp(curve.values) == 0.0:
+            return f"{curve.quantity} is the same at all offsets"
         if curve.offset.size < 8 or float(np.ptp(curve.offset)) < _LEAST_TURN:
             turn = math.degrees(float(np.ptp(curve.offset)))
             return f"the offset is swept over {turn:.0f} deg; a circle needs 270 deg"
@@ -511,6 +513,8 @@ def spin_fault(spin: SpinDown) -> str:
     speed = np.abs(spin.omega_m)
     if (np.diff(spin.time) <= 0.0).any():
         return "the times do not rise"
+    if speed[0] <= 0.0 or np.ptp(speed) == 0.0:
+        return "the shaft does not coast: its speed stays, or begins at 0"
     if speed[-1] > (1.0 - _LEAST_FALL) * speed[0]:
         return f"the speed falls by {100 * (1 - speed[-1] / speed[0]):.0f} %; it needs 30 %"
     return ""

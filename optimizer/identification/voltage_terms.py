@@ -50,6 +50,8 @@ _SMOOTH = 0.02
 _NONE = 0.05
 # Residuals below this share of a voltage are rounding and no noise.
 _LEAST_NOISE = 1e-9
+# Three rows for each of the usual terms.
+_LEAST_ROWS = 18
 # Of one quadrant where fewer rows than this share are of another.
 _FEW = 0.05
 
@@ -193,6 +195,8 @@ def _regression(model: _Model, terms: Sequence[str]) -> Regression:
 
 def rows_fault(rows: SteadyRows) -> str:
     """Why rows say nothing, '' where they do."""
+    if rows.u_q.size < _LEAST_ROWS:
+        return f"{rows.u_q.size} rows for up to {len(_TERMS)} terms; it needs {_LEAST_ROWS}"
     if float(rows.current.max()) <= 0.0:
         return "no current flows in any row, which gives no resistance"
     if float(np.ptp(rows.omega_e)) == 0.0 and float(np.max(np.abs(rows.omega_e))) == 0.0:

@@ -180,7 +180,8 @@ def test_friction_that_falls_with_the_square_of_the_speed_is_none() -> None:
 
 def test_what_is_no_coasting() -> None:
     time = np.arange(20.0)
-    assert "falls by 0 %" in spin_fault(SpinDown("run", time, np.full(20, 5.0)))
+    assert "falls by 4 %" in spin_fault(SpinDown("run", time, 500.0 - time))
+    assert "does not coast" in spin_fault(SpinDown("run", time, np.full(20, 5.0)))
     assert "do not rise" in spin_fault(SpinDown("run", np.zeros(20), 20.0 - time))
 
 

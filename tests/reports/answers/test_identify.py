@@ -105,7 +105,7 @@ def test_a_run_that_says_nothing_has_its_line(
 ) -> None:
     write_table(
         tmp_path / "ride.csv",
-        {"erpm": np.arange(5.0), "q_axis_current": np.zeros(5), "q_axis_voltage": np.ones(5)},
+        {"erpm": np.arange(30.0), "q_axis_current": np.zeros(30), "q_axis_voltage": np.ones(30)},
     )
     path = tmp_path / "bench.yaml"
     path.write_text(bench_text(RUN, MACHINE))
