@@ -49,7 +49,7 @@ def test_strange_logs_are_answered_or_refused(tmp_path: Path, kind: RunKindName)
         rows = int(rng.integers(3, 60))
         columns = {name: strange(rng, rows) for name in names}
         if "time" in columns and rng.random() < 0.8:
-            columns["time"] = 0.1 * np.arange(rows)
+            columns["time"] = np.linspace(0.0, 0.1 * rows, rows)
         titles = {name: f"{name} [{DIMENSIONS[QUANTITIES[name]].unit}]" for name in names}
         write_table(tmp_path / "log.csv", {titles[name]: columns[name] for name in names})
         listed = ", ".join(f"{name}: {name}" for name in names)
