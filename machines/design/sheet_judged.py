@@ -31,7 +31,7 @@ from dqforge.machines.entries.kinds import quantities
 from dqforge.machines.entries.rules import Quantity
 from dqforge.machines.errors import InputError, KeyPath, dotted, leading_path
 from dqforge.machines.files.positioned_yaml import YamlDocument, YamlValue, parse_yaml, written
-from dqforge.machines.units.quantities import format_quantity, parse_quantity
+from dqforge.machines.units.quantities import format_quantity, parse_quantity, refuse_bare
 
 _SOURCE = "design.yaml"
 
@@ -57,10 +57,21 @@ def read_alone(key: str, text: str) -> Quantity | None:
     Raises:
         InputError: It is none for its key; the message is the reader's own.
     """
+    _refuse_bare(BY_KEY[key], text, BY_KEY[key].label)
     values = dict(_STAND_INS[need] for need in _ALONE) | {key: text}
     sections = read_sections(_document(values, design_text(values)))
     found = {dotted(path): quantity for path, quantity in quantities(sections)}
     return found.get(key)
+
+
+def _refuse_bare(value: SheetValue, text: str, name: str) -> None:
+    """Refuse a number without its unit: a file holds numbers in SI units, a data sheet does not."""
+    if not value.dimension:
+        return
+    try:
+        refuse_bare(text, value.dimension, kinds=True)
+    except InputError as error:
+        raise InputError(error.message, source=name) from None
 
 
 def remarks_so_far(values: Mapping[str, str]) -> list[str]:
@@ -106,12 +117,15 @@ def _stand_ins(values: Mapping[str, str], needs: Collection[str]) -> dict[str, s
 _DROP = {"machine.resistance", "machine.max_current", "inverter.v_dc"}
 
 
+_POLES = ("machine.pole_pairs", "machine.poles")
+
+
 def _is_of_known(sentence: str, known: Collection[str]) -> bool:
     """Whether all that a sentence is made of is known: of figures that is the drop over the
     resistance, and the number of pole pairs.
     """
     key = dotted(leading_path(sentence.removeprefix(MARK)))
-    return key == "machine.pole_pairs" or (key == "machine.resistance" and set(known) >= _DROP)
+    return key in _POLES or (key == "machine.resistance" and set(known) >= _DROP)
 
 
 def checked_text(
@@ -127,6 +141,8 @@ def checked_text(
     Raises:
         InputError: Something is missing, wrong or contradictory; the message names the option.
     """
+    for key in values.keys() & BY_KEY.keys():
+        _refuse_bare(BY_KEY[key], values[key], BY_KEY[key].flag)
     lacking = missing(values)
     if lacking:
         also = " ".join(f"{value.flag} {_quoted(value.example)}" for value in lacking)

@@ -22,27 +22,15 @@ from dqforge.machines.errors import InputError, close_matches, shown
 from dqforge.machines.names import Firmware, NumberFormat
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity, parse_quantity, read_quantity
-from dqforge.machines.units.registry import DIMENSIONS, KindWords, kind_words, words_pattern
+from dqforge.machines.units.registry import (
+    DIMENSIONS,
+    USUAL_UNITS,
+    KindWords,
+    kind_words,
+    words_pattern,
+)
 
 _ORIGIN_KEYS = ("source", "inferred", "note")
-
-
-# Units in which a forgotten unit was probably meant, tried in this order.
-_USUAL_UNITS = {
-    "resistance": ("mOhm", "uOhm"),
-    "inductance": ("uH", "mH"),
-    "capacitance": ("uF", "mF"),
-    "flux": ("mWb",),
-    "back-emf": ("V/krpm",),
-    "time": ("us", "ns"),
-    "speed": ("rpm",),
-    "frequency": ("kHz",),
-    "energy": ("mJ", "uJ"),
-    "inertia": ("kg cm^2", "g cm^2"),
-    "angle": ("deg",),
-    "temperature-coefficient": ("%/K",),
-    "power": ("kW",),
-}
 
 
 class EntryError(ValueError):
@@ -209,7 +197,8 @@ class QuantityRule(Rule):
         )
 
     def _advice(self, text: str) -> str:
-        for unit in _USUAL_UNITS.get(self.dimension, ()):
+        usual = USUAL_UNITS.get(self.dimension, ((), 0.0, 0.0))[0]
+        for unit in usual:
             if self.low <= parse_quantity(f"{text} {unit}", self.dimension) <= self.high:
                 return f"write e.g. '{text} {unit}'"
         return f"write e.g. '{DIMENSIONS[self.dimension].example}'"

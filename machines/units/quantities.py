@@ -23,6 +23,7 @@ from dqforge.machines.units.registry import (
     LONG_TIMES,
     SYMBOLS,
     TIMES,
+    USUAL_UNITS,
     Dimension,
     KindWords,
     Powers,
@@ -97,24 +98,44 @@ def parse_quantity(value: str | float, dimension: str) -> float:
 def parse_option(text: str | None, dimension: str, option: str) -> float | None:
     """SI value of an option of the command line, None where it was not given.
 
-    A speed needs its unit there: what is typed in haste is rpm more often than rad/s.
+    What has a unit needs it there: what is typed in haste is mH more often than H.
 
     Raises:
-        InputError: The text is no quantity of the dimension, or a speed without a unit; names the
-            option.
+        InputError: The text is no quantity of the dimension, or has no unit; names the option.
     """
     if text is None:
         return None
     try:
-        found = read_quantity(text, dimension)
+        refuse_bare(text, dimension)
+        return read_quantity(text, dimension).si
     except InputError as error:
         raise InputError(f"{option}: {error.message}") from None
-    if dimension == "speed" and found.bare:
-        raise InputError(
-            f"{option}: {shown(text)} has no unit; write '{found.text} rpm', or '{found.text} "
-            f"rad/s' ({format_quantity(found.si, 'rpm')})"
-        )
-    return found.si
+
+
+def refuse_bare(text: str, dimension: str, *, kinds: bool = False) -> None:
+    """Refuse a number whose unit is left out, with the usual ones; zero is zero in all but those of
+    a temperature.
+
+    Raises:
+        InputError: The text has no unit and its dimension has some, or it is no quantity.
+    """
+    found = read_quantity(text, dimension, kinds=kinds)
+    wanted = DIMENSIONS[dimension]
+    nothing = found.si == 0.0 and dimension != "temperature"
+    if not found.bare or not wanted.unit or nothing:
+        return
+    behind = f" {found.kind.text}" if found.kind is not None else ""
+    written = [f"'{found.text} {unit}{behind}'" for unit in _meant(found.text, dimension)]
+    raise InputError(f"{shown(text.strip())} has no unit; write {' or '.join(written)}")
+
+
+def _meant(number: str, dimension: str) -> list[str]:
+    """At most two units with which a number is one of a drive; that of its dimension where it is
+    none with any.
+    """
+    units, low, high = USUAL_UNITS.get(dimension, ((DIMENSIONS[dimension].unit,), 0.0, math.inf))
+    sizes = {unit: abs(parse_quantity(f"{number} {unit}", dimension)) for unit in units}
+    return [unit for unit, size in sizes.items() if low <= size <= high][:2] or [units[-1]]
 
 
 def read_quantity(value: str | float, dimension: str, *, kinds: bool = False) -> Reading:

@@ -408,6 +408,27 @@ DIMENSIONS: dict[str, Dimension] = {
 }
 
 
+# Units that people write a quantity in, and the sizes in the unit of its dimension between which
+# one of a drive lies: what a number without a unit may have meant.
+USUAL_UNITS: dict[str, tuple[tuple[str, ...], float, float]] = {
+    "resistance": (("mOhm", "Ohm", "uOhm"), 1e-3, 200.0),
+    "inductance": (("uH", "mH", "H"), 1e-6, 2.0),
+    "capacitance": (("uF", "mF"), 1e-6, 1.0),
+    "flux": (("mWb", "Wb"), 1e-4, 5.0),
+    "back-emf": (("V/krpm", "V s/rad"), 1e-3, 20.0),
+    "torque-constant": (("N m/A", "mN m/A"), 1e-3, 50.0),
+    "time": (("us", "ns", "ms", "s"), 1e-8, 10.0),
+    "speed": (("rpm", "rad/s"), 0.1, 1e5),
+    "frequency": (("kHz", "Hz"), 500.0, 5e5),
+    "energy": (("mJ", "uJ"), 1e-6, 1.0),
+    "inertia": (("kg cm^2", "g cm^2", "kg m^2"), 1e-8, 100.0),
+    "friction": (("N m s",), 0.0, 1.0),
+    "angle": (("deg",), 0.0, 7.0),
+    "temperature-coefficient": (("%/K",), 0.0, 0.02),
+    "power": (("kW", "W"), 1.0, 1e7),
+}
+
+
 # What the names of the vocabulary are in SI: factors, and powers of the base units.
 #
 # Angles, turns and shares are numbers here. Of mass the gram is the base, whose thousand a newton
