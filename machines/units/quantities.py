@@ -182,7 +182,7 @@ def _read_text(text: str, dimension: str, kinds: bool) -> Reading:
     kind = kind_words(words) if words else None
     if not unit:
         return Reading(number, plain, bare=True, kind=kind)
-    unit = wanted.aliases.get(unit.casefold(), unit)
+    unit = wanted.aliases.get(unit) or wanted.aliases.get(unit.casefold(), unit)
     found = convert(number, parse_unit(unit, wanted), wanted, text)
     return Reading(
         _finite(found.si, wanted),
@@ -391,7 +391,21 @@ def convert(number: float, powers: Powers, wanted: Dimension, text: str) -> Conv
             )
     except _RefusedError as refusal:
         raise InputError(f"{got}; {refusal}") from None
-    raise InputError(got + _what_it_is(tuple(powers.items()), wanted.name))
+    raise InputError(
+        got
+        + (
+            _turned_round(number, reciprocal, wanted)
+            or _what_it_is(tuple(powers.items()), wanted.name)
+        )
+    )
+
+
+def _turned_round(number: float, reciprocal: Powers, wanted: Dimension) -> str:
+    """What to write where the unit stands on its head: V/rpm of a Kv."""
+    if wanted.reciprocal or not is_of(reciprocal, wanted):
+        return ""
+    same = math.isclose(_factor_of(_key(_library(reciprocal)), wanted.base), 1.0)
+    return f"; write '{number:g} {wanted.unit}'" if same else ""
 
 
 def is_of(powers: Powers, dimension: Dimension) -> bool:
@@ -757,12 +771,8 @@ def _unknown(symbol: str, wanted: Dimension) -> str:
     matches = close_matches(symbol, [*SYMBOLS, *COMPOUNDS], limit=8)
     matches = list(alike.values()) if len(alike) > 1 else matches
     fitting = [m for m in matches if m in SYMBOLS and is_of({SYMBOLS[m]: 1}, wanted)]
-    found = sorted((fitting or matches)[:2]) if len(alike) > 1 else (fitting or matches)[:2]
-    hint = (
-        f"did you mean {' or '.join(repr(m) for m in found)}?"
-        if found
-        else f"write e.g. '{wanted.example}'"
-    )
-    return (
-        f"unknown unit {shown(symbol)}, expected {wanted.name} such as '{wanted.example}'; {hint}"
-    )
+    # Of a quantity with one unit what does not fit is no help: LB of a current.
+    kept = fitting if wanted.base.isalpha() else fitting or matches
+    found = sorted(kept[:2]) if len(alike) > 1 else kept[:2]
+    hint = f"; did you mean {' or '.join(repr(m) for m in found)}?" if found else ""
+    return f"unknown unit {shown(symbol)}, expected {wanted.name} such as '{wanted.example}'{hint}"
