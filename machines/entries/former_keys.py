@@ -353,26 +353,27 @@ def _complaint(fault: ErrorDetails, document: YamlDocument, root: type[BaseModel
             key=cause.at_key,
         )
     if fault["type"] == "extra_forbidden":
-        return document.error(_unknown(tagged, root), path, key=True)
+        by_option = any(path[:length] in document.options for length in range(1, len(path) + 1))
+        return document.error(_unknown(tagged, root, by_option=by_option), path, key=True)
     if fault["type"] == "missing":
         return document.error(_missing(path), path[:-1], key=not isinstance(path[-1], int))
     value = _lookup(document.data, path)
     return document.error(f"{dotted(path)}: {_expected(fault, value, tagged, root)}", path)
 
 
-def _unknown(path: KeyPath, root: type[BaseModel]) -> str:
-    """What to say on a key that its section does not have."""
+def _unknown(path: KeyPath, root: type[BaseModel], *, by_option: bool) -> str:
+    """What to say on a key that its section does not have; of an option there is no line."""
     *section, last = path
     key, inside = str(last), tuple(section)
     shown_path = dotted(tuple(part for part in inside if part not in TAGS))
     where = f"{shown_path}: " if shown_path else ""
     allowed = tuple(_section(inside, root).model_fields)
-    homes = [dotted(home) or "the top level" for home in _homes(key, root)]
+    found = _homes(key, root)
+    found = [home for home in found if len(home) == 1] or found
+    homes = [dotted(home) or "the top level" for home in found]
     if homes and SYNONYMS.get(key) not in allowed:
-        return (
-            f"{where}unknown key '{key}'; it belongs in {' or '.join(homes[:3])}, check the "
-            "indentation"
-        )
+        advice = f"write --set {homes[0]}.{key}=..." if by_option else "check the indentation"
+        return f"{where}unknown key '{key}'; it belongs in {' or '.join(homes[:3])}, {advice}"
     return where + unknown_key(key, allowed, SYNONYMS)
 
 

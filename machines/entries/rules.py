@@ -415,9 +415,10 @@ def firmware_names(value: object) -> object:
     """A list of one entry for the name of a firmware; other values as they are."""
     if not isinstance(value, str):
         return value
-    if value not in get_args(Firmware):
+    name = value.casefold()
+    if name not in get_args(Firmware):
         raise EntryError(not_one_of(value, get_args(Firmware)))
-    return [value]
+    return [name]
 
 
 def auto_or(value: object, otherwise: Callable[[object], object]) -> object:
