@@ -45,7 +45,8 @@ def new(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
 
     Without options it asks on a terminal; --template writes every key to fill in.
     """
-    asking = not (machine or source or template or study or yes or json or capture or flux_map)
+    named = machine or source or template or study or capture or flux_map or sets
+    asking = not (named or yes or json)
     texts = asked_sheet(folder, sheet, asking=asking)
     recorded = answers.library.recorded(capture, flux_map, axes, scale, line_to_line=line_to_line)
     asked = answers.library.NewRequest(machine, source, sets, texts, template, study, *recorded)

@@ -126,7 +126,6 @@ def test_json_has_what_check_has(call: Call) -> None:
         ([*SCOOTER.flags, "--kv", "60 V"], "--kv: "),
         ([*SCOOTER.flags, "--torque-constant", "1 Nm/Arms"], "--torque-constant: "),
         ([*SCOOTER.flags, "--template"], "--pole-pairs and --template both define"),
-        ([*SCOOTER.flags, "--machine", "thor-pmsyrm-5k"], "--pole-pairs and --machine both define"),
         (["--template", "--machine", "thor-pmsyrm-5k"], "--machine and --template both define"),
         ([*SCOOTER.flags, "--study", "production-yield"], "--pole-pairs and --study both define"),
         (["--study", "yield"], "did you mean production-yield?"),

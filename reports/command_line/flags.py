@@ -510,7 +510,7 @@ AxesOfNew = Annotated[
 ]
 
 
-SetOfNew = Annotated[list[str] | None, _text("--set", "KEY=VALUE", f"{_SET}; with --from.")]
+SetOfNew = Annotated[list[str] | None, _text("--set", "KEY=VALUE", f"{_SET}.")]
 
 
 For = Annotated[
