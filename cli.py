@@ -201,6 +201,7 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
     plot: given.Plot = None,
     chart: given.Map = None,
     mission: given.Mission = None,
+    points: given.Points = None,
     strategies: given.Strategies = None,
     modulations: given.Modulations = None,
     frequencies: given.Frequencies = None,
@@ -211,7 +212,9 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
 
     At points, over a map or a mission, over switching frequencies.
     """
-    asked = answers.losses.LossRequest(chart, mission, strategies, modulations, frequencies, margin)
+    asked = answers.losses.LossRequest(
+        chart, mission, strategies, modulations, frequencies, margin, points
+    )
     ask = partial(answers.losses.answer_losses, request=asked, choice=choice)
     respond("losses", lambda: ask(load(design, sets)), json, plot)
 

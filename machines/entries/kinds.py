@@ -390,9 +390,9 @@ def _refuse_other_forms(raw: object) -> None:
     text = str(raw).strip().translate(_MINUS) if isinstance(raw, str) else ""
     if both := _BOTH_WAYS.fullmatch(text):
         raise EntryError(f"{shown(text)} holds both ways; write '{both['size']}'", "value")
-    if ends := _ENDS.fullmatch(text):
-        unit = ends["unit"] or ends["own"] or "%"
-        low, high = ends["low"], ends["high"].lstrip("+")
+    if sides := _ENDS.fullmatch(text):
+        unit = sides["unit"] or sides["own"] or "%"
+        low, high = sides["low"], sides["high"].lstrip("+")
         raise EntryError(
             f"{shown(text)} has two ends; write {{from: {low} {unit}, to: {high} {unit}}}", "value"
         )

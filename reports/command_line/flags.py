@@ -587,6 +587,12 @@ Mission = Annotated[
 ]
 
 
+Points = Annotated[
+    str | None,
+    _text("--points", "POINTS", "Torques and speeds: '130 N m 3000 rpm'; commas between."),
+]
+
+
 Strategies = Annotated[
     str | None, _text("--strategies", "A,B", "mtpa, id0, least-loss; default the design's.")
 ]
