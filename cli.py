@@ -45,7 +45,8 @@ def new(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
 
     Without options it asks on a terminal; --template writes every key to fill in.
     """
-    asking = not (machine or source or template or study or yes or json or capture or flux_map)
+    named = machine or source or template or study or capture or flux_map or sets
+    asking = not (named or yes or json)
     texts = asked_sheet(folder, sheet, asking=asking)
     recorded = answers.library.recorded(capture, flux_map, axes, scale, line_to_line=line_to_line)
     asked = answers.library.NewRequest(machine, source, sets, texts, template, study, *recorded)
@@ -200,6 +201,7 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
     plot: given.Plot = None,
     chart: given.Map = None,
     mission: given.Mission = None,
+    points: given.Points = None,
     strategies: given.Strategies = None,
     modulations: given.Modulations = None,
     frequencies: given.Frequencies = None,
@@ -210,7 +212,9 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
 
     At points, over a map or a mission, over switching frequencies.
     """
-    asked = answers.losses.LossRequest(chart, mission, strategies, modulations, frequencies, margin)
+    asked = answers.losses.LossRequest(
+        chart, mission, strategies, modulations, frequencies, margin, points
+    )
     ask = partial(answers.losses.answer_losses, request=asked, choice=choice)
     respond("losses", lambda: ask(load(design, sets)), json, plot)
 

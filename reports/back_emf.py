@@ -23,7 +23,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.files.text_table import Progress
 from dqforge.machines.records import dataclass
-from dqforge.machines.units.quantities import format_quantity, parse_option, read_quantity
+from dqforge.machines.units.quantities import format_quantity, parse_option
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.figures_style import BLUE, ORANGE, TEAL, new_figure, prefixed, style
 from dqforge.reports.plain_data import PlainData
@@ -114,13 +114,8 @@ def _columns(text: str | None) -> list[str | int] | None:
 
 def _interval(text: str | None) -> float | None:
     seconds = parse_option(text, "time", "--interval")
-    if text is not None and seconds is not None:
-        if read_quantity(text, "time").bare:
-            raise InputError(
-                f"--interval: {text} has no unit; write {text} us, {text} ms or {text} s"
-            )
-        if seconds <= 0.0:
-            raise InputError(f"--interval: expected a time above 0, got '{text}'; write e.g. 2 us")
+    if seconds is not None and seconds <= 0.0:
+        raise InputError(f"--interval: expected a time above 0, got '{text}'; write e.g. 2 us")
     return seconds
 
 

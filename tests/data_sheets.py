@@ -33,7 +33,7 @@ class DataSheet:
 
 SCOOTER = DataSheet(
     {
-        "machine.kv": "60",
+        "machine.kv": "60 rpm/V",
         "machine.resistance": "100 mOhm line-to-line",
         "machine.inductance": "200 uH line-to-line",
         "machine.pole_pairs": "15",

@@ -97,7 +97,7 @@ from dqforge.machines.files.positioned_yaml import (
 )
 from dqforge.machines.names import FeedbackMethod
 from dqforge.machines.records import dataclass
-from dqforge.machines.units.quantities import format_quantity, kind_said
+from dqforge.machines.units.quantities import format_quantity
 
 
 def names() -> list[str]:
@@ -506,7 +506,9 @@ def _refuse_overlaps(overrides: Sequence[Override]) -> None:
 
 
 def put(data: dict[str, YamlValue], override: Override) -> list[KeyPath]:
-    """Set the value; returns the paths that were made for it, that of the key itself last."""
+    """Set the value in place of all that stands there, its kind and its source too; returns the
+    paths that were made for it, that of the key itself last.
+    """
     node: dict[str, YamlValue] | list[YamlValue] = data
     path: KeyPath = ()
     made: list[KeyPath] = []
@@ -522,9 +524,9 @@ def put(data: dict[str, YamlValue], override: Override) -> list[KeyPath]:
         node = inner
     last = _key(node, override.parts[-1], path, override)
     if isinstance(node, list):
-        node[int(last)] = _kept_kind(node[int(last)], override.value)
+        node[int(last)] = override.value
     else:
-        node[str(last)] = _kept_kind(node.get(str(last)), override.value)
+        node[str(last)] = override.value
     return [*made, (*path, last)]
 
 
@@ -555,26 +557,6 @@ def _key(
     return int(part)
 
 
-def _is_entry(value: YamlValue) -> bool:
-    """Whether a value is a quantity written as a mapping."""
-    return isinstance(value, dict) and "value" in value and all(key in _ENTRY_KEYS for key in value)
-
-
-def _kept_kind(old: YamlValue, new: YamlValue) -> YamlValue:
-    """A new value for an entry; where it is but a number, the convention of the old one holds
-    on, whether it stands beside the value or in its text.
-    """
-    if isinstance(new, (dict, list)) or (isinstance(new, str) and kind_said(new)):
-        return new
-    entry = old if isinstance(old, dict) and _is_entry(old) else {"value": old}
-    said = [kind_said(text) for text in (entry["value"],) if isinstance(text, str)]
-    named = [kind for kind in (entry.get("kind"),) if isinstance(kind, str)]
-    kinds = " ".join(dict.fromkeys(part for part in (*said, *named) if part))
-    if kinds:
-        return {"value": new, "kind": kinds}
-    return {"value": new} if entry is old else new
-
-
 def positioned(
     document: YamlDocument, data: dict[str, YamlValue], options: dict[KeyPath, str]
 ) -> YamlDocument:
@@ -583,7 +565,7 @@ def positioned(
     def stands(path: KeyPath) -> bool:
         return not any(path[:length] in options for length in range(1, len(path) + 1))
 
-    set_parts = [inner for path in options for inner in _parts(_at(data, path), path)]
+    set_parts = [inner for path in options for inner in _parts(value_at(data, path), path)]
     keys = {path: place for path, place in document.keys.items() if stands(path)}
     values = {path: place for path, place in document.values.items() if stands(path)}
     behind = dict.fromkeys(set_parts, _BEHIND)
@@ -604,7 +586,7 @@ def _parts(value: YamlValue, path: KeyPath) -> Iterator[KeyPath]:
         yield from _parts(inner, (*path, key))
 
 
-def _at(data: YamlValue, path: KeyPath) -> YamlValue:
+def value_at(data: YamlValue, path: KeyPath) -> YamlValue:
     """Value at a path, None where there is none."""
     for part in path:
         if isinstance(data, dict):
@@ -632,7 +614,7 @@ def _name_sources(document: YamlDocument, paths: Sequence[KeyPath]) -> None:
                 if whole
                 else tuple(key for key in _ORIGIN_KEYS if (*entry, key) in paths)
             )
-            old = _at(data, entry)
+            old = value_at(data, entry)
             new = _with_source(old, kept)
             _replace(data, entry, new)
             for key in {*old} - {*new} if isinstance(old, dict) else ():
@@ -654,12 +636,12 @@ def _is_side(data: YamlValue, path: KeyPath) -> bool:
     """Whether a path leads to one side of a deviation ``{from: ..., to: ...}``,
     whose source stands beside both.
     """
-    around = _at(data, path[:-1])
+    around = value_at(data, path[:-1])
     return path[-1] in _SIDES and isinstance(around, dict) and {*around} <= {*_SIDES, *_ORIGIN_KEYS}
 
 
 def _replace(data: dict[str, YamlValue], path: KeyPath, value: YamlValue) -> None:
-    around = _at(data, path[:-1])
+    around = value_at(data, path[:-1])
     if isinstance(around, dict):
         around[str(path[-1])] = value
     elif isinstance(around, list):

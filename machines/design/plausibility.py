@@ -10,6 +10,7 @@ refused, but told (docs/reference/inputs.md lists the figures).
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -36,10 +37,29 @@ def implausibilities(design: Design, sections: DesignFile) -> list[str]:
         *_temperatures(sections, design, scale),
         *_inverter(design, scale),
         *device_figures(design.inverter),
-        *control_figures(design, scale),
+        *control_figures(design, scale, sections),
         *scenario_figures(design, scale),
     ]
-    return sentences(figures)
+    return sentences([_as_typed(figure, sections) for figure in figures])
+
+
+# Other ways to state an entry, of which a design has one.
+_OTHER_WAYS = {
+    "magnet_flux": ("kv", "back_emf_constant", "torque_constant"),
+    "inductance_d": ("inductance",),
+    "inductance_q": ("inductance",),
+    "pole_pairs": ("poles",),
+}
+
+
+def _as_typed(figure: Figure, sections: DesignFile) -> Figure:
+    """A figure under the key that the design has: kv, where the magnet flux is made of that."""
+    section, _, name = figure.key.rpartition(".")
+    typed = sections.machine.model_fields_set
+    if section != "machine" or name in typed:
+        return figure
+    ways = (way for way in _OTHER_WAYS.get(name, ()) if way in typed)
+    return replace(figure, key=f"{section}.{next(ways, name)}")
 
 
 def scale_of(design: Design) -> Scale:
@@ -112,7 +132,7 @@ def _machine(design: Design, scale: Scale) -> list[Figure]:
         figures.append(
             Figure(
                 "machine.magnet_flux",
-                "inductance_d times the current limit over it",
+                "the inductance times the current limit, over the magnet flux,",
                 share,
                 "",
                 2e-3,
@@ -331,13 +351,14 @@ def _inverter(design: Design, scale: Scale) -> list[Figure]:
 _TURN = 2.0 * math.pi
 
 
-def control_figures(design: Design, scale: Scale) -> list[Figure]:
-    """Figures of the controllers and of what they are told."""
+def control_figures(design: Design, scale: Scale, sections: DesignFile) -> list[Figure]:
+    """Figures of the controllers and of what they are told; of bases, those of the file."""
+    typed = sections.control.per_unit.model_fields_set
     return [
         *_current_loop(design),
         *_speed_loop(design),
         *_observer(design),
-        *_bases(design, scale),
+        *(each for each in _bases(design, scale) if each.key.rpartition(".")[2] in typed),
         *_tolerances(design),
         *_operation(design, scale),
     ]

@@ -4,14 +4,24 @@ are known so far together.
 
 from __future__ import annotations
 
+import copy
 import re
 import textwrap
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 from dqforge.machines.design import design as datasheet
-from dqforge.machines.design.catalogue import build_design, read_sections
+from dqforge.machines.design.catalogue import (
+    Override,
+    build_design,
+    overridden,
+    parse_design,
+    put,
+    read_sections,
+    value_at,
+)
 from dqforge.machines.design.design import Design, Reading
 from dqforge.machines.design.plausibility import implausibilities
 from dqforge.machines.design.plausible_figures import MARK
@@ -27,11 +37,18 @@ from dqforge.machines.design.sheet_values import (
     is_needless,
     missing,
 )
+from dqforge.machines.entries.former_keys import text_with_present_names
 from dqforge.machines.entries.kinds import quantities
 from dqforge.machines.entries.rules import Quantity
 from dqforge.machines.errors import InputError, KeyPath, dotted, leading_path
-from dqforge.machines.files.positioned_yaml import YamlDocument, YamlValue, parse_yaml, written
-from dqforge.machines.units.quantities import format_quantity, parse_quantity
+from dqforge.machines.files.positioned_yaml import (
+    YamlDocument,
+    YamlValue,
+    edited,
+    parse_yaml,
+    written,
+)
+from dqforge.machines.units.quantities import format_quantity, parse_quantity, refuse_bare
 
 _SOURCE = "design.yaml"
 
@@ -57,10 +74,21 @@ def read_alone(key: str, text: str) -> Quantity | None:
     Raises:
         InputError: It is none for its key; the message is the reader's own.
     """
+    _refuse_bare(BY_KEY[key], text, BY_KEY[key].label)
     values = dict(_STAND_INS[need] for need in _ALONE) | {key: text}
     sections = read_sections(_document(values, design_text(values)))
     found = {dotted(path): quantity for path, quantity in quantities(sections)}
     return found.get(key)
+
+
+def _refuse_bare(value: SheetValue, text: str, name: str) -> None:
+    """Refuse a number without its unit: a file holds numbers in SI units, a data sheet does not."""
+    if not value.dimension:
+        return
+    try:
+        refuse_bare(text, value.dimension, kinds=True)
+    except InputError as error:
+        raise InputError(error.message, source=name) from None
 
 
 def remarks_so_far(values: Mapping[str, str]) -> list[str]:
@@ -106,16 +134,81 @@ def _stand_ins(values: Mapping[str, str], needs: Collection[str]) -> dict[str, s
 _DROP = {"machine.resistance", "machine.max_current", "inverter.v_dc"}
 
 
+_POLES = ("machine.pole_pairs", "machine.poles")
+
+
 def _is_of_known(sentence: str, known: Collection[str]) -> bool:
     """Whether all that a sentence is made of is known: of figures that is the drop over the
     resistance, and the number of pole pairs.
     """
     key = dotted(leading_path(sentence.removeprefix(MARK)))
-    return key == "machine.pole_pairs" or (key == "machine.resistance" and set(known) >= _DROP)
+    return key in _POLES or (key == "machine.resistance" and set(known) >= _DROP)
+
+
+def replaced(
+    text: bytes, source: str, values: Mapping[str, str], settings: Sequence[str]
+) -> tuple[str, list[str]]:
+    """The text of a design with the values of a data sheet in the place of its own, and sentences
+    on what they replace: other ways to state the same go.
+
+    Args:
+        text: The design file.
+        source: Its name, for messages.
+        values: By the dotted key, what the data sheet says.
+        settings: Further keys, as those of ``--set``.
+
+    Raises:
+        InputError: A value is none for its key, or a setting is not understood.
+    """
+    plain = text_with_present_names(text.decode("utf-8-sig"), parse_design(text, source))
+    said = []
+    for key, typed in values.items():
+        value = BY_KEY[key]
+        _refuse_bare(value, typed, value.flag)
+        ways = (way for way in SHEET_VALUES if value.need and way.need == value.need)
+        for other in (key, *(way.key for way in ways if _excludes(key, way.key, values))):
+            data = parse_design(plain.encode(), source).data
+            if (old := value_at(data, tuple(other.split(".")))) is not None:
+                shown_old = old.get("value") if isinstance(old, dict) else old
+                said.append(f"{value.flag} {typed!r} replaces {other}: {shown_old} of {source}")
+                plain = plain if other == key else _without(plain, data, other)
+        data = parse_design(plain.encode(), source).data
+        changed = copy.deepcopy(data)
+        put(changed, Override(tuple(key.split(".")), as_yaml(key, typed), value.flag))
+        plain = edited(plain, data, changed)
+    if settings:
+        _, plain = overridden(parse_design(plain.encode(), source), plain, settings)
+    return plain, said
+
+
+def _excludes(key: str, other: str, values: Mapping[str, str]) -> bool:
+    """Whether a value takes the place of another key that is not given too: the inductances of the
+    two axes stand beside each other.
+    """
+    axes = {"machine.inductance_d", "machine.inductance_q"}
+    return other not in values and other != key and not {key, other} <= axes
+
+
+def _without(text: str, data: dict[str, YamlValue], key: str) -> str:
+    """A text without a key: its line goes, where it has one of its own."""
+    *sections, last = key.split(".")
+    wanted = copy.deepcopy(data)
+    around = value_at(wanted, tuple(sections))
+    assert isinstance(around, dict)
+    del around[last]
+    for line in re.finditer(rf"^[ ]+{last}:.*\n", text, re.MULTILINE):
+        found = text[: line.start()] + text[line.end() :]
+        with suppress(InputError):
+            if parse_yaml(found.encode(), "").data == wanted:
+                return found
+    return edited(text, data, wanted)
 
 
 def checked_text(
-    values: Mapping[str, str], folder: Path | None = None, origins: Mapping[str, str] | None = None
+    values: Mapping[str, str],
+    folder: Path | None = None,
+    origins: Mapping[str, str] | None = None,
+    settings: Sequence[str] = (),
 ) -> str:
     """Text of the design file of a data sheet, which has passed the checks of every design.
 
@@ -123,18 +216,21 @@ def checked_text(
         values: By the dotted key, what the data sheet says.
         folder: Where the flux map lies, if there is one.
         origins: By the dotted key, where a value comes from that is on no data sheet.
+        settings: Further keys of the design, as those of ``--set``.
 
     Raises:
         InputError: Something is missing, wrong or contradictory; the message names the option.
     """
-    lacking = missing(values)
+    for key in values.keys() & BY_KEY.keys():
+        _refuse_bare(BY_KEY[key], values[key], BY_KEY[key].flag)
+    lacking = missing({*values, *(each.partition("=")[0].strip() for each in settings)})
     if lacking:
         also = " ".join(f"{value.flag} {_quoted(value.example)}" for value in lacking)
         raise InputError(f"a design needs more of the data sheet; give {also} as well")
-    _, plain = _built(values, flags=True, folder=folder)
+    _, plain = _built(values, flags=True, folder=folder, settings=settings)
     text = design_text(values, _used(plain) | dict(origins or {}))
-    _built(values, text, flags=True, folder=folder)
-    return text
+    _built(values, text, flags=True, folder=folder, settings=settings)
+    return overridden(parse_yaml(text.encode("utf-8"), _SOURCE), text, settings)[1]
 
 
 def _quoted(text: str) -> str:
@@ -156,10 +252,19 @@ def _used(design: Design) -> dict[str, str]:
 
 
 def _built(
-    values: Mapping[str, str], text: str = "", *, flags: bool = False, folder: Path | None = None
+    values: Mapping[str, str],
+    text: str = "",
+    *,
+    flags: bool = False,
+    folder: Path | None = None,
+    settings: Sequence[str] = (),
 ) -> tuple[DesignFile, Design]:
     text = text or design_text(values)
     document = _document(values, text, flags=flags)
+    if settings:
+        own = document.options
+        document, text = overridden(document, text, settings)
+        document = replace(document, options=own | document.options)
     file = read_sections(document)
     return file, build_design(file, Reading(document, text.encode("utf-8"), folder))
 

@@ -36,6 +36,7 @@ class SheetValue:
         need: Name of what a design needs, to which it is one way.
         instead: Keys of which one makes it needless.
         option: Option of the command line where that is not the last word of the key.
+        dimension: What a number is of; empty for a count and for the name.
     """
 
     key: str
@@ -48,6 +49,7 @@ class SheetValue:
     need: str = ""
     instead: tuple[str, ...] = ()
     option: str = ""
+    dimension: str = ""
 
     @property
     def flag(self) -> str:
@@ -99,6 +101,7 @@ SHEET_VALUES = (
         "it: speed without load over the voltage of the battery. If r.m.s. volts are counted, "
         "write 'line-to-line rms' behind the value.",
         need="magnets",
+        dimension="speed-constant",
     ),
     SheetValue(
         "machine.back_emf_constant",
@@ -116,6 +119,7 @@ SHEET_VALUES = (
         need="magnets",
         instead=("machine.kv",),
         option="back-emf",
+        dimension="back-emf",
     ),
     SheetValue(
         "machine.torque_constant",
@@ -128,6 +132,7 @@ SHEET_VALUES = (
         use="a second value for the magnet flux, checked against the first",
         kinds=_PER_CURRENT,
         need="magnets",
+        dimension="torque-constant",
     ),
     SheetValue(
         "machine.magnet_flux",
@@ -138,6 +143,7 @@ SHEET_VALUES = (
         "behind the value.",
         need="magnets",
         instead=("machine.kv", "machine.back_emf_constant", "machine.torque_constant"),
+        dimension="flux",
     ),
     SheetValue(
         "inverter.v_dc",
@@ -147,6 +153,7 @@ SHEET_VALUES = (
         "Where the dc link sags, the least voltage that the drive shall still work at: it "
         "limits the speed.",
         need="voltage",
+        dimension="voltage",
     ),
     SheetValue(
         "machine.max_current",
@@ -156,6 +163,7 @@ SHEET_VALUES = (
         "Of a phase, not of the battery. The peak of a sine is 1.41 times its r.m.s. value.",
         kinds=_CURRENT,
         need="current",
+        dimension="current",
     ),
     SheetValue(
         "machine.resistance",
@@ -166,6 +174,7 @@ SHEET_VALUES = (
         "Thin leads between motor and inverter belong to it.",
         kinds=_TERMINALS,
         need="resistance",
+        dimension="resistance",
     ),
     SheetValue(
         "machine.inductance",
@@ -178,6 +187,7 @@ SHEET_VALUES = (
         kinds=_TERMINALS,
         need="inductance",
         instead=("machine.inductance_d", "machine.inductance_q"),
+        dimension="inductance",
     ),
     SheetValue(
         "machine.inductance_d",
@@ -189,6 +199,7 @@ SHEET_VALUES = (
         kinds=_TERMINALS,
         need="inductance",
         instead=("machine.inductance",),
+        dimension="inductance",
     ),
     SheetValue(
         "machine.inductance_q",
@@ -200,6 +211,7 @@ SHEET_VALUES = (
         kinds=_TERMINALS,
         need="inductance",
         instead=("machine.inductance",),
+        dimension="inductance",
     ),
     SheetValue(
         "inverter.switching_frequency",
@@ -207,6 +219,7 @@ SHEET_VALUES = (
         "PWM frequency; the currents are sampled as often",
         "20 kHz",
         use="assumed if omitted",
+        dimension="frequency",
     ),
     SheetValue(
         "machine.max_speed",
@@ -214,6 +227,7 @@ SHEET_VALUES = (
         "n_max, maximum mechanical speed",
         "3000 rpm",
         use="compared with what the dc link allows; scale of the speed",
+        dimension="speed",
     ),
     SheetValue(
         "machine.rated.torque",
@@ -221,6 +235,7 @@ SHEET_VALUES = (
         "M_N, T_N, continuous torque",
         "2.4 N m",
         use="name plate, for cross-checks",
+        dimension="torque",
     ),
     SheetValue(
         "machine.rated.speed",
@@ -228,6 +243,7 @@ SHEET_VALUES = (
         "n_N, nominal speed of the shaft",
         "3000 rpm",
         use="name plate, for cross-checks",
+        dimension="speed",
     ),
     SheetValue(
         "machine.rated.current",
@@ -236,6 +252,7 @@ SHEET_VALUES = (
         "2.6 A rms",
         use="name plate, for cross-checks",
         kinds=_CURRENT[::-1],
+        dimension="current",
     ),
     SheetValue(
         "machine.inertia",
@@ -244,6 +261,7 @@ SHEET_VALUES = (
         "2 kg cm^2",
         "Motor and load together: the speed controller is tuned for it.",
         use="motor and load, for a speed controller; without it there is none",
+        dimension="inertia",
     ),
     SheetValue(
         "machine.friction",
@@ -251,6 +269,7 @@ SHEET_VALUES = (
         "torque per speed, from a run-down; seldom on a data sheet",
         "40e-6 N m s",
         use="damps the speed loop; 0 without it",
+        dimension="friction",
     ),
 )
 

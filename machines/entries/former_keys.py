@@ -6,6 +6,7 @@ everything else follows from there: reading, remarks, options of the command lin
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
@@ -353,26 +354,34 @@ def _complaint(fault: ErrorDetails, document: YamlDocument, root: type[BaseModel
             key=cause.at_key,
         )
     if fault["type"] == "extra_forbidden":
-        return document.error(_unknown(tagged, root), path, key=True)
+        said = _unknown(tagged, root, by_option=_is_set(path, document))
+        return document.error(said, path, key=True)
     if fault["type"] == "missing":
         return document.error(_missing(path), path[:-1], key=not isinstance(path[-1], int))
     value = _lookup(document.data, path)
-    return document.error(f"{dotted(path)}: {_expected(fault, value, tagged, root)}", path)
+    said = _expected(fault, value, tagged, root)
+    said = said.replace(_BELOW, _IN_BRACES) if _is_set(path, document) else said
+    return document.error(f"{dotted(path)}: {said}", path)
 
 
-def _unknown(path: KeyPath, root: type[BaseModel]) -> str:
-    """What to say on a key that its section does not have."""
+def _is_set(path: KeyPath, document: YamlDocument) -> bool:
+    """Whether an option set a key, so that there is no line to indent."""
+    return any(path[:length] in document.options for length in range(1, len(path) + 1))
+
+
+def _unknown(path: KeyPath, root: type[BaseModel], *, by_option: bool) -> str:
+    """What to say on a key that its section does not have; of an option there is no line."""
     *section, last = path
     key, inside = str(last), tuple(section)
     shown_path = dotted(tuple(part for part in inside if part not in TAGS))
     where = f"{shown_path}: " if shown_path else ""
     allowed = tuple(_section(inside, root).model_fields)
-    homes = [dotted(home) or "the top level" for home in _homes(key, root)]
+    found = _homes(key, root)
+    found = [home for home in found if len(home) == 1] or found
+    homes = [dotted(home) or "the top level" for home in found]
     if homes and SYNONYMS.get(key) not in allowed:
-        return (
-            f"{where}unknown key '{key}'; it belongs in {' or '.join(homes[:3])}, check the "
-            "indentation"
-        )
+        advice = f"write --set {homes[0]}.{key}=..." if by_option else "check the indentation"
+        return f"{where}unknown key '{key}'; it belongs in {' or '.join(homes[:3])}, {advice}"
     return where + unknown_key(key, allowed, SYNONYMS)
 
 
@@ -404,6 +413,8 @@ def _missing(path: KeyPath) -> str:
     return f"{dotted(tuple(section)) or 'the file'} needs the key '{name}'; write {example}"
 
 
+_COMMAS = r"\s*[,;]\s*"
+_BELOW, _IN_BRACES = "write its keys indented below", "write {key: value, ...}"
 _TEMPLATES = {
     "bool_type": "expected true or false, got {got}",
     "int_type": "expected a whole number, got {got}",
@@ -441,6 +452,8 @@ def _expected(fault: ErrorDetails, value: YamlValue, path: KeyPath, root: type[B
         return f"expected a section with keys, got {got}; write {{name: {value}}}"
     if model and isinstance(value, str) and "file" in _section(path, root).model_fields:
         return f"expected a section with keys, got {got}; write {{file: {value}}}"
+    if fault["type"] == "tuple_type" and isinstance(value, str):
+        return f"expected a list, got {got}; write [{', '.join(re.split(_COMMAS, value.strip()))}]"
     template = _TEMPLATES.get(fault["type"], "{got} is not understood here")
     return template.format(got=got, **fault.get("ctx", {}))
 

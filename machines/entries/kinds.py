@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from abc import abstractmethod
 from collections.abc import Iterator
 from functools import partial
@@ -35,7 +36,7 @@ from dqforge.machines.entries.rules import (
     spoken,
     unknown_key,
 )
-from dqforge.machines.errors import KeyPath
+from dqforge.machines.errors import KeyPath, shown
 from dqforge.machines.names import Firmware, NumberFormat, QFormats
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.registry import DIMENSIONS
@@ -369,6 +370,37 @@ class Between:
         return self.high.unit
 
 
+# Two ends in one text, -10..10 % or -5 % / +10 %, and one for both ways, +-10 %.
+_ENDS = re.compile(
+    r"(?P<low>[-+]?[0-9.]*[0-9])\s*(?P<own>%|[a-zµμ]*s)?\s*(?:\.{2,3}|…|/|to|bis)\s*"
+    r"(?P<high>[-+]?[0-9][0-9.]*)\s*(?P<unit>%|[a-zµμ]*s)?"
+)
+_BOTH_WAYS = re.compile(r"(?:±|\+/-|\+-)\s*(?P<size>[0-9].*)")
+_OTHER_ENDS = (("min", "max"), ("low", "high"), ("lower", "upper"), ("minus", "plus"), ("-", "+"))
+
+
+def _refuse_other_forms(raw: object) -> None:
+    """Refuse a deviation in another form with the one that is read; raises `EntryError`."""
+    if isinstance(raw, dict):
+        for low, high in _OTHER_ENDS:
+            if low in raw or high in raw:
+                ends = f"{{from: {raw.get(low, '-10 %')}, to: {raw.get(high, '10 %')}}}"
+                key = low if low in raw else high
+                raise EntryError(f"the ends are 'from' and 'to'; write {ends}", key, at_key=True)
+    text = str(raw).strip().translate(_MINUS) if isinstance(raw, str) else ""
+    if both := _BOTH_WAYS.fullmatch(text):
+        raise EntryError(f"{shown(text)} holds both ways; write '{both['size']}'", "value")
+    if sides := _ENDS.fullmatch(text):
+        unit = sides["unit"] or sides["own"] or "%"
+        low, high = sides["low"], sides["high"].lstrip("+")
+        raise EntryError(
+            f"{shown(text)} has two ends; write {{from: {low} {unit}, to: {high} {unit}}}", "value"
+        )
+
+
+_MINUS = str.maketrans(dict.fromkeys("\N{MINUS SIGN}\N{EN DASH}", "-"))
+
+
 @dataclass(frozen=True, slots=True)
 class TwoSidedRule(Rule):
     """How a deviation is read; what one side may be is left to the kinds of deviations."""
@@ -377,6 +409,7 @@ class TwoSidedRule(Rule):
         """One `Quantity` for both ways, or a `Between`; raises `EntryError` when it is neither."""
         if isinstance(raw, dict) and ("from" in raw or "to" in raw):
             return self._between(raw)
+        _refuse_other_forms(raw)
         return self.both_ways(raw)
 
     def _between(self, raw: dict[str, object]) -> Between:
@@ -393,6 +426,12 @@ class TwoSidedRule(Rule):
         if low.unit != high.unit:
             raise EntryError(
                 "one side is a share and the other a time; write both in % or both in us", "to"
+            )
+        if low.si > high.si:
+            raise EntryError(
+                f"from, {low.text}, lies above to, {high.text}; exchange them: "
+                f"{{from: {high.text}, to: {low.text}}}",
+                "from",
             )
         if low.si > 0.0:
             raise EntryError(

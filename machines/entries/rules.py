@@ -22,27 +22,15 @@ from dqforge.machines.errors import InputError, close_matches, shown
 from dqforge.machines.names import Firmware, NumberFormat
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity, parse_quantity, read_quantity
-from dqforge.machines.units.registry import DIMENSIONS, KindWords, kind_words, words_pattern
+from dqforge.machines.units.registry import (
+    DIMENSIONS,
+    USUAL_UNITS,
+    KindWords,
+    kind_words,
+    words_pattern,
+)
 
 _ORIGIN_KEYS = ("source", "inferred", "note")
-
-
-# Units in which a forgotten unit was probably meant, tried in this order.
-_USUAL_UNITS = {
-    "resistance": ("mOhm", "uOhm"),
-    "inductance": ("uH", "mH"),
-    "capacitance": ("uF", "mF"),
-    "flux": ("mWb",),
-    "back-emf": ("V/krpm",),
-    "time": ("us", "ns"),
-    "speed": ("rpm",),
-    "frequency": ("kHz",),
-    "energy": ("mJ", "uJ"),
-    "inertia": ("kg cm^2", "g cm^2"),
-    "angle": ("deg",),
-    "temperature-coefficient": ("%/K",),
-    "power": ("kW",),
-}
 
 
 class EntryError(ValueError):
@@ -155,7 +143,7 @@ class QuantityRule(Rule):
         except InputError as error:
             raise EntryError(error.message, "value") from None
         self._check_plausible(reading.si, reading.text, bare=reading.bare)
-        kind = self._kind_said(entry, reading.kind)
+        kind = self._kind_said(entry, reading.kind, reading.text)
         source, inferred, note = _origin(entry)
         return Quantity(
             reading.si,
@@ -187,9 +175,11 @@ class QuantityRule(Rule):
             return
         if si <= 0.0 <= self.low and not (self.zero and si == 0.0):
             least = "zero or positive" if self.zero or self.low == 0.0 else "positive"
+            turned = text.strip().removeprefix("-")
+            other = si < 0.0 and self.low <= -si <= self.high
+            meant = turned if other else DIMENSIONS[self.dimension].example
             raise EntryError(
-                f"{shown(text)} must be {least}; write e.g. '{DIMENSIONS[self.dimension].example}'",
-                "value",
+                f"{shown(text)} must be {least}; write {'' if other else 'e.g. '}'{meant}'", "value"
             )
         # people who write a share in per cent, or mean to, find the limits in per cent
         percent = not unit and self.high <= 1.0 and (text.endswith("%") or 1.0 < si <= 100.0)
@@ -209,12 +199,15 @@ class QuantityRule(Rule):
         )
 
     def _advice(self, text: str) -> str:
-        for unit in _USUAL_UNITS.get(self.dimension, ()):
+        usual = USUAL_UNITS.get(self.dimension, ((), 0.0, 0.0))[0]
+        for unit in usual:
             if self.low <= parse_quantity(f"{text} {unit}", self.dimension) <= self.high:
                 return f"write e.g. '{text} {unit}'"
         return f"write e.g. '{DIMENSIONS[self.dimension].example}'"
 
-    def _kind_said(self, entry: dict[str, object], words: KindWords | None) -> str | None:
+    def _kind_said(
+        self, entry: dict[str, object], words: KindWords | None, text: str
+    ) -> str | None:
         """The kind that the text of an entry or its key ``kind`` names."""
         if not self.kinds:
             return None
@@ -225,7 +218,7 @@ class QuantityRule(Rule):
             raise EntryError(not_one_of(named, self.kinds), "kind")
         try:
             said += [choice.named(named)] if isinstance(named, str) else []
-            return choice.meant(said)
+            return choice.meant(said, text)
         except InputError as error:
             raise EntryError(error.message, "kind" if "kind" in entry else "value") from None
 
@@ -422,9 +415,10 @@ def firmware_names(value: object) -> object:
     """A list of one entry for the name of a firmware; other values as they are."""
     if not isinstance(value, str):
         return value
-    if value not in get_args(Firmware):
+    name = value.casefold()
+    if name not in get_args(Firmware):
         raise EntryError(not_one_of(value, get_args(Firmware)))
-    return [value]
+    return [name]
 
 
 def auto_or(value: object, otherwise: Callable[[object], object]) -> object:
@@ -632,8 +626,9 @@ class KindChoice:
             raise InputError(self._none_of(text))
         return words
 
-    def meant(self, said: Sequence[KindWords]) -> str | None:
-        """The kind that is meant by what the text and the key say, None where they say nothing.
+    def meant(self, said: Sequence[KindWords], value: str = "") -> str | None:
+        """The kind that is meant by what the text and the key say, None where they say nothing;
+        ``value`` is the text of the value, for what is proposed.
 
         Raises:
             InputError: They contradict each other, name none of the kinds, or leave open which.
@@ -661,7 +656,9 @@ class KindChoice:
         if not fitting:
             raise InputError(self._none_of(texts))
         if len(fitting) > 1:
-            raise InputError(f"{shown(texts)} leaves open {' or '.join(fitting)}; write one")
+            raise InputError(
+                f"{shown(texts)} leaves open {' or '.join(fitting)}; {_rms_or_peak(fitting, value)}"
+            )
         return fitting[0]
 
     def _place(self, words: KindWords) -> str:
@@ -678,6 +675,21 @@ class KindChoice:
         near = close_matches(text, [*self.kinds, *SPELLINGS], limit=1)
         hint = f"; did you mean '{near[0]}'?" if near and near[0] != text else ""
         return f"expected one of {', '.join(self.kinds)}, got the text {shown(text)}{hint}"
+
+
+_TWO_WIRES = ["line-to-line peak", "line-to-line rms"]
+
+
+def _rms_or_peak(kinds: list[str], value: str) -> str:
+    """What to write where kinds are left open: of two wires the instruments tell."""
+    if kinds != _TWO_WIRES:
+        return "write one"
+    peak, rms = kinds
+    return (
+        f"a multimeter on AC shows rms: '{value} {rms}'; peak of a scope: '{value} {peak}'".replace(
+            "' ", "'"
+        )
+    )
 
 
 @cache

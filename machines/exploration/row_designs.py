@@ -23,6 +23,7 @@ from dqforge.machines.design.catalogue import (
     positioned,
     put,
     read_sections,
+    value_at,
 )
 from dqforge.machines.design.design import Design, Reading, Recalled
 from dqforge.machines.design.schema import DesignFile
@@ -42,6 +43,7 @@ from dqforge.machines.exploration.design_keys import (
 from dqforge.machines.exploration.study import Axis, Spacing, Study
 from dqforge.machines.files.positioned_yaml import YamlDocument, YamlValue, edited
 from dqforge.machines.records import dataclass
+from dqforge.machines.units.quantities import kind_said
 
 MOST_STEPS = 100_000
 _FORMS = ("values", "range", "files")
@@ -539,7 +541,13 @@ class DesignMaker:
 
     def document(self, assignments: Assignments) -> YamlDocument:
         """The design file of a row; raises `InputError` where a key cannot be set."""
-        return self._changed(self._base, assignments.items())
+        kept = ((name, _kept_kind(self._stands(name), new)) for name, new in assignments.items())
+        return self._changed(self._base, kept)
+
+    def _stands(self, name: str) -> YamlValue:
+        """What the design of the study has at a key, None where it has nothing."""
+        key = design_key(name)
+        return None if key is None else value_at(self._base.data, key.path)
 
     def file(self, assignments: Assignments) -> DesignFile:
         """Its sections; raises `InputError` where a value is none that its key may have."""
@@ -582,6 +590,19 @@ class DesignMaker:
             made = put(data, Override(tuple(map(str, path)), copy.deepcopy(value), option))
             options.update(dict.fromkeys(made, option))
         return positioned(document, data, options)
+
+
+def _kept_kind(old: YamlValue, new: YamlValue) -> YamlValue:
+    """A value of a row for an entry of the design that rows vary; where it is but a number, the
+    convention of the old one holds on, whether it stands beside the value or in its text.
+    """
+    if isinstance(new, (dict, list)) or (isinstance(new, str) and kind_said(new)):
+        return new
+    entry = old if isinstance(old, dict) and "value" in old else {"value": old}
+    said = [kind_said(text) for text in (entry["value"],) if isinstance(text, str)]
+    named = [kind for kind in (entry.get("kind"),) if isinstance(kind, str)]
+    kinds = " ".join(dict.fromkeys(part for part in (*said, *named) if part))
+    return {"value": new, "kind": kinds} if kinds else new
 
 
 def _options(places: Places | None) -> dict[str, str]:

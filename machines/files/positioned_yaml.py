@@ -130,7 +130,9 @@ def _advice(path: Path, error: InputError, known: Callable[[], list[str]]) -> st
     if error.message.startswith("there is no such file"):
         return f"no such file{_similar_files(path, known)}"
     if error.message.startswith("this is a folder"):
-        return "this is a folder; name the design file in it"
+        inside = path / "design.yaml"
+        named = f"write {inside}" if inside.is_file() else "name the design file in it"
+        return f"this is a folder; {named}"
     if "can be read" in error.message:
         return f"{error.message}; a design file has a few kilobytes"
     return error.message

@@ -23,6 +23,7 @@ from dqforge.machines.units.registry import (
     LONG_TIMES,
     SYMBOLS,
     TIMES,
+    USUAL_UNITS,
     Dimension,
     KindWords,
     Powers,
@@ -97,24 +98,44 @@ def parse_quantity(value: str | float, dimension: str) -> float:
 def parse_option(text: str | None, dimension: str, option: str) -> float | None:
     """SI value of an option of the command line, None where it was not given.
 
-    A speed needs its unit there: what is typed in haste is rpm more often than rad/s.
+    What has a unit needs it there: what is typed in haste is mH more often than H.
 
     Raises:
-        InputError: The text is no quantity of the dimension, or a speed without a unit; names the
-            option.
+        InputError: The text is no quantity of the dimension, or has no unit; names the option.
     """
     if text is None:
         return None
     try:
-        found = read_quantity(text, dimension)
+        refuse_bare(text, dimension)
+        return read_quantity(text, dimension).si
     except InputError as error:
         raise InputError(f"{option}: {error.message}") from None
-    if dimension == "speed" and found.bare:
-        raise InputError(
-            f"{option}: {shown(text)} has no unit; write '{found.text} rpm', or '{found.text} "
-            f"rad/s' ({format_quantity(found.si, 'rpm')})"
-        )
-    return found.si
+
+
+def refuse_bare(text: str, dimension: str, *, kinds: bool = False) -> None:
+    """Refuse a number whose unit is left out, with the usual ones; zero is zero in all but those of
+    a temperature.
+
+    Raises:
+        InputError: The text has no unit and its dimension has some, or it is no quantity.
+    """
+    found = read_quantity(text, dimension, kinds=kinds)
+    wanted = DIMENSIONS[dimension]
+    nothing = found.si == 0.0 and dimension != "temperature"
+    if not found.bare or not wanted.unit or nothing:
+        return
+    behind = f" {found.kind.text}" if found.kind is not None else ""
+    written = [f"'{found.text} {unit}{behind}'" for unit in _meant(found.text, dimension)]
+    raise InputError(f"{shown(text.strip())} has no unit; write {' or '.join(written)}")
+
+
+def _meant(number: str, dimension: str) -> list[str]:
+    """At most two units with which a number is one of a drive; that of its dimension where it is
+    none with any.
+    """
+    units, low, high = USUAL_UNITS.get(dimension, ((DIMENSIONS[dimension].unit,), 0.0, math.inf))
+    sizes = {unit: abs(parse_quantity(f"{number} {unit}", dimension)) for unit in units}
+    return [unit for unit, size in sizes.items() if low <= size <= high][:2] or [units[-1]]
 
 
 def read_quantity(value: str | float, dimension: str, *, kinds: bool = False) -> Reading:
@@ -161,7 +182,7 @@ def _read_text(text: str, dimension: str, kinds: bool) -> Reading:
     kind = kind_words(words) if words else None
     if not unit:
         return Reading(number, plain, bare=True, kind=kind)
-    unit = wanted.aliases.get(unit.casefold(), unit)
+    unit = wanted.aliases.get(unit) or wanted.aliases.get(unit.casefold(), unit)
     found = convert(number, parse_unit(unit, wanted), wanted, text)
     return Reading(
         _finite(found.si, wanted),
@@ -379,7 +400,21 @@ def convert(number: float, powers: Powers, wanted: Dimension, text: str) -> Conv
             )
     except _RefusedError as refusal:
         raise InputError(f"{got}; {refusal}") from None
-    raise InputError(got + _what_it_is(tuple(powers.items()), wanted.name))
+    raise InputError(
+        got
+        + (
+            _turned_round(number, reciprocal, wanted)
+            or _what_it_is(tuple(powers.items()), wanted.name)
+        )
+    )
+
+
+def _turned_round(number: float, reciprocal: Powers, wanted: Dimension) -> str:
+    """What to write where the unit stands on its head: V/rpm of a Kv."""
+    if wanted.reciprocal or not is_of(reciprocal, wanted):
+        return ""
+    same = math.isclose(_factor_of(_key(_library(reciprocal)), wanted.base), 1.0)
+    return f"; write '{number:g} {wanted.unit}'" if same else ""
 
 
 def is_of(powers: Powers, dimension: Dimension) -> bool:
@@ -745,12 +780,8 @@ def _unknown(symbol: str, wanted: Dimension) -> str:
     matches = close_matches(symbol, [*SYMBOLS, *COMPOUNDS], limit=8)
     matches = list(alike.values()) if len(alike) > 1 else matches
     fitting = [m for m in matches if m in SYMBOLS and is_of({SYMBOLS[m]: 1}, wanted)]
-    found = sorted((fitting or matches)[:2]) if len(alike) > 1 else (fitting or matches)[:2]
-    hint = (
-        f"did you mean {' or '.join(repr(m) for m in found)}?"
-        if found
-        else f"write e.g. '{wanted.example}'"
-    )
-    return (
-        f"unknown unit {shown(symbol)}, expected {wanted.name} such as '{wanted.example}'; {hint}"
-    )
+    # Of a quantity with one unit what does not fit is no help: LB of a current.
+    kept = fitting if wanted.base.isalpha() else fitting or matches
+    found = sorted(kept[:2]) if len(alike) > 1 else kept[:2]
+    hint = f"; did you mean {' or '.join(repr(m) for m in found)}?" if found else ""
+    return f"unknown unit {shown(symbol)}, expected {wanted.name} such as '{wanted.example}'{hint}"

@@ -181,7 +181,8 @@ class Dimension:
         told: Whether it is told that the angle was left out.
         places: What a place of `dqforge.machines.units.registry` is called here, where values of
             this dimension have no kind of its name; empty where it goes without saying.
-        aliases: Units by other names, in lower case: ``kv`` for rpm/V.
+        aliases: Units by other names, in lower case (``kv`` for rpm/V), or as
+            only capitals have it (``R`` for Ohm).
     """
 
     name: str
@@ -212,7 +213,9 @@ _OF_CURRENTS = {"phase": "", "terminal": "line", "line": ""}
 _OF_PHASES = {"phase": "", "winding": ""}
 
 DIMENSIONS: dict[str, Dimension] = {
-    "resistance": Dimension("a resistance", "Ohm", "ohm", "2 mOhm", places=_OF_WINDINGS),
+    "resistance": Dimension(
+        "a resistance", "Ohm", "ohm", "2 mOhm", places=_OF_WINDINGS, aliases={"R": "Ohm"}
+    ),
     "inductance": Dimension("an inductance", "H", "henry", "1.61 mH", places=_OF_WINDINGS),
     "capacitance": Dimension("a capacitance", "F", "farad", "4.7 mF"),
     "flux": Dimension(
@@ -408,6 +411,27 @@ DIMENSIONS: dict[str, Dimension] = {
 }
 
 
+# Units that people write a quantity in, and the sizes in the unit of its dimension between which
+# one of a drive lies: what a number without a unit may have meant.
+USUAL_UNITS: dict[str, tuple[tuple[str, ...], float, float]] = {
+    "resistance": (("mOhm", "Ohm", "uOhm"), 1e-3, 200.0),
+    "inductance": (("uH", "mH", "H"), 1e-6, 2.0),
+    "capacitance": (("uF", "mF"), 1e-6, 1.0),
+    "flux": (("mWb", "Wb"), 1e-4, 5.0),
+    "back-emf": (("V/krpm", "V s/rad"), 1e-3, 20.0),
+    "torque-constant": (("N m/A", "mN m/A"), 1e-3, 50.0),
+    "time": (("us", "ns", "ms", "s"), 1e-8, 10.0),
+    "speed": (("rpm", "rad/s"), 0.1, 1e5),
+    "frequency": (("kHz", "Hz"), 500.0, 5e5),
+    "energy": (("mJ", "uJ"), 1e-6, 1.0),
+    "inertia": (("kg cm^2", "g cm^2", "kg m^2"), 1e-8, 100.0),
+    "friction": (("N m s",), 0.0, 1.0),
+    "angle": (("deg",), 0.0, 7.0),
+    "temperature-coefficient": (("%/K",), 0.0, 0.02),
+    "power": (("kW", "W"), 1.0, 1e7),
+}
+
+
 # What the names of the vocabulary are in SI: factors, and powers of the base units.
 #
 # Angles, turns and shares are numbers here. Of mass the gram is the base, whose thousand a newton
@@ -525,14 +549,16 @@ def _unit(name: str) -> tuple[Factors, tuple[int, ...]]:
 
 _TO = r"[\s_-]*(?:to|2)?[\s_-]*"
 _OF = r"(?:(?:per|of|each|one|a|the)[\s_-]+)*"
-_BETWEEN = r"between[\s_-]+(?:(?:the|two)[\s_-]+)*"
+_BETWEEN = r"between[\s_-]+(?:(?:the|two|any|motor)[\s_-]+)*"
+_TWO = rf"(?:{_BETWEEN}|two[\s_-]+(?:motor[\s_-]+)?)"
 
 # What each place is called, where ``phase`` is one phase to the star point.
 _PLACES = {
     "line-to-line": (
-        rf"(?:motor[\s_-]+)?line{_TO}line|l{_TO}l|phase{_TO}phase|ph{_TO}ph|{_BETWEEN}(?:phases|lines)"
+        rf"(?:motor[\s_-]+)?line{_TO}line|l{_TO}l|phase{_TO}phase|ph{_TO}ph"
+        rf"|(?:motor[\s_-]+)?(?:wire{_TO}wire|lead{_TO}lead)|{_TWO}(?:phases|lines|wires|leads)"
     ),
-    "terminal": rf"(?:{_BETWEEN}|{_OF})(?:motor[\s_-]+)?terminals?(?:{_TO}terminals?)?|t{_TO}t",
+    "terminal": rf"(?:{_TWO}|{_OF})(?:motor[\s_-]+)?terminals?(?:{_TO}terminals?)?|t{_TO}t",
     "phase": rf"(?:line|phase|ph|l){_TO}(?:neutral|n|star[\s_-]*point)|{_OF}phase|{_OF}ph",
     "winding": rf"{_OF}winding",
     "line": rf"{_OF}line",
@@ -576,7 +602,7 @@ _FOUND = re.compile(
 )
 
 _SINGLE = (
-    "lines?|phases?|to|2|l|ph|neutral|n|star|point|between|two|the|terminals?|t|motor|per|of|each"
+    "lines?|phases?|to|2|l|ph|neutral|n|star|point|between|two|any|the|wires?|leads?|terminals?|t|motor|per|of|each"
     "|one|a|winding|r\\.?m\\.?s\\.?|eff|effective|zero|0|o|peak|pk|p|amplitude|ampl|crest|power"
     "|invariant"
 )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from dqforge.machines.design.numerical import numerical_errors
 from dqforge.machines.dq_machines.synchronous import torque_per_ampere
-from dqforge.machines.errors import InputError, NoSolutionError, about, shown
+from dqforge.machines.errors import InputError, NoSolutionError, about, close_matches, shown
 from dqforge.machines.names import Firmware
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import (
@@ -126,10 +126,14 @@ def method_of(
     Raises:
         InputError: There is none.
     """
-    found = next((method for key, method in methods.items() if key == name), None)
+    found = next((method for key, method in methods.items() if key == name.casefold()), None)
     if found is None:
         known = ", ".join(methods) or "none yet"
-        raise InputError(f"{option}: no firmware {shown(name)} is known; write one of {known}")
+        near = close_matches(name.casefold(), tuple(methods), limit=1)
+        hint = f"; did you mean '{near[0]}'?" if near else ""
+        raise InputError(
+            f"{option}: no firmware {shown(name)} is known; write one of {known}{hint}"
+        )
     return found
 
 

@@ -99,8 +99,7 @@ def _values(design: Design) -> Table:
         for value in design.values
     )
     columns = ("key", "in the file", "in SI", "", "source")
-    notes = tuple(
-        sentence if sentence.startswith(MARK) else f"assumed: {sentence}"
-        for sentence in design.assumptions
-    )
+    odd = [sentence for sentence in design.assumptions if sentence.startswith(MARK)]
+    taken = (f"assumed: {each}" for each in design.assumptions if not each.startswith(MARK))
+    notes = (*odd, *taken)
     return Table(f"{design.name}: valid", columns, rows, notes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -101,6 +102,10 @@ def answer_explain(files: Sequence[Path], machine: str | None) -> Answer:
     return Answer(configuration.name, tables, {"explained": plain_explained(found)})
 
 
+# A design file has both sections, at the beginning of a line.
+_DESIGN = re.compile(r"(?ms)^machine:(?=.*^inverter:)|^inverter:(?=.*^machine:)")
+
+
 def _own_or_refused(file: TextFile, machine: DriveValues | None) -> Answer:
     if is_own(file):
         return _own(file.source, machine)
@@ -109,6 +114,10 @@ def _own_or_refused(file: TextFile, machine: DriveValues | None) -> Answer:
             "is a file of dqforge without the constants of the loops; give <prefix>.h or the "
             "result.json beside it",
             source=file.source,
+        )
+    if _DESIGN.search(file.text):
+        raise InputError(
+            f"this is a dqforge design; write 'dqforge check {file.source}'", source=file.source
         )
     raise InputError(
         f"no known firmware writes this; known: {known_files()}; header and result.json of dqforge",

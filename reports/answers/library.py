@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -92,13 +93,17 @@ def answer_new(folder: Path, asked: NewRequest) -> Answer:
     _refuse_two_ways(asked)
     if asked.files:
         return answer_new_from(folder, asked.files, asked.settings)
-    if asked.settings:
-        raise InputError("--set: goes with --from; edit the design file that is written instead")
     if asked.study is not None:
+        if asked.settings:
+            raise InputError("--set: sets keys of a design; a study has them under 'set'")
         return _answer_new_study(folder, asked.study)
     path = new_file(folder, NEW_DESIGN)
-    if asked.sheet or asked.capture or asked.flux_map:
+    if asked.machine is not None and (asked.sheet or asked.capture or asked.settings):
+        return _answer_new_over(asked, asked.machine, path)
+    if asked.sheet or asked.capture or asked.flux_map or (asked.settings and not asked.template):
         return _answer_new_of(asked, path)
+    if asked.settings:
+        raise InputError("--set: the template is to be filled in; omit --template, or --set")
     from dqforge.machines.design import catalogue
 
     files = design_files(catalogue.template(asked.machine))
@@ -122,12 +127,10 @@ def _written(name: str, path: Path, following: str, files: Files) -> Answer:
 def _refuse_two_ways(asked: NewRequest) -> None:
     from dqforge.machines.design.sheet_values import BY_KEY
 
-    given = [BY_KEY[key].flag for key in asked.sheet or ()]
-    given += [
-        flag
-        for flag, value in (("--capture", asked.capture), ("--map", asked.flux_map))
-        if value is not None
-    ]
+    # Own values, and the flux of a capture, stand over those of a drive of the library.
+    own = [BY_KEY[key].flag for key in asked.sheet or ()] + ["--capture"] * bool(asked.capture)
+    given = [] if asked.machine else own
+    given += ["--map"] * (asked.flux_map is not None)
     ways = {
         "--from": asked.files,
         "--machine": asked.machine,
@@ -152,7 +155,7 @@ def _answer_new_of(asked: NewRequest, path: Path) -> Answer:
         sheet |= {FLUX_MAP: found.name} | ({FLUX_AXES: asked.axes} if asked.axes else {})
     source = None if found is None else found.parent
     try:
-        files = design_files(checked_text(sheet, source, origins).encode("utf-8"))
+        files = design_files(checked_text(sheet, source, origins, asked.settings or ()).encode())
     except InputError as error:
         raise _with_way_out(error) from error
     checked = answer_check(load_text(files.contents[NEW_DESIGN], str(path), source))
@@ -163,6 +166,25 @@ def _answer_new_of(asked: NewRequest, path: Path) -> Answer:
         new_file(path.parent, found.name)
         files = replace(files, contents={**files.contents, found.name: found.read_bytes()})
     return replace(checked, plain=plain, files=files, notes=notes)
+
+
+def _answer_new_over(asked: NewRequest, name: str, path: Path) -> Answer:
+    """A drive of the library with own values in the place of its own, and what `dqforge check` says
+    of it.
+    """
+    from dqforge.machines.design.catalogue import load_text, template
+    from dqforge.machines.design.sheet_judged import replaced
+    from dqforge.reports.answers.check import answer_check
+
+    sheet, said = dict(asked.sheet or {}), tuple[str, ...]()
+    if asked.capture is not None:
+        said, _ = _add_capture(sheet, asked.capture)
+    text, changes = replaced(template(name), name, sheet, asked.settings or ())
+    files = design_files(text.encode())
+    checked = answer_check(load_text(files.contents[NEW_DESIGN], str(path)))
+    following = f"dqforge tune {path}"
+    notes = (*said, *changes, *checked.notes, f"{path} written; next: {following}")
+    return replace(checked, plain={"next": following} | checked.plain, files=files, notes=notes)
 
 
 # Harmonics from this share of the fundamental on are told: with currents in phase with the
@@ -226,12 +248,17 @@ _ELSEWHERE = (
 )
 
 
+# A key that a refusal of a flux map asks for in its file.
+_KEY_OF_MAP = re.compile(r"write (flux_unit|current_unit|angle_unit|quantities|layout): (\w+)")
+
+
 def _with_way_out(error: InputError) -> InputError:
     """A refusal, with what to do where it asks for what `dqforge new` has not."""
     for asked, way_out in _ELSEWHERE:
         if any(words in str(error) for words in asked):
             return InputError(f"{error}{way_out}")
-    return error
+    told = _KEY_OF_MAP.sub(r"write --set machine.flux_map.\1=\2", str(error))
+    return error if told == str(error) else InputError(told)
 
 
 def design_files(text: bytes) -> Files:

@@ -4,30 +4,37 @@ and the choice.
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
-from dqforge.machines.design.design import Design
+from dqforge.machines.design.design import ROUNDING_OF_DATA, Design
 from dqforge.machines.design.numerical import on_design
-from dqforge.machines.design.settings import LossStrategy
-from dqforge.machines.errors import InputError
+from dqforge.machines.design.settings import LoadPoint, LossSettings, LossStrategy
+from dqforge.machines.entries.kinds import Rate
+from dqforge.machines.entries.rules import EntryError, QuantityRule
+from dqforge.machines.errors import InputError, shown
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.losses.machine_budget import MOST_BYTES, Mission, read_mission
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
-from dqforge.machines.units.quantities import parse_quantity
+from dqforge.machines.units.quantities import format_quantity, parse_option, refuse_bare
 from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import solve_map
+from dqforge.optimizer.losses.phase_comparison import LossComparison
 from dqforge.optimizer.losses.solve import mission_comparison, require_losses
 from dqforge.reports.answers.current_feedback import with_regulators
 from dqforge.reports.losses.map_tables import (
     losses_tables,
+    losses_tables_over,
     map_tables,
     mission_tables,
     plain_losses,
+    plain_losses_over,
     plain_map,
     plain_mission,
 )
@@ -64,49 +71,85 @@ def answer_losses(design: Design, request: LossRequest, *, choice: bool) -> Answ
     stage("comparing the losses")
     if request.chart is not None or request.mission is not None:
         return answer(design, request)
-    _refuse_alternatives(request)
-    return _points(design)
+    return _points(design, request)
 
 
-def _refuse_alternatives(request: LossRequest) -> None:
-    """Refuse what goes with a map or a mission, and say how the points of the design have it."""
-    for name, text, instead in (
-        ("--strategies", request.strategies, "write --set losses.strategies='[mtpa, id0]'"),
-        ("--modulations", request.modulations, "write --set losses.modulations='[spwm, svpwm]'"),
-        (
-            "--frequencies",
-            request.frequencies,
-            "write --set inverter.switching_frequency='8 kHz', a command for each",
-        ),
-        (
-            "--margin",
-            None if request.margin == LossRequest().margin else request.margin,
-            "write operation.voltage_margin in the design",
-        ),
-    ):
-        if text is not None:
-            raise InputError(
-                f"{name} goes with --map or --mission; add one of them, or for the points of the "
-                f"design {instead}"
-            )
+# What tells torque from speed in one point: the number that a blank stands before.
+_POINT = re.compile(
+    r"\s*(?P<torque>\S[^@]*?)(?:\s*@\s*|\s+at\s+|\s+)(?P<speed>[-+]?\.?[0-9][^@]*)\s*"
+)
+_POINTS = "write each as '130 N m 3000 rpm', with commas between them"
 
 
-def _points(design: Design) -> Answer:
-    found = require_losses(design)
+def _asked_points(design: Design, text: str) -> tuple[LoadPoint, ...]:
+    """Points of ``--points``; raises `InputError` where one is none, or is beyond the machine."""
+    found = []
+    for part in text.split(","):
+        match = _POINT.fullmatch(part)
+        if match is None:
+            raise InputError(f"--points: {shown(part.strip())} is no torque and speed; {_POINTS}")
+        torque = parse_option(match["torque"], "torque", "--points") or 0.0
+        omega = parse_option(match["speed"], "speed", "--points") or 0.0
+        most = design.machine.omega_m_max
+        if most is not None and abs(omega) > most * (1.0 + ROUNDING_OF_DATA):
+            limit = format_quantity(most, "rpm")
+            raise InputError(f"--points: {match['speed']} is above machine.max_speed {limit}")
+        found.append(LoadPoint(torque, omega))
+    if len(found) > MOST_POINTS:
+        raise InputError(f"--points: {len(found)} points are named, at most {MOST_POINTS} are read")
+    return tuple(found)
 
+
+def _points(design: Design, request: LossRequest) -> Answer:
+    """Losses at points of the command line or of the design, with all alternatives in one table."""
+    if request == LossRequest():
+        return _answered(design, [require_losses(design)])
+    alternatives = requested_alternatives(design, request)
+    settings = design.losses
+    if request.points is not None:
+        points = _asked_points(design, request.points)
+    elif settings is not None and settings.points:
+        points = settings.points
+    else:
+        raise InputError(
+            "the design names no points; add --points '130 N m 3000 rpm', --map or --mission"
+        )
+    asked = LossSettings(points, alternatives.strategies, alternatives.modulations)  # type: ignore[arg-type]
+    operation = design.operation
+    if request.margin != LossRequest().margin:
+        operation = replace(operation, voltage_margin=_margin(request.margin))
+    each = [
+        replace(
+            design, losses=asked, operation=operation, inverter=replace(design.inverter, f_sw=f_sw)
+        )
+        for f_sw in alternatives.frequencies
+    ]
+    return _answered(each[0], [require_losses(one) for one in each], alternatives.frequencies)
+
+
+def _answered(
+    design: Design, found: list[LossComparison], frequencies: tuple[float, ...] = ()
+) -> Answer:
     def figure() -> Figure:
         from dqforge.reports.losses.map_figures import plot_losses
 
-        return plot_losses(design, found)
+        if len(found) > 1:
+            raise InputError("--plot draws one carrier frequency; name one in --frequencies")
+        return plot_losses(design, found[0])
 
-    plain = {"losses": plain_losses(found)}
-    answered = Answer(design.name, losses_tables(design, found), plain, figure)
+    if len(found) > 1:
+        tables = losses_tables_over(design, found, frequencies)
+        plain = {"losses": plain_losses_over(found, frequencies)}
+    else:
+        tables, plain = losses_tables(design, found[0]), {"losses": plain_losses(found[0])}
+    answered = Answer(design.name, tables, plain, figure)
     return with_regulators(design, answered) if design.control.current_loop.switches else answered
 
 
 # Which alternative loses least over a map or a mission: options in; tables, plain data and a
 # figure out.
 
+MOST_POINTS = 1000  # As the section losses of a design has it.
 _DEFAULT_MODULATIONS: tuple[ModulationName, ...] = ("spwm", "svpwm", "dpwm1", "ddt-gdpwm")
 
 
@@ -123,6 +166,7 @@ class LossRequest:
     modulations: str | None = None
     frequencies: str | None = None
     margin: str = "0 %"
+    points: str | None = None
 
 
 def _listed(text: str, option: str, known: tuple[str, ...]) -> tuple[str, ...]:
@@ -138,15 +182,19 @@ def _listed(text: str, option: str, known: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
+_CARRIER: QuantityRule = get_args(Rate)[1]  # As inverter.switching_frequency has it.
+
+
 def _frequencies(text: str) -> tuple[float, ...]:
     found = []
     for part in text.split(","):
         try:
-            found.append(parse_quantity(part.strip(), "frequency"))
-        except InputError as error:
+            refuse_bare(part, "frequency")
+            found.append(_CARRIER.read(part.strip()).si)
+        except (EntryError, InputError) as error:
             raise InputError(f"--frequencies: {error.message}") from None
-    if any(not 1.0 <= f <= 1e7 for f in found) or len(set(found)) != len(found):
-        raise InputError("--frequencies: write each once, 1 Hz to 10 MHz, such as '8 kHz, 16 kHz'")
+    if len(set(found)) != len(found):
+        raise InputError("--frequencies: write each once, such as '8 kHz, 16 kHz'")
     return tuple(found)
 
 
@@ -171,7 +219,7 @@ def requested_alternatives(design: Design, request: LossRequest) -> Alternatives
 
 
 def _margin(text: str) -> float:
-    share = parse_quantity(text, "number")
+    share = parse_option(text, "number", "--margin") or 0.0
     if not 0.0 <= share < 0.9:
         raise InputError(f"--margin: expected a share below 90 % such as '5 %', got '{text}'")
     return share
@@ -189,6 +237,8 @@ def answer(design: Design, request: LossRequest) -> Answer:
         raise InputError("--map and --mission exclude each other; use one at a time")
     alternatives = requested_alternatives(design, request)
     margin = _margin(request.margin)
+    if request.points is not None:
+        raise InputError("--points: --map and --mission have their own points; omit it, or them")
     if request.mission is not None:
         return _mission(design, request.mission, alternatives, margin)
     return _map(design, alternatives, margin, *map_size(request.chart or ""))

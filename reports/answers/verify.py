@@ -21,7 +21,7 @@ from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.run import WrittenHeaders, read_folder, verify_written
 from dqforge.reports.verification.cortex_m import verify_on_target
-from dqforge.reports.verification.cross_tools import target_of
+from dqforge.reports.verification.cross_tools import core_named, target_of
 from dqforge.reports.verification.host import Verification
 from dqforge.reports.verification.text import plain_verification, target_text, verification_text
 
@@ -34,6 +34,7 @@ def answer_verify(folder: Path, target: str | None) -> Answer:
         VerificationError: Something differs; the message names the first difference.
     """
     if target is not None:
+        target = core_named(target)
         target_of(target)
     # All that follows needs it; better said before the rest is computed than after.
     require_compiler()

@@ -73,6 +73,14 @@ def new_file(folder: Path, name: str) -> Path:
     from dqforge.machines.errors import InputError
 
     path = folder / name
+    if folder.suffix in (".yaml", ".yml"):
+        meant = folder.with_suffix("") if folder.parent == Path() else folder.parent
+        raise InputError(
+            f"{folder}: 'dqforge new' takes the folder, in which it writes {name}; write "
+            f"'dqforge new {meant}'"
+        )
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: this is a file; name the folder in which {name} is written")
     if path.exists():
         raise InputError(f"{path} exists already and is kept; choose another folder")
     return path

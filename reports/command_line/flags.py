@@ -510,7 +510,7 @@ AxesOfNew = Annotated[
 ]
 
 
-SetOfNew = Annotated[list[str] | None, _text("--set", "KEY=VALUE", f"{_SET}; with --from.")]
+SetOfNew = Annotated[list[str] | None, _text("--set", "KEY=VALUE", f"{_SET}.")]
 
 
 For = Annotated[
@@ -584,6 +584,12 @@ Objective = Annotated[str, _text("--objective", "LOSS", _LOSS)]
 
 Mission = Annotated[
     Path | None, _text("--mission", "FILE", "Text file with time, speed and torque.")
+]
+
+
+Points = Annotated[
+    str | None,
+    _text("--points", "POINTS", "Torques and speeds: '130 N m 3000 rpm'; commas between."),
 ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -398,6 +399,39 @@ def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
     return tables
 
 
+def losses_tables_over(
+    design: Design, found: Sequence[LossComparison], frequencies: Sequence[float]
+) -> list[Table]:
+    """The same with several switching frequencies (Hz), one comparison each: one table per point,
+    whose best and saving are those of all its rows.
+    """
+    tables = []
+    for p, parts in enumerate(zip(*(losses_tables(design, one) for one in found), strict=True)):
+        best, base = best_over(found, p), float(found[0].budget.total[0, 0, p])
+        rows = []
+        for k, (part, one) in enumerate(zip(parts, found, strict=True)):
+            totals = one.budget.total[:, :, p].ravel().tolist()
+            for n, (row, total) in enumerate(zip(part.rows, totals, strict=True)):
+                mark = "best" if best == (k, n) else "" if row[-1] == "best" else row[-1]
+                saving = three_decimals(round(100.0 * (1.0 - total / base), 6)) if base else ""
+                rows.append((f"{frequencies[k]:g}", *row[:-2], saving, mark))
+        columns = ("f_sw Hz", *parts[0].columns)
+        tables.append(Table(parts[0].title, columns, tuple(rows), parts[0].notes))
+    return tables
+
+
+def best_over(found: Sequence[LossComparison], point: int) -> tuple[int, int] | None:
+    """Comparison, and flat index of its alternative, with the least total loss of what is usable at
+    a point; None where nothing is.
+    """
+    totals = [
+        np.where(one.usable[:, :, point], one.budget.total[:, :, point], np.inf).ravel()
+        for one in found
+    ]
+    k = int(np.argmin([float(part.min()) for part in totals]))
+    return (k, int(np.argmin(totals[k]))) if np.isfinite(totals[k].min()) else None
+
+
 # Loss comparisons as plain data.
 
 
@@ -439,3 +473,23 @@ def plain_losses(comparison: LossComparison | None) -> PlainData | None:
     ]
     best = [None if labels is None else list(labels) for labels in comparison.best_labels]
     return {"scope": comparison.scope, "rows": rows, "best": best}
+
+
+def plain_losses_over(found: Sequence[LossComparison], frequencies: Sequence[float]) -> PlainData:
+    """The same with several switching frequencies: each row has its own, and so has the best."""
+    each = [plain_losses(one) or {} for one in found]
+    rows = [
+        {"switching_frequency_Hz": f_sw, **row}
+        for f_sw, one in zip(frequencies, each, strict=True)
+        for row in one["rows"]
+    ]
+    best: list[list[object] | None] = []
+    for p in range(len(found[0].points)):
+        least = best_over(found, p)
+        if least is None:
+            best.append(None)
+            continue
+        k, flat = least
+        s, m = divmod(flat, len(found[k].modulations))
+        best.append([found[k].strategies[s], found[k].modulations[m], frequencies[k]])
+    return each[0] | {"rows": rows, "best": best}

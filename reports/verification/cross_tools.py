@@ -59,6 +59,15 @@ def target_of(name: str) -> Target:
     return TARGETS[name]
 
 
+def core_named(text: str) -> str:
+    """The name in `TARGETS` that a text says in another way: ``Cortex-M4F``, ``m7``, ``cortexm33``;
+    else the text itself.
+    """
+    match = re.fullmatch(r"(?:cortex)?[-_ ]?(m\d+)([+]|plus)?f?", text.strip().casefold())
+    name = "" if match is None else f"cortex-{match[1]}{'plus' if match[2] else ''}"
+    return name if name in TARGETS else text
+
+
 def program(name: str) -> str:
     """Path of a tool; raises `VerificationError` with the Debian package of one that is missing."""
     path = shutil.which(name)

@@ -14,7 +14,7 @@ from dqforge.machines.errors import InputError
     [
         ("machine.resistance", "100 mH", "expected a resistance such as"),
         ("machine.resistance", "100 Ohm rms", "rms"),
-        ("machine.inductance", "200", "did you forget the unit"),
+        ("machine.inductance", "200", "has no unit; write '200 uH' or '200 mH'"),
         ("machine.kv", "60 V", "60 V"),
         ("machine.back_emf_constant", "60 V/krpm", "the kind is missing"),
         ("machine.pole_pairs", "seven", "expected a whole number"),

@@ -52,8 +52,7 @@ def compared(change: Change) -> bool:
             inner = inner[part]
         else:
             return False  # a key into a single value
-    keeps_kind = isinstance(inner, dict) and "kind" in inner and "value" in inner
-    return not change.leave_out and change.value is not None and not keeps_kind
+    return not change.leave_out and change.value is not None
 
 
 def check_equal(change: Change) -> str:
@@ -106,19 +105,43 @@ def test_both_sides_of_a_deviation_have_one_source() -> None:
     assert told == [f"{SOURCE}: x"] * 2
 
 
-def test_a_number_alone_keeps_the_convention_and_drops_the_origin() -> None:
+def test_a_value_replaces_the_kind_and_the_origin_too() -> None:
     entry = (
         b"resistance: {value: 4 Ohm, kind: line-to-line, source: sheet, note: cold, inferred: true}"
     )
     text = TEMPLATE.replace(b"resistance: 2.35 Ohm", entry)
-    for setting in ("machine.resistance=6 Ohm", "machine.resistance.value=6 Ohm"):
+    for setting, used in (
+        ("machine.resistance=6 Ohm", 6.0),
+        ("machine.resistance=6 Ohm line-to-line", 3.0),
+        ("machine.resistance.value=6 Ohm", 3.0),  # whose kind stands beside it still
+    ):
         found = load_text(text, "t.yaml", settings=[setting])
         value = next(value for value in found.values if value.path == "machine.resistance")
-        assert (found.machine.r_s, value.source, value.inferred) == (3.0, SOURCE, False)
+        assert (found.machine.r_s, value.source, value.inferred) == (used, SOURCE, False)
+        told = any("machine.resistance is taken as a phase" in each for each in found.assumptions)
+        assert told == (used == 6.0)
         assert "cold" not in value.note
     kept = load_text(text, "t.yaml", settings=["machine.resistance.note=warm"])
     value = next(value for value in kept.values if value.path == "machine.resistance")
     assert (value.source, kept.machine.r_s) == ("sheet", 2.0)
+
+
+@pytest.mark.parametrize("entry", [b"20 A rms", b"{value: 20 A, kind: rms, source: plate}"])
+def test_a_current_that_is_set_is_a_peak_unless_it_says_rms(entry: bytes) -> None:
+    text = TEMPLATE.replace(b"max_current: 6.4 A", b"max_current: " + entry)
+    assert text != TEMPLATE
+    for written_value, peak in (("8 A", 8.0), ("8.0", 8.0), ("8 A rms", 8.0 * 2.0**0.5)):
+        found = load_text(text, "t.yaml", settings=[f"machine.max_current={written_value}"])
+        assert found.machine.i_max == pytest.approx(peak)
+        told = any("machine.max_current is taken as a peak" in each for each in found.assumptions)
+        assert told == ("rms" not in written_value)
+
+
+def test_a_constant_that_is_set_without_its_kind_is_refused_as_in_a_file() -> None:
+    entry = b"\n  back_emf_constant: 1 V/krpm line-to-line rms"
+    text = TEMPLATE.replace(b"\n  magnet_flux: 0.06 Wb", entry)
+    with pytest.raises(InputError, match="the kind is missing"):
+        load_text(text, "t.yaml", settings=["machine.back_emf_constant=60 V/krpm"])
 
 
 def test_the_text_that_is_kept_reads_as_the_same_design() -> None:

@@ -129,14 +129,14 @@ def test_beyond_three_times_only() -> None:
         assert any("has no unit" in text for text in found) is told
 
 
-@pytest.mark.parametrize("text", ["3000", "3e3", "-3000", "0", " 52.4 "])
+@pytest.mark.parametrize("text", ["3000", "3e3", "-3000", " 52.4 "])
 def test_a_speed_option_needs_its_unit(text: str) -> None:
     with pytest.raises(InputError, match=r"--speed: .* has no unit") as caught:
         parse_option(text, "speed", "--speed")
     assert f"'{text.strip()} rpm'" in caught.value.message
     assert f"'{text.strip()} rad/s'" in caught.value.message
     assert parse_option("3000 rpm", "speed", "--speed") == pytest.approx(314.1592653589793)
-    assert parse_option("3", "torque", "--torque") == 3.0
+    assert parse_option("0", "speed", "--speed") == 0.0
 
 
 def test_every_command_with_a_speed_refuses_a_bare_one(
@@ -161,4 +161,4 @@ def test_every_command_with_a_speed_refuses_a_bare_one(
         assert caught.value.code == 2
         told = capsys.readouterr().err
         assert told.count("\n") == 1
-        assert "'3000 rpm', or '3000 rad/s' (28648 rpm)" in told
+        assert "'3000 rpm' or '3000 rad/s'" in told

@@ -34,6 +34,11 @@ PLACES = {
         "ph-ph",
         "between phases",
         "between two lines",
+        "between two wires",
+        "two wires",
+        "wire to wire",
+        "between the motor wires",
+        "lead-to-lead",
     ),
     "terminal": (
         "terminal",
@@ -43,6 +48,7 @@ PLACES = {
         "t-t",
         "between terminals",
         "between two terminals",
+        "two terminals",
     ),
     "phase": (
         "phase",

@@ -142,7 +142,7 @@ REFUSED = [
     ("70 °F", "temperature", "got '70 °F'"),
     ("70 F", "temperature", "which is a capacitance"),
     ("2 rPm", "speed", "did you mean 'rpm'?"),
-    ("2 furlong", "inductance", "write e.g. '1.61 mH'"),
+    ("2 furlong", "inductance", "such as '1.61 mH'"),
     ("1,61 mH", "inductance", "write 1.61 mH"),
     ("1,61", "inductance", "write 1.61"),
     ("0,061 Wb", "flux", "write 0.061 Wb"),

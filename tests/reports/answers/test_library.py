@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.catalogue import load_text
+from dqforge.machines.design.catalogue import load_text, template
 from dqforge.machines.errors import InputError
 from dqforge.machines.exploration.study import study_json_schema
 from dqforge.machines.files.library_files import DESIGN_SCHEMA, schema_bytes
@@ -154,3 +154,68 @@ def test_what_is_said_of_a_file_needs_the_file(given: tuple[Any, ...], flag: str
     *files, line_to_line = given
     with pytest.raises(InputError, match=f"write {flag} FILE"):
         recorded(*files, line_to_line=line_to_line)
+
+
+MAP_WITHOUT_UNIT = "\n".join(
+    ["i_d [A];i_q [A];psi_d;psi_q"]
+    + [
+        f"{d};{q};{60 + 0.2 * d:.2f};{0.3 * q:.2f}"
+        for d in range(-40, 1, 8)
+        for q in range(0, 41, 8)
+    ]
+)
+
+
+def test_keys_of_a_flux_map_are_set_beside_it(tmp_path: Path) -> None:
+    """The unit that its headings lack."""
+    file = tmp_path / "map.csv"
+    file.write_text(MAP_WITHOUT_UNIT, "ascii")
+    asked = NewRequest(sheet=SHEET, flux_map=file)
+    with pytest.raises(InputError, match=r"write --set machine\.flux_map\.flux_unit=mWb"):
+        answer_new(tmp_path / "hub", asked)
+    files = answer_new(
+        tmp_path / "hub", replace(asked, settings=["machine.flux_map.flux_unit=mWb"])
+    ).files
+    assert files is not None
+    found = load_text(files.contents["design.yaml"], "design.yaml", tmp_path).machine
+    assert found.psi_pm == pytest.approx(0.06, rel=1e-3)
+
+
+def test_keys_are_set_beside_the_values_of_a_data_sheet(tmp_path: Path) -> None:
+    sheet = {key: text for key, text in SHEET.items() if key != "machine.max_current"}
+    settings = ["machine.max_current=9 A", "machine.inductance=80 uH", "machine.kv=190 rpm/V"]
+    files = answer_new(tmp_path / "hub", NewRequest(sheet=sheet, settings=settings)).files
+    assert files is not None
+    found = load_text(files.contents["design.yaml"], "design.yaml", None)
+    assert found.machine.i_max == 9.0
+    assert b"command line" in files.contents["design.yaml"]
+    with pytest.raises(InputError, match=r"--set fit\.degre: unknown key"):
+        answer_new(tmp_path / "hub", NewRequest(sheet=sheet, settings=[*settings, "fit.degre=3"]))
+
+
+def test_own_values_replace_those_of_a_motor_of_the_library(tmp_path: Path) -> None:
+    own = {"machine.resistance": "0.4 Ohm line-to-line", "machine.magnet_flux": "25 mWb"}
+    asked = NewRequest("hoverboard-hub", sheet=own, settings=["machine.max_current=8 A"])
+    answer = answer_new(tmp_path / "hub", asked)
+    assert answer.files is not None
+    text = answer.files.contents["design.yaml"]
+    found = load_text(text, "design.yaml", None).machine
+    assert (found.r_s, found.psi_pm, found.i_max) == (0.2, 0.025, 8.0)
+    assert found.l_d == 0.336e-3  # of the library
+    assert b"kv:" not in text
+    assert text.count(b"\n#") == template("hoverboard-hub").count(b"\n#") + 1
+    told = "\n".join(answer.notes)
+    assert "--resistance '0.4 Ohm line-to-line' replaces machine.resistance: 0.179 Ohm" in told
+    assert "--magnet-flux '25 mWb' replaces machine.kv: 16 rpm/V of hoverboard-hub" in told
+    bare = NewRequest("hoverboard-hub", sheet={"machine.resistance": "0.4"})
+    with pytest.raises(InputError, match=r"--resistance: '0\.4' has no unit"):
+        answer_new(tmp_path / "x", bare)
+
+
+def test_one_axis_of_its_own_leaves_the_other(tmp_path: Path) -> None:
+    asked = NewRequest("abb-ipmsm-2k2", sheet={"machine.inductance_d": "20 mH phase"})
+    files = answer_new(tmp_path / "abb", asked).files
+    assert files is not None
+    found = load_text(files.contents["design.yaml"], "design.yaml", None).machine
+    before = load_text(template("abb-ipmsm-2k2"), "design.yaml", None).machine
+    assert (found.l_d, found.l_q) == (0.02, before.l_q)

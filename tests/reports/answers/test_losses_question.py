@@ -138,10 +138,11 @@ def test_every_kind_of_loss_has_a_heading_and_a_colour() -> None:
         (("--map", "6x8", "--frequencies", "20 V"), "--frequencies: expected a frequency"),
         (("--map", "6x8", "--margin", "95 %"), "--margin: expected a share"),
         (("--map", "2000x2000"), "budgets are requested"),
-        (("--modulations", "spwm"), "write --set losses.modulations='[spwm, svpwm]'"),
-        (("--strategies", "id0"), "write --set losses.strategies='[mtpa, id0]'"),
-        (("--frequencies", "8 kHz,16 kHz"), "write --set inverter.switching_frequency='8 kHz'"),
-        (("--margin", "5 %"), "--margin goes with --map or --mission"),
+        (("--map", "6x8", "--points", "1 N m 90 rpm"), "have their own points"),
+        (("--points", "130 N m"), "--points: '130 N m' is no torque and speed"),
+        (("--points", "130 N m 3000"), "--points: '3000' has no unit; write '3000 rpm' or"),
+        (("--points", "130 3000 rpm"), "--points: '130' has no unit; write '130 N m'"),
+        (("--points", "9 N m 90 krpm"), "--points: 90 krpm is above machine.max_speed"),
         (("--mission", "none.csv"), "none.csv: there is no such file"),
         (("--mission", "late.csv"), "late.csv:3: time 0 s does not lie after"),
         (("--mission", "fast.csv"), "fast.csv:2: speed 20000 rpm is above machine.max_speed"),
@@ -154,6 +155,45 @@ def test_faults_are_one_line(run: Run, arguments: tuple[str, ...], message: str)
     assert (code, out) == (2, "")
     assert err.count("\n") == 1
     assert message in err
+
+
+def test_points_and_alternatives_of_the_command_line_stand_in_one_table(run: Run) -> None:
+    """Each row is that of a command with its point and its alternative alone."""
+    names, points = ("svpwm", "dpwm1"), ("90 N m 2000 rpm", "40 N m @ 1 krpm")
+    words = ("--strategies", "mtpa", "--json")
+    both = ("--points", ", ".join(points), "--frequencies", "8 kHz, 16 kHz")
+    code, out, err = run(IPM, *both, "--modulations", "svpwm, dpwm1", *words)
+    assert (code, err) == (0, "")
+    found = json.loads(out)["losses"]
+    rows = {
+        (row["torque_Nm"], row["switching_frequency_Hz"], row["modulation"]): row["total_W"]
+        for row in found["rows"]
+    }
+    assert len(rows) == 8
+    for torque, point in zip((90.0, 40.0), points, strict=True):
+        for f_sw, text in ((8e3, "8 kHz"), (16e3, "16 kHz")):
+            alone = ("--points", point, "--frequencies", text, "--modulations", ",".join(names))
+            single = json.loads(run(IPM, *alone, *words)[1])["losses"]["rows"]
+            assert [row["total_W"] for row in single] == [rows[torque, f_sw, n] for n in names]
+    for torque, (strategy, modulation, f_sw) in zip((90.0, 40.0), found["best"], strict=True):
+        totals = {key: total for key, total in rows.items() if key[0] == torque}
+        assert strategy == "mtpa"
+        assert min(totals, key=lambda key: totals[key]) == (torque, f_sw, modulation)
+    code, out, _ = run(IPM, *both, "--modulations", "svpwm, dpwm1", "--strategies", "mtpa")
+    assert code == 0
+    assert out.count(" f_sw Hz ") == out.count(" best ") == 2
+
+
+def test_the_points_of_the_design_take_alternatives(run: Run) -> None:
+    code, out, err = run(IPM, "--modulations", "spwm", "--margin", "5 %", "--json")
+    assert (code, err) == (0, "")
+    assert {row["modulation"] for row in json.loads(out)["losses"]["rows"]} == {"spwm"}
+
+
+def test_a_list_that_lacks_its_brackets_is_written_with_them(run: Run) -> None:
+    code, _, err = run(IPM, "--set", "losses.modulations=svpwm, dpwm1")
+    assert code == 2
+    assert "got the text 'svpwm, dpwm1'; write [svpwm, dpwm1]" in err
 
 
 def test_the_points_take_what_the_refusals_name(run: Run) -> None:

@@ -240,7 +240,7 @@ def everything(page: Page) -> list[Path]:
 
 SAID: tuple[tuple[dict[str, Any], str], ...] = (
     ({}, "the form is empty"),
-    ({"sheet": {"machine.kv": "60"}}, "a design needs more of the data sheet; give --"),
+    ({"sheet": {"machine.kv": "60 rpm/V"}}, "a design needs more of the data sheet; give --"),
     ({"sheet": {"export.prefix": "x"}}, "a data sheet has no 'export.prefix'"),
     (
         {"sheet": {"machine.flux_map.file": "../x.csv"}},

@@ -12,7 +12,7 @@ from dqforge.reports.command_line.designs import Dialogue, asked_sheet
 PLAIN = {
     "name": "Hub motor",
     "pole-pairs": "15",
-    "kv": "60",
+    "kv": "60 rpm/V",
     "torque-constant": "",
     "v-dc": "48 V",
     "max-current": "40 A rms",
@@ -102,7 +102,9 @@ def test_a_back_emf_constant_without_its_kind_is_asked_for_it() -> None:
 
 def test_a_contradiction_is_told_at_once_and_an_earlier_answer_taken_back() -> None:
     person = Person(
-        kv=["60", "26"], torque_constant=["0.45 Nm/Arms", "<", "0.45 Nm/Arms"], v_dc="100 V"
+        kv=["60 rpm/V", "26 rpm/V"],
+        torque_constant=["0.45 Nm/Arms", "<", "0.45 Nm/Arms"],
+        v_dc="100 V",
     )
     values = person.run()
     assert person.prompts[2:7] == [
@@ -113,7 +115,7 @@ def test_a_contradiction_is_told_at_once_and_an_earlier_answer_taken_back() -> N
         "torque-constant",
     ]
     assert person.heard("contradict each other by the factor 2.31")
-    assert values["machine.kv"] == "26"
+    assert values["machine.kv"] == "26 rpm/V"
 
 
 def test_nothing_is_before_the_first_question() -> None:
@@ -151,7 +153,11 @@ def test_a_question_mark_explains() -> None:
 
 
 def test_only_what_is_needed_is_asked_for_beside_options() -> None:
-    known = {"machine.kv": "60", "inverter.v_dc": "48 V", "machine.inductance_d": "0.1 mH phase"}
+    known = {
+        "machine.kv": "60 rpm/V",
+        "inverter.v_dc": "48 V",
+        "machine.inductance_d": "0.1 mH phase",
+    }
     person = Person(inductance_q="0.12 mH phase")
     values = person.run(known, needed_only=True)
     assert person.prompts == ["pole-pairs", "max-current", "resistance", "inductance-q"]
@@ -161,4 +167,6 @@ def test_only_what_is_needed_is_asked_for_beside_options() -> None:
 def test_without_a_terminal_nothing_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("builtins.input", lambda _: pytest.fail("asked"))
     assert asked_sheet(Path("nowhere"), {}, asking=True) == {}
-    assert asked_sheet(Path("nowhere"), {"machine.kv": "60"}, asking=False) == {"machine.kv": "60"}
+    assert asked_sheet(Path("nowhere"), {"machine.kv": "60 rpm/V"}, asking=False) == {
+        "machine.kv": "60 rpm/V"
+    }

@@ -115,7 +115,7 @@ CASES: dict[str, tuple[str, str, list[tuple[str, str]]]] = {
             ("inductance_q: 1.74 mH", "inductance_q: 17.4 uH"),
         ],
     ),
-    "pole pairs": ("machine.pole_pairs", "60", [("poles: 6 ", "poles: 120")]),
+    "pole pairs": ("machine.poles", "60", [("poles: 6 ", "poles: 120")]),
     "inertia in another unit": (
         "machine.inertia",
         "s",
