@@ -116,27 +116,42 @@ def limited(
     if modulation not in names:
         raise InputError(f"modulation: expected one of {', '.join(names)}, got {modulation!r}")
     name: ModulationName = next(name for name in names if name == modulation)
-    if not 0.0 <= margin < _MOST_MARGIN:
-        raise InputError(
-            f"margin: expected a share of the voltage from 0 to below {_MOST_MARGIN}, got "
-            f"{margin!r}"
-        )
-    for given, value, unit in (("v_dc", v_dc, "V"), ("i_max", i_max, "A")):
-        if value is not None and not (np.isfinite(value) and value > 0.0):
-            raise InputError(f"{given}: expected a positive number in {unit}, got {value!r}")
+    margin = share_kept(margin)
+    v_dc, i_max = _positive(v_dc, "v_dc", "V"), _positive(i_max, "i_max", "A")
     if isinstance(drive, Design):
-        inverter = drive.inverter if v_dc is None else replace(drive.inverter, v_dc=float(v_dc))
+        inverter = drive.inverter if v_dc is None else replace(drive.inverter, v_dc=v_dc)
         with asked_of(drive, "operation"):
             found = limited_drive(replace(drive, inverter=inverter), name, margin)
-        return found if i_max is None else replace(found, i_max=float(i_max))
+        return found if i_max is None else replace(found, i_max=i_max)
     check_machine(drive)
     if v_dc is None:
         raise InputError(
             "v_dc: a machine alone has no voltage limit; give v_dc in V, or a design that has one"
         )
-    inverter = Inverter(v_dc=float(v_dc), f_sw=_NO_CARRIER)
+    inverter = Inverter(v_dc=v_dc, f_sw=_NO_CARRIER)
     limit = voltage_limit(inverter, name, margin)
-    return LimitedDrive(drive, inverter, limit, drive.i_max if i_max is None else float(i_max))
+    return LimitedDrive(drive, inverter, limit, drive.i_max if i_max is None else i_max)
+
+
+def _positive(value: float | None, name: str, unit: str) -> float | None:
+    """A positive number, None where none was given."""
+    if value is None:
+        return None
+    found = single(value, name, unit)
+    if not found > 0.0:
+        raise InputError(f"{name}: expected a positive number in {unit}, got {value!r}")
+    return found
+
+
+def share_kept(margin: float) -> float:
+    """The share of the voltage that is kept for control; raises `InputError` where it is none."""
+    found = single(margin, "margin", "1")
+    if not 0.0 <= found < _MOST_MARGIN:
+        raise InputError(
+            f"margin: expected a share of the voltage from 0 to below {_MOST_MARGIN}, got "
+            f"{margin!r}"
+        )
+    return found
 
 
 def check_machine(machine: DqMachine) -> None:
@@ -178,6 +193,20 @@ def numbers(values: ArrayLike, name: str, unit: str) -> FloatArray:
         where = f" at index {place}" if array.ndim else ""
         raise InputError(f"{name}: expected finite numbers in {unit}, got {array[place]}{where}")
     return array
+
+
+def single(value: ArrayLike, name: str, unit: str, instead: str = "") -> float:
+    """One finite number, also as an array of one; `instead` says what takes several.
+
+    Raises:
+        InputError: There are several, or it is no number.
+    """
+    array = numbers(value, name, unit)
+    if array.size != 1:
+        raise InputError(
+            f"{name}: expected one number in {unit}, got {array.size}{instead and '; ' + instead}"
+        )
+    return float(array.item())
 
 
 def _said(values: object) -> str:
