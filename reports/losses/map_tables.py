@@ -16,6 +16,7 @@ from dqforge.optimizer.losses.drive_comparison import Alternatives, MissionCompa
 from dqforge.optimizer.losses.phase_comparison import LossComparison, PhaseBudget
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import (
+    NOT_COMPARED,
     WITHOUT_BRIDGE,
     friction_text,
     letter,
@@ -78,7 +79,7 @@ def map_tables(design: Design, found: LossMap) -> list[Table]:
                 _watt(float(hottest[k])),
                 _watt(float(ripple[k])),
                 f"{100.0 * np.mean(usable[k]):.0f}",
-                f"{100.0 * least[k]:.0f}",
+                f"{100.0 * least[k]:.0f}" if found.comparison.compared else "-",
             )
         )
     headings = [f"{part_label(PARTS[part])} W" for part in kinds]
@@ -91,14 +92,17 @@ def map_tables(design: Design, found: LossMap) -> list[Table]:
             "alternatives drive"
         )
     ]
-    notes += _bridge_notes(design) + _dead_time_notes(found.dead_time_share)
+    compared = found.comparison.compared
+    notes += _bridge_notes(design, compared=compared) + _dead_time_notes(found.dead_time_share)
     if np.any(~found.comparison.budget.within_tables & found.comparison.usable):
         notes.append("at some points the device tables are extrapolated")
-    return [Table(title, columns, tuple(rows), tuple(notes)), _winner_table(found)]
+    table = Table(title, columns, tuple(rows), tuple(notes))
+    return [table, _winner_table(found)] if compared else [table]
 
 
-def _bridge_notes(design: Design) -> list[str]:
-    return [] if design.inverter.device is not None else [WITHOUT_BRIDGE]
+def _bridge_notes(design: Design, *, compared: bool) -> list[str]:
+    notes = [] if design.inverter.device is not None else [WITHOUT_BRIDGE]
+    return notes if compared else [NOT_COMPARED, *notes]
 
 
 def _dead_time_notes(taken: tuple[float, float]) -> list[str]:
@@ -172,6 +176,7 @@ def plain_map(found: LossMap) -> PlainData:
         "omega_m_rad_per_s": found.omega_m,
         "alternatives": rows,
         "best": comparison.best.reshape(shape),
+        "compared": comparison.compared,
         "shared_share": float(np.mean(found.shared)),
         "dead_time_share": list(found.dead_time_share),
         "within_tables": not bool(np.any(~comparison.budget.within_tables & comparison.usable)),
@@ -241,7 +246,8 @@ def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
             "come back"
         ),
     ]
-    notes += _bridge_notes(design) + _dead_time_notes(found.dead_time_share)
+    notes += _bridge_notes(design, compared=found.compared)
+    notes += _dead_time_notes(found.dead_time_share)
     if len(found.runs) > _MOST_ROWS:
         notes.append(f"{len(found.runs) - _MOST_ROWS} more alternatives are in the JSON")
     if math.isfinite(first.winding_temperature):
@@ -292,6 +298,7 @@ def plain_mission(found: MissionComparison) -> PlainData:
         "dead_time_share": list(found.dead_time_share),
         "alternatives": rows,
         "best": best_index,
+        "compared": found.compared,
         "course": course,
     }
 
@@ -391,6 +398,7 @@ def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
         title = f"{design.name}: losses at {point.torque:.4g} N m, {in_rpm(point.omega_m):.5g} rpm"
         notes = [
             friction_text(comparison, p),
+            "" if comparison.compared else NOT_COMPARED,
             WITHOUT_BRIDGE if comparison.scope != "drive" else "",
             *leg_notes(comparison, p),
         ]
@@ -438,4 +446,9 @@ def plain_losses(comparison: LossComparison | None) -> PlainData | None:
         for index in [(s, m, p)]
     ]
     best = [None if labels is None else list(labels) for labels in comparison.best_labels]
-    return {"scope": comparison.scope, "rows": rows, "best": best}
+    return {
+        "scope": comparison.scope,
+        "rows": rows,
+        "best": best,
+        "compared": comparison.compared,
+    }

@@ -282,6 +282,10 @@ WITHOUT_BRIDGE = (
 )
 
 
+# What is said in place of a winner there.
+NOT_COMPARED = "inverter.device is unknown: modulators are not compared"
+
+
 def friction_text(comparison: LossComparison, point: int) -> str:
     """Friction loss at a point, which no alternative changes, or an empty text
     where the machine has none.

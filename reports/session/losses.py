@@ -103,7 +103,9 @@ class Losses(DrawnResult):
 
     @property
     def best(self) -> tuple[tuple[AnyStrategy, ModulationName] | None, ...]:
-        """Who loses least at each point, None where none is usable."""
+        """Who loses least at each point, None where none is usable, and where ``found.compared`` is
+        false: without a device in the inverter modulators are not compared.
+        """
         return self.found.best_labels
 
     def plain(self) -> PlainData:
@@ -152,7 +154,9 @@ class LossMap(DrawnResult):
 
     @property
     def best(self) -> NDArray[np.intp]:
-        """Index of the alternative that loses least, shape (N, M), -1 where none can be used."""
+        """Index of the alternative that loses least, shape (N, M); -1 where none can be used, and
+        without a device in the inverter where modulators or frequencies would be compared.
+        """
         return self.found.comparison.best.reshape(self.torque.size, self.omega_m.size)
 
     def plain(self) -> PlainData:

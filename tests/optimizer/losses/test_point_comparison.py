@@ -26,10 +26,10 @@ from dqforge.optimizer.losses.phase_comparison import LossComparison, compare_po
 from dqforge.optimizer.losses.solve import solve_losses
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_currents
 from dqforge.reports.answers.mtpa import Request, answer
-from dqforge.reports.losses.map_figures import loss_tables, plot_losses
+from dqforge.reports.losses.map_figures import best_loss, loss_tables, plot_losses
 from dqforge.reports.losses.map_tables import losses_tables, plain_losses
 from dqforge.reports.pages.figures_style import to_svg
-from dqforge.reports.pages.html_text import WITHOUT_BRIDGE, part_label, shown_parts
+from dqforge.reports.pages.html_text import NOT_COMPARED, WITHOUT_BRIDGE, part_label, shown_parts
 
 IRON = MachineLoss.measured(
     frequency=400.0,
@@ -251,7 +251,23 @@ def test_without_a_device_the_rest_is_compared_and_said_to_be_the_rest() -> None
     plain = plain_losses(found)
     assert plain is not None
     assert plain["scope"] == "without-bridge"
+    assert NOT_COMPARED in table.notes
+    assert all(row[-1] != "best" for row in table.rows)
+    assert NOT_COMPARED in loss_tables(found)[0].caption
+    assert best_loss(found) is None
+    assert (plain["best"], plain["compared"]) == ([None] * len(POINTS), False)
+    assert known.best_labels[0] is not None
+    assert np.isnan(found.saving[:, 1:]).all()
     assert "nan" not in to_svg(plot_losses(bare, found))
+
+
+def test_without_a_device_strategies_with_one_modulator_are_compared() -> None:
+    settings = LossSettings(POINTS, ("id0", "mtpa"), ("svpwm",))
+    design = replace(make_design(), losses=settings)
+    found = solve_losses(replace(design, inverter=replace(design.inverter, device=None)))
+    assert found is not None
+    assert found.compared
+    assert found.best_labels[0] == ("mtpa", "svpwm")
 
 
 def test_every_part_is_that_of_the_drive_budget_and_they_make_up_the_total() -> None:
