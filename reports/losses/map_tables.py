@@ -406,6 +406,35 @@ def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
     return tables
 
 
+def loss_lines(comparison: LossComparison) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Headings and rows of a comparison as a Python session prints it, in SI units."""
+    headings = ("torque N m", "speed rad/s", "strategy", "modulator", "total W", "junction degC")
+    rows = []
+    for s, m, p in np.ndindex(comparison.budget.total.shape):
+        point, labels = comparison.points[p], (comparison.strategies[s], comparison.modulations[m])
+        mark = "best" if comparison.best_labels[p] == labels else obstacle(comparison, (s, m, p))
+        values = (comparison.budget.total, comparison.budget.junction_temperature)
+        numbers = (three_decimals(float(value[s, m, p])) for value in values)
+        rows.append((f"{point.torque:.5g}", f"{point.omega_m:.5g}", *labels, *numbers, mark))
+    none = "" if comparison.compared else NOT_COMPARED
+    return (*headings, none), rows
+
+
+def map_lines(found: LossMap) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Headings and rows of a map as a Python session prints it: alternatives, best first."""
+    alternatives, means = found.comparison.alternatives, np.sum(found.mean_losses, axis=0)
+    usable, least = np.mean(found.usable, axis=1), found.least_share
+    compared = found.comparison.compared
+    order = np.argsort(-least, kind="stable").tolist()
+    rows = []
+    for k in order:
+        strategy, modulation, frequency = alternatives.label(k)
+        shares = (f"{100.0 * usable[k]:.0f}", f"{100.0 * least[k]:.0f}" if compared else "-")
+        rows.append((strategy, modulation, f"{frequency:g}", three_decimals(means[k]), *shares))
+    headings = ("strategy", "modulator", "f_sw Hz", "mean total W", "drives %")
+    return (*headings, "least at %" if compared else NOT_COMPARED), rows
+
+
 # Loss comparisons as plain data.
 
 

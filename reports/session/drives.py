@@ -22,7 +22,7 @@ from dqforge.machines.design.numerical import located, on_design
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError
 from dqforge.machines.files.positioned_yaml import written
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
@@ -87,9 +87,28 @@ def load_design(source: str | Path, changes: Mapping[str, Any] | None = None) ->
     name = str(source)
     given = {} if changes is None else changes
     settings = [f"{key}={written(python_values(value))}" for key, value in given.items()]
-    if not Path(source).exists() and catalogue.is_known(name):
-        return catalogue.load(name, settings)
-    return load_file(source, settings)
+    with in_python():
+        if not Path(source).exists() and catalogue.is_known(name):
+            return catalogue.load(name, settings)
+        return load_file(source, settings)
+
+
+def _with_changes(text: str) -> str:
+    option = catalogue.OPTION
+    return text.replace(f"{option} ", "changes: ").replace(option, "changes")
+
+
+@contextmanager
+def in_python() -> Iterator[None]:
+    """Block whose messages name ``changes`` where the command line has its option."""
+    try:
+        yield
+    except DqforgeError as error:
+        for one in (error, *error.others):
+            one.message = _with_changes(one.message)
+            one.source = one.source and _with_changes(one.source)
+            one.args = (one.message,)
+        raise
 
 
 def library() -> tuple[str, ...]:
@@ -257,7 +276,7 @@ _UNITS = {
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class OperatingPoints(Result):
+class OperatingPoints(DrawnResult):
     """Currents of least loss, arrays of the common shape of torque and speed.
 
     ``torque_request`` and ``torque`` in N m (equal where ``reached``), ``omega_m`` in rad/s
@@ -286,6 +305,25 @@ class OperatingPoints(Result):
     extrapolated: NDArray[np.bool_]
     limit: VoltageLimit
     objective: Objective
+
+    def shown(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+        """Torque, speed, currents, voltage and losses of each point."""
+        headings = (
+            *("torque N m", "speed rad/s", "i_d A", "i_q A", "voltage V"),
+            *("copper W", "loss W", "limited by"),
+        )
+        names = ("torque", "omega_m", "i_d", "i_q", "voltage", "copper_loss", "loss")
+        columns = [
+            [f"{number + 0.0:.5g}" for number in np.ravel(getattr(self, name)).tolist()]
+            for name in names
+        ]
+        return headings, list(zip(*columns, self.held_by.ravel().tolist(), strict=True))
+
+    def figure(self) -> Figure:
+        """The points in the plane of the currents, those of one speed joined."""
+        from dqforge.reports.operating_points.figures import plot_points
+
+        return plot_points(self.i_d, self.i_q, self.torque, self.omega_m)
 
     def plain(self) -> PlainData:
         """By the keys of ``dqforge mtpa --speed --json``."""

@@ -35,7 +35,7 @@ from dqforge.optimizer.waveforms.comparison import (
     compare_waveforms,
 )
 from dqforge.reports.back_emf import CaptureReading, plain_capture
-from dqforge.reports.losses.map_tables import plain_losses, plain_map
+from dqforge.reports.losses.map_tables import loss_lines, map_lines, plain_losses, plain_map
 from dqforge.reports.output.folder import RUN, write_output
 from dqforge.reports.output.recomputation import (
     Recomputation,
@@ -92,8 +92,15 @@ class Losses(DrawnResult):
         return self.found.modulations
 
     @property
+    def points(self) -> tuple[LoadPoint, ...]:
+        """Labels of the third axis: ``torque`` in N m and ``omega_m`` in rad/s."""
+        return self.found.points
+
+    @property
     def total(self) -> FloatArray:
-        """Total loss in W, shape (S, M, P); nan where the torque is out of reach."""
+        """Total loss in W over `strategies`, `modulations` and `points`, shape (S, M, P); nan
+        where the torque is out of reach.
+        """
         return self.found.budget.total
 
     @property
@@ -107,6 +114,10 @@ class Losses(DrawnResult):
         false: without a device in the inverter modulators are not compared.
         """
         return self.found.best_labels
+
+    def shown(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+        """Total loss and junction of every alternative at every point."""
+        return loss_lines(self.found)
 
     def plain(self) -> PlainData:
         """By the keys of ``losses`` in ``result.json``."""
@@ -158,6 +169,10 @@ class LossMap(DrawnResult):
         without a device in the inverter where modulators or frequencies would be compared.
         """
         return self.found.comparison.best.reshape(self.torque.size, self.omega_m.size)
+
+    def shown(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+        """Mean loss and share of the map of every alternative."""
+        return map_lines(self.found)
 
     def plain(self) -> PlainData:
         """By the keys of ``dqforge losses --map --json``."""
