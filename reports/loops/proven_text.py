@@ -419,6 +419,13 @@ def _per_unit_text(scaled: PerUnitGains) -> str:
     return ", ".join(f"{number.mantissa} (Q{number.shift})" for number in scaled.integers)
 
 
+# What the margins of the first table are of, where other firmware shows others for the same gains.
+OWN_TIMING = (
+    "margins: of dqforge's control, whose voltage begins one period after the sampling; export "
+    "--for shows those with another firmware's delay"
+)
+
+
 def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = None) -> list[Table]:
     """Gains of each loop with their margins, and the observer with its errors
     and what is proven of it.
@@ -441,8 +448,14 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
     )
     title, notes = (
         f"{design.name}: gains, sampled every {design.control.t_s * 1e6:.4g} us",
-        (*observed_notes(gains.speed), *leaving_notes(gains.speed)),
+        (
+            *([OWN_TIMING] if gains.firmware is None else []),
+            *observed_notes(gains.speed),
+            *leaving_notes(gains.speed),
+        ),
     )
+    if gains.firmware is None:
+        notes = (OWN_TIMING, *notes)
     if gains.schedule is None:
         notes = (*notes, *changing_notes(gains))
     tables = [Table(title, columns, tuple(rows), notes)]
