@@ -189,7 +189,7 @@ def compare_drives(
     """
     if 0 in alternatives.shape:
         raise InputError(
-            "loss comparison: give a strategy, a modulator and a carrier frequency at least"
+            "loss comparison: give a strategy, a modulator and a switching frequency at least"
         )
     wanted, speed = np.broadcast_arrays(
         np.asarray(torque, np.float64), np.asarray(omega_m, np.float64)
@@ -469,7 +469,7 @@ def compare_mission(
     """
     if 0 in alternatives.shape:
         raise InputError(
-            "loss comparison: give a strategy, a modulator and a carrier frequency at least"
+            "loss comparison: give a strategy, a modulator and a switching frequency at least"
         )
     chosen = BudgetOptions() if options is None else options
     tables = known_bridge(inverter)

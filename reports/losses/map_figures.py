@@ -27,6 +27,7 @@ from dqforge.reports.losses.map_tables import (
     mission_tables,
     plain_losses,
     plain_mission,
+    winner_reason,
 )
 from dqforge.reports.pages.figures_style import (
     FAINT,
@@ -484,6 +485,7 @@ def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
         "saved",
         "junction",
         "phase voltage",
+        "ripple current",
     )
     tables = []
     for p, point in enumerate(comparison.points):
@@ -507,11 +509,13 @@ def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
                     *known_texts(
                         (float(budget.junction_temperature[index]), "\u00b0C"),
                         (float(budget.voltage[index]), "V"),
+                        (float(budget.ripple_current[index]), "A"),
                     ),
                 )
                 rows.append(Row(cells, "muted" if reason else "best" if best else ""))
         notes = [
             point_text(point),
+            winner_reason(comparison, p),
             friction_text(comparison, p),
             "" if comparison.compared else NOT_COMPARED,
             "" if comparison.scope == "drive" else WITHOUT_BRIDGE,

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 _GRID = (10, 12)  # Torques and speeds of the map in the terminal at most.
 _MOST_ROWS = 40
+_FREQUENCY = "frequency: that of the switching"
 
 
 def alternative_text(alternatives: Alternatives, index: int, *, plain: bool = True) -> str:
@@ -83,14 +84,18 @@ def map_tables(design: Design, found: LossMap) -> list[Table]:
             )
         )
     headings = [f"{part_label(PARTS[part])} W" for part in kinds]
-    columns = ("", "strategy", "modulator", "carrier", *headings, "total W")
+    columns = ("", "strategy", "modulator", "frequency", *headings, "total W")
     columns = (*columns, "junction max degC", "ripple max A", "drives %", "least at %")
     title = f"{design.name}: losses over {found.torque.size} torques by {found.omega_m.size} speeds"
     notes = [
         (
             f"mean losses over the {100.0 * np.mean(found.shared):.0f} % of the points that all "
             "alternatives drive"
-        )
+        ),
+        (
+            f"{_FREQUENCY}; drives: share of the points that the alternative makes within its "
+            "limits; least at: share at which it has the least loss of all"
+        ),
     ]
     compared = found.comparison.compared
     notes += _bridge_notes(design, compared=compared) + _dead_time_notes(found.dead_time_share)
@@ -185,7 +190,7 @@ def plain_map(found: LossMap) -> PlainData:
 
 def _energy(joule: float) -> str:
     """Energy in Wh, as missions are counted."""
-    return f"{joule / 3600.0:.4g}"
+    return f"{joule / 3600.0 + 0.0:.4g}"
 
 
 def mission_mark(run: MissionRun, *, best: bool) -> str:
@@ -232,7 +237,7 @@ def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
     columns = (
         "strategy",
         "modulator",
-        "carrier",
+        "frequency",
         *(f"{part_label(PARTS[part])} Wh" for part in kinds),
         "total Wh",
     )
@@ -242,10 +247,11 @@ def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
     notes = [
         f"{mission.length.size} intervals, {length:.6g} s; the mission repeats",
         (
-            f"at the shaft {_energy(first.driving)} Wh go out and {_energy(-first.braking)} Wh "
-            "come back"
+            f"at the shaft {_energy(first.driving)} Wh go out and {_energy(-first.braking)} Wh are "
+            "recovered"
         ),
     ]
+    notes += [_FREQUENCY, "swing: largest less smallest temperature of a junction over the mission"]
     notes += _bridge_notes(design, compared=found.compared)
     notes += _dead_time_notes(found.dead_time_share)
     if len(found.runs) > _MOST_ROWS:
@@ -368,6 +374,61 @@ def plain_legs(found: PhaseBudget, index: Index) -> dict[str, PlainData]:
     }
 
 
+# Why an alternative has the least loss, from its numbers.
+
+_EQUAL = 0.01  # Relative difference up to which two losses are called equal.
+_HALF = (0.47, 0.53)  # Ratios that are called half.
+
+
+def winner_reason(comparison: LossComparison, point: int) -> str:
+    """What the best modulator does otherwise than the most usual other one with its strategy.
+
+    Empty where none is best, or no other can be used.
+    """
+    s, best = int(comparison.best_strategy[point]), int(comparison.best_modulation[point])
+    others = [
+        m
+        for m, name in sorted(enumerate(comparison.modulations), key=lambda one: one[1] != "svpwm")
+        if m != best and comparison.usable[s, m, point]
+    ]
+    if s < 0 or not others:
+        return ""
+    other, names = others[0], comparison.modulations
+    budget = comparison.budget
+
+    def pair(part: str) -> tuple[float, float]:
+        values = getattr(budget, part)
+        return float(values[s, best, point]), float(values[s, other, point])
+
+    part = max(PARTS, key=lambda one: pair(one)[1] - pair(one)[0])
+    own, theirs = pair(part)
+    if theirs - own <= _EQUAL * pair("total")[1]:
+        return f"{names[best]}: total within {100.0 * _EQUAL:g} % of that of {names[other]}"
+    equal = [
+        part_label(one)
+        for one in ("copper", "conduction", "switching")
+        if one != part and _equal(*pair(one))
+    ]
+    at = f" at equal {' and '.join(equal)} loss" if equal else ""
+    text = f"{names[best]}: {_share_text(own / theirs)} {part_label(part)} loss of {names[other]}"
+    mine, reference = pair("ripple_current")
+    if not (math.isfinite(mine) and math.isfinite(reference)):
+        return text + at
+    if _equal(mine, reference):
+        return f"{text}{at}; ripple current equal"
+    word = "higher" if mine > reference else "lower"
+    figures = f"{three_decimals(mine)} A instead of {three_decimals(reference)} A"
+    return f"{text}{at}; ripple current {word}, {figures}"
+
+
+def _equal(own: float, theirs: float) -> bool:
+    return abs(own - theirs) <= _EQUAL * max(abs(own), abs(theirs)) and theirs > 0.0
+
+
+def _share_text(ratio: float) -> str:
+    return "half the" if _HALF[0] <= ratio <= _HALF[1] else f"{100.0 * ratio:.0f} % of the"
+
+
 # Loss comparisons as tables of the terminal.
 
 
@@ -377,7 +438,8 @@ def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
     """
     kinds = shown_parts(comparison.budget)
     headings = [f"{part_label(kind)} W" for kind in kinds]
-    columns = ("strategy", "modulator", *headings, "total W", "junction degC", "saving %", "")
+    columns = ("strategy", "modulator", *headings, "total W", "junction degC")
+    columns = (*columns, "ripple current A", "saving %", "")
     tables = []
     budget = comparison.budget
     for p, (point, best) in enumerate(zip(comparison.points, comparison.best_labels, strict=True)):
@@ -390,14 +452,17 @@ def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
                     *(getattr(budget, kind) for kind in kinds),
                     budget.total,
                     budget.junction_temperature,
+                    budget.ripple_current,
                 ]
                 texts = [three_decimals(float(cell[index])) for cell in cells]
                 # Strategies with the same currents differ by rounding, which nobody saves.
-                saving = three_decimals(round(float(comparison.saving[index]), 6))
+                saving = three_decimals(round(float(comparison.saving[index]), 3))
                 rows.append((strategy, modulation, *texts, saving, mark))
         title = f"{design.name}: losses at {point.torque:.4g} N m, {in_rpm(point.omega_m):.5g} rpm"
         notes = [
             friction_text(comparison, p),
+            winner_reason(comparison, p),
+            "saving: of the total of the first row; ripple current: r.m.s. of a phase",
             "" if comparison.compared else NOT_COMPARED,
             WITHOUT_BRIDGE if comparison.scope != "drive" else "",
             *leg_notes(comparison, p),
@@ -461,6 +526,7 @@ def plain_losses(comparison: LossComparison | None) -> PlainData | None:
             "total_W": budget.total[index],
             "junction_degC": budget.junction_temperature[index],
             "voltage_V": budget.voltage[index],
+            "ripple_current_A": budget.ripple_current[index],
             "friction_W": budget.friction[index],
             "feasible": comparison.usable[index],
             "reached": comparison.reached[index],

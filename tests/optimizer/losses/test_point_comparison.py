@@ -27,7 +27,7 @@ from dqforge.optimizer.losses.solve import solve_losses
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_currents
 from dqforge.reports.answers.mtpa import Request, answer
 from dqforge.reports.losses.map_figures import best_loss, loss_tables, plot_losses
-from dqforge.reports.losses.map_tables import losses_tables, plain_losses
+from dqforge.reports.losses.map_tables import losses_tables, plain_losses, winner_reason
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.pages.html_text import NOT_COMPARED, WITHOUT_BRIDGE, part_label, shown_parts
 
@@ -259,6 +259,31 @@ def test_without_a_device_the_rest_is_compared_and_said_to_be_the_rest() -> None
     assert known.best_labels[0] is not None
     assert np.isnan(found.saving[:, 1:]).all()
     assert "nan" not in to_svg(plot_losses(bare, found))
+
+
+def test_the_reason_of_the_winner_is_made_of_its_numbers() -> None:
+    """Of equal conduction and unequal switching loss; half, or the share in percent."""
+    settings = LossSettings(POINTS, ("mtpa",), ("svpwm", "ddt-gdpwm"))
+    found = solve_losses(replace(make_design(), losses=settings))
+    assert found is not None
+    budget, (point, best) = found.budget, (0, int(found.best_modulation[0]))
+    assert found.modulations[best] == "ddt-gdpwm"
+    text = winner_reason(found, point)
+    ratio = float(budget.switching[0, 1, 0] / budget.switching[0, 0, 0])
+    assert 0.4 < ratio < 0.6
+    share = "half the" if 0.47 <= ratio <= 0.53 else f"{100.0 * ratio:.0f} % of the"
+    assert text.startswith(f"ddt-gdpwm: {share} switching loss of svpwm")
+    assert f"{budget.conduction[0, 1, 0]:.3g}" == f"{budget.conduction[0, 0, 0]:.3g}"
+    assert "at equal copper and conduction loss" in text
+    higher = budget.ripple_current[0, 1, 0] > budget.ripple_current[0, 0, 0]
+    assert ("higher" in text) == bool(higher)
+    assert text in losses_tables(make_design(), found)[0].notes
+    assert text in str(loss_tables(found)[0].caption)
+    bare = replace(make_design(), losses=settings)
+    bare = replace(bare, inverter=replace(bare.inverter, device=None))
+    unknown = solve_losses(bare)
+    assert unknown is not None
+    assert winner_reason(unknown, point) == ""
 
 
 def test_without_a_device_strategies_with_one_modulator_are_compared() -> None:
