@@ -703,6 +703,10 @@ ROUNDING_OF_DATA = 1e-3
 # One value of a design with its origin, as it is shown and traced.
 
 
+# Keys whose value in SI is of the convention that the file names.
+_KEPT_KINDS = ("machine.back_emf_constant", "machine.torque_constant", "machine.kv")
+
+
 @dataclass(frozen=True, slots=True)
 class InputValue:
     """One value of the design as it was read.
@@ -719,3 +723,11 @@ class InputValue:
     source: str = ""
     inferred: bool = False
     note: str = ""
+
+    @property
+    def kind(self) -> str:
+        """Convention of a constant whose SI value keeps it, such as ``line-to-line rms``; empty of
+        values that are converted to peak of phase.
+        """
+        _, opened, kind = self.text.removesuffix(")").rpartition("(")
+        return kind if opened and self.path in _KEPT_KINDS else ""

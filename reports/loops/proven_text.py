@@ -112,6 +112,12 @@ def _range(axis: ChangingAxis) -> str:
     return f"l_{axis.axis[-1]} between {low} and {high} mH along the reference"
 
 
+def _changes(axis: ChangingAxis) -> bool:
+    """Whether the inductance takes two values that are printed differently."""
+    low, high = axis.inductance
+    return f"{1e3 * low:.4g}" != f"{1e3 * high:.4g}"
+
+
 def changing_text(axis: ChangingAxis) -> str:
     """What is proven of an axis whose inductance changes with the current.
 
@@ -122,8 +128,8 @@ def changing_text(axis: ChangingAxis) -> str:
     if axis.any_current is None:
         if axis.proven:
             return (
-                f"{axis.axis}, constant gains: deviations are forgotten however fast saturation "
-                f"changes {_range(axis)} (proven by {held} in rational arithmetic)"
+                f"{axis.axis}, constant gains: stable however fast saturation changes "
+                f"{_range(axis)} (proven by {held} in rational arithmetic)"
             )
         slower = (
             "not proven for any change of it"
@@ -139,8 +145,8 @@ def changing_text(axis: ChangingAxis) -> str:
         else "not with the gains of another current, such as the reference of one on its way"
     )
     return (
-        f"{axis.axis}, scheduled gains in parallel form at the measured current: small deviations "
-        f"are forgotten however fast the current changes {_range(axis)} (proven by {held} in "
+        f"{axis.axis}, scheduled gains in parallel form at the measured current: for small "
+        f"deviations stable however fast the current changes {_range(axis)} (proven by {held} in "
         f"rational arithmetic); {other}"
     )
 
@@ -163,8 +169,8 @@ def velocity_text(axis: ChangingAxis) -> str:
 
 
 def changing_notes(gains: GainSet) -> tuple[str, ...]:
-    """What is proven while inductances change; nothing of a machine that does not saturate."""
-    notes = [changing_text(axis) for axis in gains.proofs.changing]
+    """What is proven while inductances change; nothing of those that are constant."""
+    notes = [changing_text(axis) for axis in gains.proofs.changing if _changes(axis)]
     notes += [velocity_text(axis) for axis in gains.proofs.changing]
     return tuple(note for note in notes if note)
 
