@@ -278,12 +278,18 @@ def bemf(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
 
 
 @app.command()
-def identify(bench: given.Bench, out: given.OutOfBench = None, json: given.Json = False) -> int:
+def identify(
+    bench: given.Bench,
+    out: given.OutOfBench = None,
+    plan: given.Plan = False,
+    json: given.Json = False,
+) -> int:
     """Find a machine's parameters in bench logs.
 
-    With 95 % intervals for correlated rows, and what the logs do not hold.
+    With 95 % intervals for correlated rows, and what the logs do not hold; with --plan what to run.
     """
-    ask = partial(answers.identify.answer_identify, bench)
+    answer = answers.identify.answer_plan if plan else answers.identify.answer_identify
+    ask = partial(answer, bench)
     return respond("identify", ask, json, out=out)
 
 

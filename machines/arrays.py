@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # which works on the arrays that are named here
 
 
 BoolArray = NDArray[np.bool_]
+ComplexArray = NDArray[np.complex128]
 
 
 IndexArray = NDArray[np.intp]

@@ -16,6 +16,7 @@ from dqforge.reports.fixed_observers.fixed_observer_header import FIXED_OBSERVER
 from dqforge.reports.loops.capability import GAIN_SCHEDULE, LOOPS, NO_LOOPS, STABILITY
 from dqforge.reports.losses.map_figures import LOSSES, MISSION
 from dqforge.reports.modulation_choice.figures import MODULATION_CHOICE
+from dqforge.reports.observers.online_estimation import ONLINE_ESTIMATION
 from dqforge.reports.observers.position_header import (
     OBSERVER_PROOF,
     POSITION_OBSERVER,
@@ -29,7 +30,6 @@ from dqforge.reports.single_headers.current_feedback import CURRENT_FEEDBACK
 from dqforge.reports.single_headers.field_weakening import WEAKENING
 from dqforge.reports.single_headers.fixed_reference import FIXED_REFERENCE
 from dqforge.reports.single_headers.frame_tables import FRAME_TABLES
-from dqforge.reports.single_headers.online_estimation import ONLINE_ESTIMATION
 from dqforge.reports.single_headers.overmodulation import OVERMODULATION
 from dqforge.reports.single_headers.speed_measurement import SPEED_MEASUREMENT
 from dqforge.reports.six_step.header import SIX_STEP

@@ -5,7 +5,10 @@ leads to.
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,8 +16,12 @@ import yaml
 
 from dqforge.machines.bench.bench_file import Bench
 from dqforge.machines.design.catalogue import load_text
+from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
+from dqforge.optimizer.identification.bench_plan import BenchPlan
+from dqforge.optimizer.identification.flux_points import FluxTable
 from dqforge.optimizer.identification.identify import DESIGN_PARAMETERS, Identification
 from dqforge.optimizer.identification.parameters import Analysis, Parameter
 from dqforge.reports.pages.answer import Table
@@ -145,11 +152,123 @@ def _analysis(one: Analysis) -> PlainData:
     }
 
 
+# The flux map, in columns that a design reads, with what is not known of it.
+
+MAP_NAME = "map.csv"
+_MAP_COLUMNS = ("i_d [A]", "i_q [A]", "psi_d [Wb]", "psi_q [Wb]", "sigma_d [Wb]", "sigma_q [Wb]")
+
+
+def map_csv(table: FluxTable) -> bytes:
+    """The map as CSV in UTF-8."""
+    columns = (table.i_d, table.i_q, table.psi_d, table.psi_q, table.sigma_d, table.sigma_q)
+    lines = [",".join((*_MAP_COLUMNS, "n"))]
+    for *values, count in zip(*columns, table.count, strict=True):
+        cells = [f"{0.0 if abs(value) < 1e-12 else value:.7g}" for value in values]
+        lines.append(",".join((*cells, str(count))))
+    return ("\n".join(lines) + "\n").encode()
+
+
+# The plan of a bench: a sheet of points, and the bench file that reads them back.
+
+SHEET, BENCH_FILE = "points.csv", "bench.yaml"
+_SHEET_COLUMNS = ("point", "speed_rpm", "i_d_A", "i_q_A", "seconds", "u_d_V", "u_q_V")
+
+
+def plan_sheet(plan: BenchPlan) -> bytes:
+    """The points in their order as CSV; the voltages are to be filled in."""
+    lines = [",".join(_SHEET_COLUMNS)]
+    for number, point in enumerate(plan.points, 1):
+        cells = (in_rpm(point.omega_m), point.i_d, point.i_q, point.seconds)
+        texts = (f"{0.0 if abs(cell) < 1e-9 else cell:.5g}" for cell in cells)
+        lines.append(",".join((str(number), *texts, "", "")))
+    return ("\n".join(lines) + "\n").encode()
+
+
+def plan_bench_file(design: Design) -> bytes:
+    """A bench file that reads the filled sheet, with what the design knows."""
+    machine, inverter = design.machine, design.inverter
+    data = {
+        "dqforge_bench": 1,
+        "name": design.name,
+        "machine": {
+            "pole_pairs": machine.pole_pairs,
+            "max_current": f"{design.i_max:.6g} A peak",
+            "resistance": f"{machine.r_s:.6g} Ohm",
+            "magnet_flux": f"{machine.psi_pm:.6g} Wb",
+        },
+        "inverter": {
+            "v_dc": f"{inverter.v_dc:.6g} V",
+            "switching_frequency": f"{inverter.f_sw:.6g} Hz",
+        },
+        "runs": [
+            {
+                "name": "points",
+                "kind": "constant-speed",
+                "file": SHEET,
+                "columns": {name: name for name in ("i_d", "i_q", "u_d", "u_q", "speed")},
+                "currents": "measured",
+                "voltage": "reference",
+            }
+        ],
+    }
+    head = (
+        "# Write over the columns of points.csv what was measured at each point: currents, mean\n"
+        "# voltages (or references: say which below) and speed; then dqforge identify bench.yaml\n"
+    )
+    return (head + yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100)).encode()
+
+
+def plan_tables(plan: BenchPlan) -> list[Table]:
+    """What to expect of the points, and how many it takes."""
+    rows = tuple(
+        (
+            one.label,
+            format_quantity(one.value, one.unit),
+            f"+- {format_quantity(one.half, one.unit, 2)}",
+            f"{100.0 * one.half / one.value:.2g} %" if one.value > 0.0 else "-",
+        )
+        for one in plan.expected
+    )
+    noise = format_quantity(plan.noise, "V", 2)
+    minutes = sum(point.seconds for point in plan.points) / 60.0
+    counts = ", ".join(
+        f"{count} for {100.0 * share:g} %" for share, count in plan.least_points.items()
+    )
+    notes = (
+        f"{len(plan.points)} points in {minutes:.2g} min, both directions and signs of i_q in turn "
+        "so that the winding is as warm in one quadrant as in the other"
+        + (f"; {plan.left_out} beyond the voltage limit are left out" if plan.left_out else ""),
+        f"largest torque within {100.0 * plan.torque:.2g} %; points needed for it: {counts}",
+        f"mean voltages are taken to have a standard deviation of {noise}",
+    )
+    heads = ("parameter", "before", "95 % interval to expect", "of the value")
+    return [Table("Expected of the points", heads, rows, notes)]
+
+
+def plain_plan(plan: BenchPlan) -> PlainData:
+    """The same as plain data."""
+    return {
+        "points": [asdict(point) for point in plan.points],
+        "left_out": plan.left_out,
+        "noise_V": plan.noise,
+        "expected": [asdict(one) for one in plan.expected],
+        "torque": plan.torque,
+        "least_points": [
+            {"torque": share, "points": count} for share, count in plan.least_points.items()
+        ],
+    }
+
+
 # The design file: every value with its source and interval.
 
 # Keys of control.tolerances that hold for a design without a speed loop, and the largest deviation
 # that is written there.
-_TOLERANCES = {"resistance": "r_s", "inductance_d": "l_d", "inductance_q": "l_q"}
+_TOLERANCES = {
+    "resistance": "r_s",
+    "inductance_d": "l_d",
+    "inductance_q": "l_q",
+    "magnet_flux": "psi_pm",
+}
 _LARGEST_SHARE = 0.9
 # What a fitted value takes the place of.
 _REPLACED = {
@@ -167,7 +286,10 @@ def design_of(found: Identification) -> tuple[bytes | None, str]:
     data = _design(found)
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100).encode()
     try:
-        load_text(text, "design.yaml")
+        with tempfile.TemporaryDirectory() as folder:
+            if found.flux is not None:
+                (Path(folder) / MAP_NAME).write_bytes(map_csv(found.flux.table))
+            load_text(text, "design.yaml", Path(folder))
     except InputError as error:
         reason = "; ".join(str(one.message) for one in (error, *error.others))
         return None, f"no design.yaml is written: {reason}; write it under machine or inverter"
@@ -177,16 +299,21 @@ def design_of(found: Identification) -> tuple[bytes | None, str]:
 def _design(found: Identification) -> dict[str, Any]:
     bench = found.bench
     machine: dict[str, Any] = {"pole_pairs": bench.entries["machine"]["pole_pairs"]}
+    dropped: set[str] = set()
     held = {key: found.of(key) for key, _, _ in DESIGN_PARAMETERS}
     taken = {key: one for key, one in held.items() if one is not None and _is_held(one)}
-    single = "inductance" in bench.entries["machine"]
+    single = "inductance" in bench.entries["machine"] and found.flux is None
     if single and ("inductance_d" in taken) != ("inductance_q" in taken):
         # A single inductance of a data sheet stands for the axis that no run holds.
         missing = "inductance_q" if "inductance_d" in taken else "inductance_d"
         machine[missing] = bench.entries["machine"]["inductance"]
+    if found.flux is not None:
+        dropped = {"inductance", "inductance_d", "inductance_q", *_REPLACED["magnet_flux"]}
+        machine = {"model": "flux-map", **machine, "flux_map": {"file": MAP_NAME}}
+        taken = {key: one for key, one in taken.items() if key not in dropped}
     for key, one in taken.items():
         machine[key] = _entry(one, bench.source)
-    replaced = {name for key in taken for name in _REPLACED[key]}
+    replaced = dropped | {name for key in taken for name in _REPLACED[key]}
     if "inductance_d" in taken or "inductance_q" in taken:
         replaced.add("inductance")
     for key, raw in bench.entries["machine"].items():

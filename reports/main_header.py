@@ -10,14 +10,17 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.current_reference.forms import (
-    CurrentReference,
     Emitted,
     FixedReference,
+    FloatReference,
     SignedReference,
 )
 from dqforge.optimizer.solution import Solution
+from dqforge.optimizer.steps.code_vectors import Coded
+from dqforge.optimizer.steps.code_vectors import Dq as CodeDq
 from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Dq
 from dqforge.reports.c_code.harness import Constant, ConstantGroup, title
+from dqforge.reports.c_code.numbers import comment_text
 from dqforge.reports.current_reference.plain import (
     from_plain,
     reference_context,
@@ -30,6 +33,8 @@ from dqforge.reports.observers.position_header import observer_constants
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
 from dqforge.reports.steps.blocks import Block, Functions
+from dqforge.reports.steps.code_reader import Code, Word
+from dqforge.reports.steps.code_text import SHIFTS_KEEP_SIGNS, code_reader, texts
 from dqforge.reports.steps.step_reader import StepReader
 from dqforge.reports.steps.symbols import Expression
 
@@ -40,15 +45,30 @@ _ENDS = "limit.torque", "limit.torque_negative"
 _INTO = "i_d_A", "i_q_A"
 
 
-def reference_functions(plain: Mapping[str, Any], names: Mapping[str, str], prefix: str) -> str:
-    """The evaluator in float32, and one for each sign of the torque where these differ.
+def evaluator(
+    plain: Mapping[str, Any], names: Mapping[str, str], prefix: str, lines: Sequence[str]
+) -> str:
+    """The evaluator and what is said of it; in float32 with one for each sign of the torque where
+    these differ.
 
     Args:
         plain: What `dqforge.reports.current_reference.plain.to_plain` says of the reference.
         names: Of the ends of its domain, by quantity, without prefix.
         prefix: Before the names of functions, in capitals before those of ends.
+        lines: Of its comment.
     """
-    reference, functions = from_plain(plain), Functions()
+    reference = from_plain(plain)
+    comment = ["/* Current references for a torque.", " *"]
+    comment += [f" * {comment_text(line)}".rstrip() for line in lines] + [" */"]
+    said = "\n".join(comment)
+    if not isinstance(reference, FixedReference):
+        return f"{said}\n{_in_floats(reference, names, prefix)}"
+    end = f"{prefix.upper()}_{names['limit.torque_code']}"
+    return f"{SHIFTS_KEEP_SIGNS}\n\n{said}\n{_in_codes(reference, end, prefix)}"
+
+
+def _in_floats(reference: FloatReference, names: Mapping[str, str], prefix: str) -> str:
+    functions = Functions()
     reader = StepReader(prefix, functions, Block("", set()))
 
     def write(name: str, step: Callable[..., Dq]) -> None:
@@ -64,13 +84,23 @@ def reference_functions(plain: Mapping[str, Any], names: Mapping[str, str], pref
             return reference.by_sign(o, torque, *signs)
 
     else:
-        assert isinstance(reference, CurrentReference)
 
         def current_reference(o: Arithmetic, torque: Reals) -> Dq:
             return reference.step(o, torque, ends[0])
 
     write("current_reference", current_reference)
     return "\n\n".join(functions.texts.values())
+
+
+def _in_codes(reference: FixedReference, end: str, prefix: str) -> str:
+    reader = code_reader(prefix, reference.width)
+
+    def current_reference(o: Any, torque: Coded[Any]) -> Any:
+        return CodeDq(*reference.step(o, torque, Word(end, kind="int32_t")))
+
+    torque = Code("torque", kind=reader.pointed)
+    reader.write("current_reference", current_reference, [torque], into=("i_d", "i_q"))
+    return texts(reader)
 
 
 # The main header of a design: its names, its dialects, its text.
@@ -149,7 +179,7 @@ class Dialect:
     Args:
         name: Of the dialect.
         template: The header (``c_code/<file>``, or the path of a file). It sees the groups and
-            includes ``c_code/evaluator.j2``.
+            prints the ``evaluator``.
         entry: A constant in its names and units; None where it has none of that kind. Names without
             the prefix, which the template puts before them; the ends of the torque domain
             (``limit.``) need one, because the evaluator compares with them.
@@ -224,8 +254,6 @@ def header_context(solution: Solution, dialect: Dialect = NEUTRAL) -> PlainData:
     design = solution.design
     plain, groups = to_plain(solution.reference), constant_groups(solution)
     names, reference = names_of(dialect, groups), reference_context(solution, plain)
-    if plain["format"] == "float32":
-        reference["functions"] = reference_functions(plain, names, design.export.prefix)
     return {
         **title(design),
         "preamble": [
@@ -235,8 +263,8 @@ def header_context(solution: Solution, dialect: Dialect = NEUTRAL) -> PlainData:
             *(line for evidence in design.flux_evidence for line in evidence.short()),
         ],
         "groups": entries_of(dialect, groups),
-        "names": names,
         "reference": reference,
+        "evaluator": evaluator(plain, names, design.export.prefix, reference["comment"]),
     }
 
 

@@ -321,7 +321,7 @@ def _open_points(design: Design) -> list[str]:
     if inferred:
         listed = ", ".join(inferred[:3]) + (", ..." if len(inferred) > 3 else "")
         verb = "is" if len(inferred) == 1 else "are"
-        texts.append(f"{listed} {verb} inferred, not measured: 'dqforge check' shows from what")
+        texts.append(f"{listed} {verb} assumed: 'dqforge check' shows from what")
     return texts
 
 

@@ -16,12 +16,12 @@ from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.plants.scenario import DriveMotion, drive_motion
-from dqforge.optimizer.fixed_control.arithmetic import CodeArray
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import FixedObserverFit, fit_observer
 from dqforge.optimizer.fixed_observers.kit import observe_codes
 from dqforge.optimizer.observers.parts import Estimates, observe
 from dqforge.optimizer.observers.solve import solve_observer
 from dqforge.optimizer.observers.tuning import PositionObserver
+from dqforge.optimizer.steps.integer_arithmetic import CodeArray
 
 BENCH = "paper001-pmsm-bench"
 

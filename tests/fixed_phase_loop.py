@@ -13,8 +13,6 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.transforms import clarke_matrix
-from dqforge.optimizer.fixed_control.arithmetic import Integers
-from dqforge.optimizer.fixed_control.vectors import Abc, Dq
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedPhaseControl,
     Measured,
@@ -22,6 +20,8 @@ from dqforge.optimizer.fixed_phase_control.integers import (
     phase_gains,
 )
 from dqforge.optimizer.fixed_phase_control.phase_step import PhaseSteps
+from dqforge.optimizer.steps.code_vectors import Abc, Dq
+from dqforge.optimizer.steps.integer_arithmetic import Integers
 
 
 @dataclass

@@ -211,7 +211,6 @@ static inline void control_step_at(float theta, float *first, float *last)
     measured.theta_e = theta;
     measured.omega_m = 80.0F;
     measured.v_dc = 220.0F;
-    {midpoint}
     {{
         const {prefix}_duties_t duty =
             {prefix}_torque_control(&{macro}_CONTROL_GAINS, &control_state, &measured, 1.0F);
@@ -227,11 +226,7 @@ _PHASE_CASES: tuple[tuple[Topology, tuple[str, ...]], ...] = (
     ("three-wire", ("harmonic_integrators=false",)),
     ("four-leg", ()),
     ("four-leg", ("harmonic_integrators=false",)),
-    ("four-leg", ("frame=dq",)),
-    ("four-leg", ("frame=dqx",)),
     ("four-leg", ("frame=dqy",)),
-    ("six-leg", ()),
-    ("split-capacitor", ()),
 )
 
 
@@ -243,8 +238,7 @@ def phase_cost() -> Rows:
         named = (f"control.current_loop.{change}" for change in changes)
         found = solve(phase_design(topology, *named))
         prefix = found.design.export.prefix
-        midpoint = "measured.v_m = 110.0F;" if topology == "split-capacitor" else ""
-        step = _PHASE_STEP.format(prefix=prefix, macro=prefix.upper(), midpoint=midpoint)
+        step = _PHASE_STEP.format(prefix=prefix, macro=prefix.upper())
         files = {name: text for name, text in emitted_files(found).items() if name[-2:] == ".h"}
         cells = []
         for core in CORES:

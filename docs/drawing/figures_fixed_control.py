@@ -13,9 +13,9 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.fixed_control.arithmetic import Integers, Reach
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
 from dqforge.optimizer.fixed_control.transforms import FixedPi, Pi, pi_gains, pi_step
+from dqforge.optimizer.steps.integer_arithmetic import Integers, Reach
 from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, new_figure, save, style
 
 _ASKED_A = 0.4

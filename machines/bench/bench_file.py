@@ -40,6 +40,7 @@ from dqforge.machines.records import dataclass
 
 RunKindName = Literal[
     "constant-speed",
+    "flux-points",
     "speed-sweep",
     "offset-sweep",
     "voltage-speed",

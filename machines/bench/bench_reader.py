@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -195,7 +196,8 @@ class _Reading:
             raise _joined(faults) from None
         if faults:
             raise _joined(faults)
-        remarks = tuple(
+        parts, cut = _rising(self.section.name, parts)
+        remarks = cut + tuple(
             f"{self.section.name}: the column {one.column} looks like a requested current, and the "
             "file calls it measured; a setpoint is not the current that flowed"
             for one in asked
@@ -207,9 +209,14 @@ class _Reading:
             self.section.kind,
             tuple(parts),
             constants,
-            self.section.voltage,
+            self.section.voltage or ("reference" if self._is_of_a_tool else None),
             remarks,
         )
+
+    @property
+    def _is_of_a_tool(self) -> bool:
+        """Whether the tool that wrote the log keeps measured currents and voltage references."""
+        return self.section.format in ("vesc-tool", "moteus-ld", "motortest")
 
     def _settings(self) -> Iterator[InputError]:
         section = self.section
@@ -219,14 +226,14 @@ class _Reading:
                 "become one of the machine; log the measured ones",
                 "currents",
             )
-        if self.kind.currents and section.currents is None:
+        if self.kind.currents and section.currents is None and not self._is_of_a_tool:
             yield self.fault(
                 f"{section.name}: whether the currents are measured or requested must be said; "
                 "write currents: measured",
                 key=True,
             )
         takes_voltage = any(name.startswith(("u_", "voltage")) for name in self.kind.quantities)
-        if takes_voltage and section.voltage is None:
+        if takes_voltage and section.voltage is None and not self._is_of_a_tool:
             yield self.fault(
                 f"{section.name}: whether the voltages are measured or references must be said; "
                 "write voltage: reference, or measured",
@@ -328,6 +335,23 @@ class _Reading:
                     "shows; write it under machine",
                     "kind",
                 )
+
+
+def _rising(name: str, parts: list[LogPart]) -> tuple[list[LogPart], tuple[str, ...]]:
+    """Logs without a tail whose times fall back, as a buffer that was not filled has it."""
+    found, remarks = [], []
+    for part in parts:
+        time = part.columns.get("time")
+        back = np.flatnonzero(np.diff(time) <= 0.0) if time is not None else np.empty(0, np.intp)
+        kept = int(back[0]) + 1 if back.size else part.rows.size
+        if time is not None and kept < part.rows.size and time[kept:].max() <= time[kept - 1]:
+            left = part.rows.size - kept
+            remarks.append(f"{name}: {left} rows at the end, whose times fall back, are left out")
+            columns = {quantity: values[:kept] for quantity, values in part.columns.items()}
+            found.append(replace(part, columns=columns, rows=part.rows[:kept]))
+        else:
+            found.append(part)
+    return found, tuple(remarks)
 
 
 _EXAMPLES = {"time": ", unit: ms", "current": ", unit: A", "voltage": ", unit: V"}

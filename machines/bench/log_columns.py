@@ -71,6 +71,11 @@ KINDS: Mapping[RunKindName, RunKind] = {
         (("i_q",), ("u_q",), ("speed",)),
         ("i_d", "u_d", "time", "temperature", "v_dc", "duty", "torque"),
     ),
+    "flux-points": RunKind(
+        "a grid of currents at constant speed, for a flux map",
+        (("i_d",), ("i_q",), ("u_d",), ("u_q",), ("speed",)),
+        ("temperature",),
+    ),
     "speed-sweep": RunKind(
         "levels of current, each at several speeds",
         (("i_d",), ("u_q", "u_q_less_drop"), ("speed",)),

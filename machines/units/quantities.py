@@ -296,6 +296,15 @@ def signed_hundredths(percent: float) -> str:
     return "0" if text in {"+0.00", "-0.00"} else text
 
 
+def half_digit(value: float, digits: int) -> float:
+    """Half of the last of the significant digits of a printed number: how far the number before
+    rounding may lie from it. Of a printed 0 these are places behind the point.
+    """
+    if value == 0.0:
+        return 0.5 * 10.0**-digits
+    return 0.5 * 10.0 ** (math.floor(math.log10(abs(value))) - digits + 1)
+
+
 def format_quantity(value: float, unit: str, digits: int = 5) -> str:
     """Text of an SI value for people, with a prefix where that is customary.
 

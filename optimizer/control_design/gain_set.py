@@ -43,8 +43,10 @@ from dqforge.optimizer.loops.robustness import (
     Axis,
     DriveBox,
     RobustSet,
+    RotatingAxes,
     current_robustness,
     drive_box,
+    rotating_axes,
     speed_robustness,
     turning_robustness,
     unstable_together,
@@ -181,7 +183,8 @@ class GainSet:
     ``proofs`` are those of single loops. ``firmware`` is what `control.firmware` makes of the
     loops, None where the design names none. ``tracker`` is the tracker of the position in place of
     an observer, None where the design names none. ``measured_speed`` is how an encoder measures the
-    speed and what that leaves of the speed loop, None where the speed counts as exact.
+    speed and what that leaves of the speed loop, None where the speed counts as exact. ``rotating``
+    are both current loops together on the data alone, None for machines that are judged in phases.
     """
 
     i_d: LoopGains
@@ -199,6 +202,7 @@ class GainSet:
     firmware: FirmwareLoops | None = None
     tracker: TunedTracker | None = None
     measured_speed: MeasuredSpeed | None = None
+    rotating: RotatingAxes | None = None
 
     @property
     def loops(self) -> tuple[LoopGains, ...]:
@@ -354,6 +358,7 @@ def solve_gains(design: Design, *, proofs: bool = True) -> GainSet:
         _firmware(design, box, (i_d, i_q, speed)),
         tracker,
         measured,
+        rotating_axes(box, i_d, i_q) if phases is None else None,
     )
 
 

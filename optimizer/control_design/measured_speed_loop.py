@@ -38,9 +38,10 @@ from dqforge.optimizer.control_design.speed_range import (
 )
 from dqforge.optimizer.estimators import TrackerEstimator
 from dqforge.optimizer.loops.loop_gains import inertia_of, speed_delay, speed_model
-from dqforge.optimizer.loops.observed_margins import ObservedLoop
+from dqforge.optimizer.loops.observed_margins import DeadTimeCycle, ObservedLoop
 from dqforge.optimizer.loops.pi_methods import calmer, largest_factor, loop_advice, speed_pi
 from dqforge.optimizer.loops.plants import DisturbanceResponse, Edges, PiLoop, SpeedLoop, close_pi
+from dqforge.optimizer.observers.conditions import lost_voltage
 from dqforge.optimizer.sampled_systems import (
     ComplexArray,
     SampledSystem,
@@ -413,6 +414,8 @@ def judge_observed(
     pi = SpeedPi(speed.kp, speed.ki, settings.ratio)
     if not own.stable and observer is None and thorough:
         own = _unstable(own, drive, position, (steady, cases), (settings, slower, pi))
+    if own.stable and thorough:
+        own = replace(own, relay=_relay(design, drive, pi, slower))
     if observer is None and thorough:
         box = tracked_box(design) if position is None else corner_box(design)
         corners = judge_corners(drive, machine, pi, box, top, least)
@@ -429,6 +432,74 @@ def judge_observed(
         model=closed[worst],
         observed=own,
     )
+
+
+# What a dead time does to a loop over an observer that knows nothing of it: a relay in the voltage
+# along the current, taken as a resistance of the plant alone.
+
+_RELAY_POINTS, _BEYOND = 40, 30.0
+# Share of the current limit below which a phase takes less than its whole dead time.
+_SOFT = 0.02
+_SLOWEST = 12  # Halvings of the gain by two steps each.
+
+
+def _relay(
+    design: Design,
+    drive: ObservedDrive,
+    pi: SpeedPi,
+    slower: Callable[[float], tuple[float, float]],
+) -> DeadTimeCycle | None:
+    """The swing that a dead time keeps up without load at the lowest speed that is judged; None
+    where it keeps up none.
+    """
+    lost, machine = max(lost_voltage(design)), drive.data.machine
+    if not lost > 0.0 or machine.inertia is None:
+        return None
+    omega = float(_OBSERVED_SHARES[0]) * top_speed(design)
+    # From far beyond the current limit, where next to nothing is lost, down to where a phase takes
+    # less than its whole dead time.
+    size = np.geomspace(_BEYOND * design.i_max, _SOFT * design.i_max, _RELAY_POINTS)
+    grid = 4.0 * lost / (np.pi * size)
+    cases = drive_cases(machine, np.full(grid.shape, omega), errors={"r_s": grid / machine.r_s})
+    plants = _plants(steady_drives(drive, cases), cases.omega, pi.ratio)
+
+    def poles(plant: _Plant, gains: tuple[float, float]) -> complex:
+        return complex(plant.closed(*gains).closed.poles[0])
+
+    def swings(gains: tuple[float, float]) -> int | None:
+        """The first point that is not stable behind one that is."""
+        sizes = [abs(poles(plant, gains)) for plant in plants]
+        bad = next((n for n, radius in enumerate(sizes) if not radius < 1.0), 0)
+        return bad or None
+
+    gains = (pi.kp, pi.ki)
+    at = swings(gains)
+    if at is None:
+        return None
+    pole, period = poles(plants[at], gains), plants[at].closed(*gains).closed.t_s
+    turning = abs(float(np.angle(pole)))
+    if not turning > 0.0:
+        return None
+    # Beyond the current limit the torque is limited.
+    free = float(np.sqrt(size[at - 1] * size[at]))
+    current = min(free, design.i_max)
+    omega_cycle = turning / period
+    swing = 2.0 * machine.torque_per_ampere * current / (machine.inertia * omega_cycle)
+    found = DeadTimeCycle(
+        lost,
+        4.0 * lost / (np.pi * free),
+        current,
+        omega_cycle,
+        float(swing),
+        limited=free > design.i_max,
+    )
+    factors = (0.5 ** (0.5 * step) for step in range(1, _SLOWEST + 1))
+    factor = next((each for each in factors if swings(slower(each)) is None), None)
+    if factor is None:
+        return found
+    loop = design.control.speed_loop
+    assert loop is not None
+    return replace(found, factor=factor, advice=speed_advice(loop, slower(factor), factor))
 
 
 def _leaves(design: Design) -> float | None:

@@ -1,11 +1,11 @@
-"""The current reference in fixed point: a code of the torque in, codes of (i_d, i_q) out,
-as the emitted C has it.
+"""The current reference in fixed point: a code of the torque in, codes of (i_d, i_q) out, a step
+that is model and C.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,12 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import copper_loss
 from dqforge.machines.names import NumberFormat
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import Reals
-from dqforge.optimizer.curves.integer_polynomial import CodeArray, CodeScale, FixedPolynomial
+from dqforge.machines.transforms import N, Reals
+from dqforge.optimizer.curves.integer_polynomial import (
+    CodeScale,
+    FixedPolynomial,
+    in_code_segments,
+)
 from dqforge.optimizer.curves.single_precision import (
     SingleArray,
     SinglePolynomial,
@@ -24,6 +28,10 @@ from dqforge.optimizer.curves.single_precision import (
 )
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.steps.step_arithmetic import Arithmetic, Dq
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.steps.integer_arithmetic import Arithmetic as Codes
+    from dqforge.optimizer.steps.integer_arithmetic import CodeArray
 
 # Bits of the numbers of each fixed-point format.
 FIXED_WIDTHS: dict[NumberFormat, int] = {"q15": 16, "q31": 32}
@@ -72,10 +80,37 @@ class FixedReference:
         """Codes of (i_d, i_q) as the emitted C returns them, for any code of the torque,
         shape (N,).
         """
-        magnitude = np.minimum(np.abs(torque), self.end)
-        i_d = np.zeros_like(magnitude) if self.d is None else self.d.evaluate(magnitude)
-        i_q = self.q.evaluate(magnitude)
-        return i_d, np.where(torque < 0, -i_q, i_q)
+        from dqforge.optimizer.steps.integer_arithmetic import Integers
+
+        i_d, i_q = self.step(Integers(), torque, np.array(self.end))
+        return np.broadcast_to(i_d, torque.shape), np.broadcast_to(i_q, torque.shape)
+
+    def step(self, o: Codes[N, Any], torque: N, end: N) -> tuple[N, N]:
+        """Codes of (i_d, i_q) for any code of the torque.
+
+        Args:
+            o: The arithmetic.
+            torque: A code.
+            end: What stands for ``end``.
+        """
+        asked = o.let("asked", o.narrowed("asked", torque))
+        o.remark("Compared before the sign is turned: the least number has no opposite.")
+        least = o.narrowed("asked", o.negative(end))
+        turned = o.narrowed("asked", o.negative(o.known(asked, -self.end, 0)))
+        below = o.let("below", o.choose(o.above(least, asked), end, turned))
+        above = o.let("above", o.choose(o.above(asked, end), end, asked))
+        backwards, none = o.above(o.const(0), asked), o.const(0)
+        size = o.let("x", o.known(o.choose(backwards, below, above), 0, self.end))
+        if self.d is None:
+            (q,), d = in_code_segments(o, {"q": self.q}, size), none
+        elif self.d.starts == self.q.starts:
+            d, q = in_code_segments(o, {"d": self.d, "q": self.q}, size)
+        else:
+            ((d,), (q,)) = (
+                in_code_segments(o, {name: own}, size)
+                for name, own in (("d", self.d), ("q", self.q))
+            )
+        return d, o.choose(backwards, o.narrowed("q", o.negative(q)), q)
 
     def nearest(self, torque: NDArray[Any]) -> CodeArray:
         """Codes of torques in N m, shape (N,), saturated; not-a-number becomes 0."""

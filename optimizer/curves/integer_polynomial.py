@@ -1,5 +1,5 @@
-"""Piecewise polynomials in integer arithmetic, step by step as the emitted C computes them,
-with proven ranges.
+"""Piecewise polynomials in integer arithmetic: the step of the emitted C, over an `Arithmetic`,
+whose readings are the model and the proven ranges.
 
 A number of ``width`` bits stands for a fraction of full scale: 2^(width - 1) codes are 1.
 One step of Horner's rule is
@@ -14,24 +14,26 @@ and rounds to nearest.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import accumulate, combinations, pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
+from dqforge.machines.transforms import N
 from dqforge.optimizer.curves.single_precision import PiecewisePolynomial
 
-CodeArray = NDArray[np.int64]
+if TYPE_CHECKING:
+    # Where there is no integer polynomial, nothing of this is loaded.
+    from dqforge.optimizer.steps.integer_arithmetic import Arithmetic, CodeArray, Range, Ranges
 
 # Parts of a segment in the interval analysis: the bounds shrink towards the true ranges with their
 # number.
 _PARTS = 64
-Range = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,38 +49,44 @@ class FixedSegment:
     constants: tuple[int, ...]
     shifts: tuple[int, ...]
 
-    def evaluate(self, local: CodeArray) -> CodeArray:
-        """Results at arguments counted from ``start``, any shape, without saturation."""
-        value = np.full(local.shape, self.leading, dtype=np.int64)
-        for constant, shift in zip(self.constants, self.shifts, strict=True):
-            value = (value * local + constant) >> shift
+    def step(self, o: Arithmetic[N, Any], name: str, x: N) -> N:
+        """Its result at an argument counted from ``start``, without saturation: a wide word.
+
+        Args:
+            o: The arithmetic.
+            name: Of the result in the firmware.
+            x: The argument.
+        """
+        value, degree = o.const(self.leading), len(self.constants)
+        powers = range(degree, 0, -1)
+        for power, constant, shift in zip(powers, self.constants, self.shifts, strict=True):
+            kept = o.narrowed("value", value)
+            if power < degree:
+                kept = o.let(f"{name}_{power}", kept)
+            product = o.product("product", kept, x)
+            value = o.shifted(o.total("sum", product, o.const(constant)), shift)
         return value
 
-    def ranges(self, length: int) -> tuple[Range, Range, Range]:
-        """Proven ranges for local arguments 0 to ``length``: products and sums;
-        values between steps; results.
+    def evaluate(self, local: CodeArray) -> CodeArray:
+        """Results at arguments counted from ``start``, any shape, without saturation."""
+        from dqforge.optimizer.steps.integer_arithmetic import Integers
+
+        found = self.step(Integers(), "", local)
+        return found if found.shape == local.shape else np.full(local.shape, found)
+
+    def ranges(self, length: int, width: int) -> tuple[Ranges, Range]:
+        """Proven ranges in words of ``width`` bits for local arguments 0 to ``length``: those of
+        products, sums and values between the steps, and that of the results.
 
         Interval arithmetic in exact integers on parts of the segment.
         """
-        edges = sorted({length * part // _PARTS for part in range(_PARTS + 1)})
-        pairs = list(pairwise(edges)) or [(0, 0)]
-        found = [self._ranges(low, high) for low, high in pairs]
-        products, values, results = (
-            (min(part[kind][0] for part in found), max(part[kind][1] for part in found))
-            for kind in range(3)
-        )
-        return products, values, results
+        from dqforge.optimizer.steps.integer_arithmetic import Range, Ranges
 
-    def _ranges(self, low: int, high: int) -> tuple[Range, Range, Range]:
-        value = (self.leading, self.leading)
-        widest, between = (0, 0), value
-        for constant, shift in zip(self.constants, self.shifts, strict=True):
-            between = (min(between[0], value[0]), max(between[1], value[1]))
-            corners = [bound * x for bound in value for x in (low, high)]
-            total = (min(corners) + constant, max(corners) + constant)
-            widest = (min(widest[0], *corners, total[0]), max(widest[1], *corners, total[1]))
-            value = (total[0] >> shift, total[1] >> shift)
-        return widest, between, value
+        edges = sorted({length * part // _PARTS for part in range(_PARTS + 1)})
+        found, result = Ranges(width), list[Range]()
+        for low, high in list(pairwise(edges)) or [(0, 0)]:
+            result.append(self.step(found, "", Range(low, high)))
+        return found, Range(min(part.low for part in result), max(part.high for part in result))
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,14 +122,12 @@ class FixedPolynomial:
 
     def saturates(self) -> bool:
         """Whether the proven ranges reach beyond the largest code."""
-        ranges = [
-            segment.ranges(n)[2] for segment, n in zip(self.segments, self.lengths(), strict=True)
-        ]
-        return any(low < -self.largest or high > self.largest for low, high in ranges)
+        pairs = zip(self.segments, self.lengths(), strict=True)
+        return any(s.ranges(n, self.width)[1].largest > self.largest for s, n in pairs)
 
     def overflows(self) -> bool:
         """Whether a product or sum may leave 2 ``width`` bits, or a value between two
-        steps 2 ``width`` or 32 bits.
+        steps 32 bits.
         """
         return any(
             overflows(s, n, self.width) for s, n in zip(self.segments, self.lengths(), strict=True)
@@ -129,26 +135,60 @@ class FixedPolynomial:
 
     def evaluate(self, codes: CodeArray) -> CodeArray:
         """Codes of the results at codes from 0 to ``end``, any shape."""
-        starts = np.array(self.starts)
-        which = np.searchsorted(starts[1:], codes, side="right")
-        result = np.empty(codes.shape, dtype=np.int64)
-        for index, segment in enumerate(self.segments):
-            here = which == index
-            result[here] = segment.evaluate(codes[here] - segment.start)
-        return np.clip(result, -self.largest, self.largest)
+        from dqforge.optimizer.steps.integer_arithmetic import Integers
+
+        (found,) = in_code_segments(Integers(), {"y": self}, codes)
+        return np.broadcast_to(found, codes.shape)
+
+
+def in_code_segments(
+    o: Arithmetic[N, Any], polynomials: Mapping[str, FixedPolynomial], x: N
+) -> tuple[N, ...]:
+    """The step of polynomials on the same segments: their codes at one from 0 to their end.
+
+    Args:
+        o: The arithmetic.
+        polynomials: By the names of their results in the firmware.
+        x: The code.
+    """
+    first, *_ = polynomials.values()
+    saturating = {name for name, one in polynomials.items() if one.saturates()}
+
+    def held(name: str, value: N) -> N:
+        most = polynomials[name].largest
+        found, end = value, o.const(most)
+        if name in saturating:
+            found = o.let(f"{name}_0", value)
+        kept = o.narrowed(name, o.known(found, -most, most))
+        if name in saturating:
+            least = o.choose(o.above(o.const(-most), found), o.const(-most), kept)
+            kept = o.narrowed(name, o.choose(o.above(found, end), end, least))
+        return kept
+
+    def within(number: int) -> Callable[[], tuple[N, ...]]:
+        def found() -> tuple[N, ...]:
+            start, length = first.starts[number], first.lengths()[number]
+            local = o.known(x, start, start + length)
+            if number:
+                local = o.narrowed("local", o.total("local", local, o.const(-start)))
+                local = o.let("local", local)
+            parts = polynomials.items()
+            return tuple(held(n, p.segments[number].step(o, n, local)) for n, p in parts)
+
+        return found
+
+    *branches, last = map(within, range(len(first.starts)))
+    if not branches:
+        return tuple(o.let(name, part) for name, part in zip(polynomials, last(), strict=True))
+    ends = (o.above(o.const(start), x) for start in first.starts[1:])
+    return o.cases(tuple(polynomials), *zip(ends, branches, strict=True), otherwise=last)
 
 
 def overflows(segment: FixedSegment, length: int, width: int) -> bool:
     """Whether some local argument up to ``length`` may overflow: products 2 ``width`` bits,
-    values at most 32 bits.
+    values 32 bits.
     """
-    products, values, _ = segment.ranges(length)
-    return not (_fits(products, 2 * width) and _fits(values, min(2 * width, 32)))
-
-
-def _fits(reach: Range, bits: int) -> bool:
-    limit = 1 << (bits - 1)
-    return -limit <= reach[0] and reach[1] < limit
+    return segment.ranges(length, width)[0].overflowing() is not None
 
 
 # Fits in integer arithmetic: scales for every step, then a search among the integers by
@@ -294,10 +334,10 @@ def _changes(degree: int, length: int) -> FloatArray:
 class _Segment:
     """What the integers of one segment are judged by.
 
-    ``exact`` are the wanted results in codes at the codes ``local``. ``seams`` are the real values
-    at the first code and at the one behind the last where a continuous fit has neighbours: each
-    side of a breakpoint takes one of the two integers next to it. ``at_zero`` asks for nothing at
-    the first code.
+    ``exact`` are the wanted results in codes at the codes ``local``, but for the last two of these:
+    the first code and the one behind the last. ``seams`` are the real values there where a
+    continuous fit has neighbours: each side of a breakpoint takes one of the two integers next to
+    it. ``at_zero`` asks for nothing at the first code.
     """
 
     start: int
@@ -329,9 +369,8 @@ class _Segment:
     def error(self, segment: FixedSegment) -> float:
         """Largest error in codes, raised where a side condition is broken."""
         value = segment.evaluate(self.local)
-        error = float(np.max(np.abs(value - self.exact)))
-        ends = segment.evaluate(np.array([0, self.length + 1]))
-        for end, seam in zip(ends.tolist(), self.seams, strict=True):
+        error = float(np.max(np.abs(value[:-2] - self.exact)))
+        for end, seam in zip(value[-2:].tolist(), self.seams, strict=True):
             if seam is not None and abs(end - seam) >= 1.0:
                 error += _BROKEN * abs(end - seam)
         if self.at_zero:
@@ -449,7 +488,7 @@ def fit_fixed(
             length=length,
             width=scale.width,
             scales=_safe_scales(in_codes, length, scale.width),
-            local=local,
+            local=np.append(local, [0, length + 1]),
             exact=curve(scale.arguments(start + local)) * (scale.one / scale.result),
             seams=(
                 float(in_codes[0]) if segments and continuous else None,

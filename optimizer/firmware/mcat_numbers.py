@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from decimal import ROUND_HALF_UP, Decimal
 
 from dqforge.machines.records import dataclass
+from dqforge.machines.units.quantities import half_digit
 from dqforge.optimizer.firmware.configuration import OwnValue
 
 # Names of MCAT: its inputs by section, and its macros by section, in the order of its files.
@@ -392,9 +393,7 @@ def half_step(value: float, places: int | None = None) -> float:
     """
     if places is not None:
         return 0.5 * 10.0**-places
-    if value == 0.0:
-        return 0.5 * 10.0**-DIGITS
-    return 0.5 * 10.0 ** (math.floor(math.log10(abs(value))) - DIGITS + 1)
+    return half_digit(value, DIGITS)
 
 
 def _places(value: float) -> int:

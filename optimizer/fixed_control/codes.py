@@ -20,7 +20,8 @@ from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N
-from dqforge.optimizer.fixed_control.arithmetic import (
+from dqforge.optimizer.steps.code_vectors import Abc, AlphaBeta, Dq, Rotation, Turned
+from dqforge.optimizer.steps.integer_arithmetic import (
     Arithmetic,
     Integers,
     larger,
@@ -28,7 +29,6 @@ from dqforge.optimizer.fixed_control.arithmetic import (
     rounded,
     saturated,
 )
-from dqforge.optimizer.fixed_control.vectors import Abc, AlphaBeta, Dq, Rotation, Turned
 
 # Those of the package's modulators that there are in integers: all.
 FIXED_MODULATORS: tuple[ModulationName, ...] = tuple(MODULATORS)

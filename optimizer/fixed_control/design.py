@@ -16,7 +16,6 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import in_rpm, linear_voltage
 from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
-from dqforge.optimizer.fixed_control.arithmetic import Reach
 from dqforge.optimizer.fixed_control.codes import full_scale, sine_error
 from dqforge.optimizer.fixed_control.ranges import (
     DeadBand,
@@ -46,6 +45,7 @@ from dqforge.optimizer.loops.loop_gains import (
     per_unit,
 )
 from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
+from dqforge.optimizer.steps.integer_arithmetic import Reach
 
 DC_HEADROOM = 1.15  # of the dc link over its nominal value that its full scale holds at least
 

@@ -13,7 +13,6 @@ from dataclasses import replace
 
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, Reach, scaled
 from dqforge.optimizer.fixed_control.codes import (
     code_clarke,
     code_clarke_inverse,
@@ -46,8 +45,9 @@ from dqforge.optimizer.fixed_control.transforms import (
     speed_loop,
     speed_loop_gains,
 )
-from dqforge.optimizer.fixed_control.vectors import Abc, AlphaBeta, Dq
 from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.steps.code_vectors import Abc, AlphaBeta, Dq
+from dqforge.optimizer.steps.integer_arithmetic import Range, Ranges, Reach, scaled
 
 
 @dataclass(frozen=True, slots=True)

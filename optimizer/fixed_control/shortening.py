@@ -22,8 +22,8 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N
-from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, larger, magnitude, rounded
-from dqforge.optimizer.fixed_control.vectors import Dq
+from dqforge.optimizer.steps.code_vectors import Dq
+from dqforge.optimizer.steps.integer_arithmetic import Arithmetic, larger, magnitude, rounded
 
 RECIPROCAL_DEGREE, ROOT_DEGREE = 3, 4
 

@@ -17,14 +17,6 @@ from dqforge.machines.modulation.registry import MODULATORS, zero_sequence_of
 from dqforge.machines.names import ModulationName, NumberFormat
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair, Triple
-from dqforge.optimizer.fixed_control.arithmetic import (
-    Arithmetic,
-    larger,
-    magnitude,
-    rounded,
-    saturated,
-    scaled,
-)
 from dqforge.optimizer.fixed_control.codes import (
     Codes,
     TurnSteps,
@@ -46,7 +38,8 @@ from dqforge.optimizer.fixed_control.shortening import (
     root_seed,
     shortened,
 )
-from dqforge.optimizer.fixed_control.vectors import (
+from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.steps.code_vectors import (
     CODE,
     COUNT,
     FEW,
@@ -59,8 +52,15 @@ from dqforge.optimizer.fixed_control.vectors import (
     Rotation,
     Turned,
 )
-from dqforge.optimizer.loops.integer_gains import FixedGain
-from dqforge.optimizer.steps.step_arithmetic import Member
+from dqforge.optimizer.steps.integer_arithmetic import (
+    Arithmetic,
+    larger,
+    magnitude,
+    rounded,
+    saturated,
+    scaled,
+)
+from dqforge.optimizer.steps.step_arithmetic import Member, where
 
 PiForm = Literal["parallel", "velocity"]
 
@@ -535,12 +535,7 @@ def speed_loop(
         found = o.call(pi_step, gains.speed, state.speed, error, o.const(gains.torque_max))
         state.torque = o.let("torque", found)
 
-    o.cases(
-        "",
-        (o.equal(state.count, o.const(0)), controlled),
-        otherwise=lambda: None,
-        changing=(state, state.speed),
-    )
+    where(o, o.equal(state.count, o.const(0)), controlled, state, state.speed)
     count = o.let("count", o.total("speed: count", state.count, o.const(1)))
     again = o.at_least(count, o.const(gains.ratio))
     state.count = o.choose(again, o.const(0), count)

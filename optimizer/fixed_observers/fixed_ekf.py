@@ -17,9 +17,7 @@ from typing import Annotated, Any
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import C, N, Pair
-from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, Range, rounded
 from dqforge.optimizer.fixed_control.codes import rotation
-from dqforge.optimizer.fixed_control.vectors import Dq
 from dqforge.optimizer.fixed_observers.fixed_sampled_machine import (
     FixedSampled,
     combined_currents,
@@ -52,6 +50,8 @@ from dqforge.optimizer.fixed_observers.kit import (
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.ekf import EkfGains
 from dqforge.optimizer.observers.sampled_machine import EVEN
+from dqforge.optimizer.steps.code_vectors import Dq
+from dqforge.optimizer.steps.integer_arithmetic import Arithmetic, Range, rounded
 from dqforge.optimizer.steps.step_arithmetic import Member
 
 ANGLE_BITS = 2  # An angle of the covariance has 2^2 rad of full scale.

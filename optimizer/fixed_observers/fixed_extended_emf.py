@@ -6,9 +6,7 @@ from typing import Annotated, Any
 
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair
-from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded, scaled
 from dqforge.optimizer.fixed_control.codes import rotation
-from dqforge.optimizer.fixed_control.vectors import Dq
 from dqforge.optimizer.fixed_observers.kit import (
     WIDTH,
     FixedMethod,
@@ -37,6 +35,8 @@ from dqforge.optimizer.fixed_observers.kit import (
 )
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.extended_emf import EemfGains
+from dqforge.optimizer.steps.code_vectors import Dq
+from dqforge.optimizer.steps.integer_arithmetic import Arithmetic, rounded, scaled
 from dqforge.optimizer.steps.step_arithmetic import Member
 
 _FACTOR_BITS = 30

@@ -6,8 +6,6 @@ from typing import Annotated, Any
 
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair
-from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, Range, rounded, scaled
-from dqforge.optimizer.fixed_control.vectors import Dq
 from dqforge.optimizer.fixed_observers.fixed_sampled_machine import (
     ANGLE_ROOM,
     SPEED_ROOM,
@@ -36,6 +34,8 @@ from dqforge.optimizer.fixed_observers.kit import (
 )
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.matsui_voltage import MatsuiVoltageGains
+from dqforge.optimizer.steps.code_vectors import Dq
+from dqforge.optimizer.steps.integer_arithmetic import Arithmetic, Range, rounded, scaled
 from dqforge.optimizer.steps.step_arithmetic import Member
 
 MOST_BEHIND = 16 * ONE  # Limit in codes of the low-pass speed less the one that turns the frame.

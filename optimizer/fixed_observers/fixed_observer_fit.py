@@ -16,14 +16,6 @@ from dqforge.machines.names import NumberFormat
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair
 from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
-from dqforge.optimizer.fixed_control.arithmetic import (
-    Arithmetic,
-    Range,
-    Ranges,
-    Reach,
-    rounded,
-    scaled,
-)
 from dqforge.optimizer.fixed_control.codes import TurnSteps, rotation, sine_error, turn_steps
 from dqforge.optimizer.fixed_control.design import require_scales
 from dqforge.optimizer.fixed_control.ranges import codes, require
@@ -64,6 +56,14 @@ from dqforge.optimizer.fixed_observers.kit import (
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.tuning import PositionObserver
+from dqforge.optimizer.steps.integer_arithmetic import (
+    Arithmetic,
+    Range,
+    Ranges,
+    Reach,
+    rounded,
+    scaled,
+)
 from dqforge.optimizer.steps.step_arithmetic import Member
 
 

@@ -9,9 +9,7 @@ import numpy as np
 
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair
-from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded, scaled
 from dqforge.optimizer.fixed_control.codes import rotation
-from dqforge.optimizer.fixed_control.vectors import Dq
 from dqforge.optimizer.fixed_observers.kit import (
     ONE,
     WIDTH,
@@ -39,6 +37,8 @@ from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.matsui import ShownGains
 from dqforge.optimizer.observers.methods.matsui_current import MatsuiCurrentGains
 from dqforge.optimizer.observers.sampled_machine import EVEN, SampledGains
+from dqforge.optimizer.steps.code_vectors import Dq
+from dqforge.optimizer.steps.integer_arithmetic import Arithmetic, rounded, scaled
 from dqforge.optimizer.steps.step_arithmetic import Member
 
 _ENTRY_BITS = 29

@@ -23,7 +23,13 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair, park, park_inverse
-from dqforge.optimizer.fixed_control.arithmetic import (
+from dqforge.optimizer.fixed_control.codes import Codes, full_scale, rotation
+from dqforge.optimizer.loops.integer_gains import FixedGain, quantise
+from dqforge.optimizer.observers.methods.flux_gains import FluxPath
+from dqforge.optimizer.observers.methods.open_loop_flux import OpenLoopFluxGains
+from dqforge.optimizer.observers.pll import PllGains
+from dqforge.optimizer.steps.code_vectors import Dq
+from dqforge.optimizer.steps.integer_arithmetic import (
     Arithmetic,
     CodeArray,
     Integers,
@@ -33,12 +39,6 @@ from dqforge.optimizer.fixed_control.arithmetic import (
     rounded,
     scaled,
 )
-from dqforge.optimizer.fixed_control.codes import Codes, full_scale, rotation
-from dqforge.optimizer.fixed_control.vectors import Dq
-from dqforge.optimizer.loops.integer_gains import FixedGain, quantise
-from dqforge.optimizer.observers.methods.flux_gains import FluxPath
-from dqforge.optimizer.observers.methods.open_loop_flux import OpenLoopFluxGains
-from dqforge.optimizer.observers.pll import PllGains
 from dqforge.optimizer.steps.step_arithmetic import Member
 
 WIDTH = 32  # Bits of every code inside an observer.

@@ -13,7 +13,6 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import largest_phase_voltage
 from dqforge.machines.transforms import clarke_matrix
-from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, Reach
 from dqforge.optimizer.fixed_control.codes import sine_error
 from dqforge.optimizer.fixed_control.design import (
     DC_HEADROOM,
@@ -24,7 +23,6 @@ from dqforge.optimizer.fixed_control.design import (
     torque_code,
 )
 from dqforge.optimizer.fixed_control.ranges import codes, pi_ranges, require, speed_ranges
-from dqforge.optimizer.fixed_control.vectors import Abc, Dq
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedAxis,
     FixedHarmonic,
@@ -39,6 +37,8 @@ from dqforge.optimizer.fixed_phase_control.phase_step import PhaseSteps
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.phase_control.phase_controller import AxisGains, PhaseControl
+from dqforge.optimizer.steps.code_vectors import Abc, Dq
+from dqforge.optimizer.steps.integer_arithmetic import Range, Ranges, Reach
 
 _FLUX_ROOM = 1.05  # of the full scale of the flux over the largest value of any axis
 

@@ -22,7 +22,8 @@ from dqforge.optimizer.fixed_control.transforms import (
     PiGains,
     speed_loop_gains,
 )
-from dqforge.optimizer.fixed_control.vectors import (
+from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.steps.code_vectors import (
     CODE,
     COUNT,
     FEW,
@@ -32,7 +33,6 @@ from dqforge.optimizer.fixed_control.vectors import (
     Coded,
     Turned,
 )
-from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.steps.step_arithmetic import Member
 
 

@@ -11,16 +11,7 @@ from typing import Annotated, Any
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import TOPOLOGIES, TopologyRule
 from dqforge.machines.transforms import N
-from dqforge.optimizer.fixed_control.arithmetic import (
-    Arithmetic,
-    larger,
-    rounded,
-    saturated,
-)
 from dqforge.optimizer.fixed_control.transforms import duty
-from dqforge.optimizer.fixed_control.vectors import (
-    Filling,
-)
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedPhaseControl,
     Vector,
@@ -28,6 +19,15 @@ from dqforge.optimizer.fixed_phase_control.integers import (
 )
 from dqforge.optimizer.fixed_phase_control.reference_steps import (
     bounded,
+)
+from dqforge.optimizer.steps.code_vectors import (
+    Filling,
+)
+from dqforge.optimizer.steps.integer_arithmetic import (
+    Arithmetic,
+    larger,
+    rounded,
+    saturated,
 )
 
 COARSE = 3  # bits that a voltage beyond full scale is lowered by before it is shortened

@@ -12,13 +12,6 @@ from typing import Annotated, Any
 
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N
-from dqforge.optimizer.fixed_control.arithmetic import (
-    Arithmetic,
-    magnitude,
-    rounded,
-    saturated,
-    scaled,
-)
 from dqforge.optimizer.fixed_control.codes import (
     Codes,
     code_clarke,
@@ -27,14 +20,6 @@ from dqforge.optimizer.fixed_control.codes import (
     rotation,
 )
 from dqforge.optimizer.fixed_control.transforms import speed_loop
-from dqforge.optimizer.fixed_control.vectors import (
-    Abc,
-    AlphaBeta,
-    Coded,
-    Dq,
-    Filling,
-    Rotation,
-)
 from dqforge.optimizer.fixed_phase_control.integers import (
     Axis,
     Control,
@@ -57,6 +42,22 @@ from dqforge.optimizer.fixed_phase_control.reference_steps import (
     zero,
 )
 from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.steps.code_vectors import (
+    Abc,
+    AlphaBeta,
+    Coded,
+    Dq,
+    Filling,
+    Rotation,
+)
+from dqforge.optimizer.steps.integer_arithmetic import (
+    Arithmetic,
+    magnitude,
+    rounded,
+    saturated,
+    scaled,
+)
+from dqforge.optimizer.steps.step_arithmetic import where
 
 
 @dataclass(frozen=True, slots=True)
@@ -433,24 +434,17 @@ class PhaseSteps:
         v = o.let("v", o.call(legs.shortened, asked, coarse, share))
         seen = self._seen(o, gains, theta, electrical, (plane, upright))
         whole = o.above(share, o.const(control.top))
-        o.cases(
-            "",
-            (whole, lambda: self._integrals(o, gains, state, seen)),
-            otherwise=lambda: None,
-            changing=(state,),
-        )
+        where(o, whole, lambda: self._integrals(o, gains, state, seen), state)
         if control.harmonics:
             size = o.total("harmonic: sum of errors", *(o.call(magnitude, x) for x in error))
             small = o.at_least(o.const(control.error_max), size)
             whole = o.above(share, o.const(control.top))
-            o.cases(
-                "",
-                (
-                    o.every(whole, small),
-                    lambda: self._learn(o, state, turning, plane, upright),
-                ),
-                otherwise=lambda: None,
-                changing=(state, *state.harmonic),
+            where(
+                o,
+                o.every(whole, small),
+                lambda: self._learn(o, state, turning, plane, upright),
+                state,
+                *state.harmonic,
             )
         state.v, state.reference = v, now
         last = () if measured.v_m is None else (measured.v_m,)

@@ -9,27 +9,12 @@ from typing import Annotated, Any
 
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N
-from dqforge.optimizer.fixed_control.arithmetic import (
-    Arithmetic,
-    magnitude,
-    rounded,
-    saturated,
-    scaled,
-)
 from dqforge.optimizer.fixed_control.codes import (
     Codes,
     code_clarke,
     code_clarke_inverse,
     code_park_inverse,
     rotation,
-)
-from dqforge.optimizer.fixed_control.vectors import (
-    FEW,
-    Abc,
-    AlphaBeta,
-    Coded,
-    Dq,
-    Turned,
 )
 from dqforge.optimizer.fixed_phase_control.integers import (
     Axis,
@@ -41,6 +26,21 @@ from dqforge.optimizer.fixed_phase_control.integers import (
     Vector,
 )
 from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.steps.code_vectors import (
+    FEW,
+    Abc,
+    AlphaBeta,
+    Coded,
+    Dq,
+    Turned,
+)
+from dqforge.optimizer.steps.integer_arithmetic import (
+    Arithmetic,
+    magnitude,
+    rounded,
+    saturated,
+    scaled,
+)
 
 
 def zero(o: Arithmetic[N, Any], width: int, x: Abc[N]) -> Coded[N]:

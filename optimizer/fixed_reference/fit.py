@@ -18,12 +18,12 @@ from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.forms import FIXED_WIDTHS
 from dqforge.optimizer.field_weakening.form import WeakeningRegion
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE, VoltageRegion
-from dqforge.optimizer.fixed_control.arithmetic import BoolArray, CodeArray, Integers, Ranges, Reach
 from dqforge.optimizer.fixed_control.ranges import codes, require
 from dqforge.optimizer.fixed_reference.mesh import CurrentMesh, VoltageScale
 from dqforge.optimizer.loops.integer_gains import FixedGain, quantise
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
+from dqforge.optimizer.steps.integer_arithmetic import BoolArray, CodeArray, Integers, Ranges, Reach
 
 if TYPE_CHECKING:
     from dqforge.optimizer.current_reference.fit import ReferenceFit

@@ -22,9 +22,9 @@ from typing import Any, Generic
 from dqforge.machines.names import NumberFormat
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N
-from dqforge.optimizer.fixed_control.arithmetic import Arithmetic
-from dqforge.optimizer.fixed_control.vectors import Coded, Counted, Dq
 from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.steps.code_vectors import Coded, Counted, Dq
+from dqforge.optimizer.steps.integer_arithmetic import Arithmetic
 
 
 @dataclass(frozen=True, slots=True)

@@ -145,8 +145,9 @@ def _long_run(scores: FloatArray, series: Groups) -> FloatArray:
     """
     parts = [scores[series == label] for label in np.unique(series)]
     now = sum(np.sum(part[1:] * part[:-1], axis=0) for part in parts)
-    before = sum(np.sum(part[:-1] ** 2, axis=0) for part in parts)
-    slow = np.clip(now / np.maximum(before, 1e-300), -_SLOWEST, _SLOWEST)
+    # Both ends count half, as of Burg: else a single score at the end makes the whole slow.
+    whole = sum(np.sum(part[:-1] ** 2 + part[1:] ** 2, axis=0) for part in parts)
+    slow = np.clip(2.0 * now / np.maximum(whole, 1e-300), -_SLOWEST, _SLOWEST)
     meat = np.zeros((scores.shape[1], scores.shape[1]))
     for part in parts:
         if part.shape[0] < 2:

@@ -14,7 +14,34 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.bench.bench_file import Bench, LoggedRun
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
+from dqforge.optimizer.identification.correlated_errors import Groups
+from dqforge.optimizer.identification.flux_points import (
+    FluxFit,
+    FluxRows,
+    analyse_points,
+    points_fault,
+)
+from dqforge.optimizer.identification.inverter_curve import (
+    InverterTable,
+    analyse_table,
+    table_fault,
+)
 from dqforge.optimizer.identification.parameters import Analysis, Parameter
+from dqforge.optimizer.identification.shaft_tests import (
+    Bursts,
+    OffsetCurve,
+    OffsetSweep,
+    SpinDown,
+    VoltageSteps,
+    analyse_bursts,
+    analyse_offsets,
+    analyse_spin,
+    analyse_steps,
+    bursts_fault,
+    offset_fault,
+    spin_fault,
+    steps_fault,
+)
 from dqforge.optimizer.identification.speed_sweep import Sweep, analyse_sweep, sweep_fault
 from dqforge.optimizer.identification.voltage_terms import SteadyRows, analyse_rows, rows_fault
 
@@ -32,7 +59,7 @@ class Identification:
     """What the runs of a bench say.
 
     ``parameters`` are those of all analyses, each once; ``contradictions`` sentences on what cannot
-    be, for which nothing may be taken into a design.
+    be, for which nothing may be taken into a design; ``flux`` is the flux map of ``flux-points``.
     """
 
     bench: Bench
@@ -40,6 +67,7 @@ class Identification:
     parameters: tuple[Parameter, ...]
     remarks: tuple[str, ...]
     contradictions: tuple[str, ...]
+    flux: FluxFit | None = None
 
     def of(self, key: str) -> Parameter | None:
         """A parameter by its key."""
@@ -55,11 +83,20 @@ def identify(bench: Bench) -> Identification:
     """
     faults: list[NoSolutionError] = []
     analyses: list[Analysis] = []
+    flux: FluxFit | None = None
     for runs in _together(bench.runs):
         try:
-            analyses.append(_believed(_ANALYSES[runs[0].kind](bench, runs)))
+            # What divides by nothing, or has no inverse, is a matter of the rows.
+            with np.errstate(divide="raise", invalid="raise", over="raise"):
+                if runs[0].kind == "flux-points":
+                    flux = _flux(bench, runs)
+                    analyses.append(flux.analysis)
+                else:
+                    analyses.append(_believed(_ANALYSES[runs[0].kind](bench, runs)))
         except NoSolutionError as fault:
             faults.append(fault)
+        except (ArithmeticError, np.linalg.LinAlgError):
+            faults.append(refused(runs[0], _UNDETERMINED))
     if faults:
         first, *others = faults
         first.others = tuple(others)
@@ -71,7 +108,12 @@ def identify(bench: Bench) -> Identification:
     told = [text for run in bench.runs for text in run.remarks]
     told += [text for analysis in analyses for text in analysis.remarks]
     return Identification(
-        bench, tuple(analyses), tuple(parameters), (*told, *remarks), tuple(contradictions)
+        bench,
+        tuple(analyses),
+        tuple(parameters),
+        (*told, *remarks),
+        tuple(contradictions),
+        flux,
     )
 
 
@@ -88,8 +130,13 @@ def _believed(analysis: Analysis) -> Analysis:
     return replace(analysis, parameters=parameters)
 
 
+_UNDETERMINED = (
+    "its rows do not determine what a run of this kind holds: columns that stand still, or are in "
+    "step with each other; check them"
+)
+
 # Kinds whose runs are fitted together: the parameters are the same, the series are parted.
-_JOINT = ("constant-speed", "offset-sweep", "voltage-speed")
+_JOINT = ("constant-speed", "flux-points", "offset-sweep", "voltage-speed")
 
 
 def _together(runs: Sequence[LoggedRun]) -> list[list[LoggedRun]]:
@@ -98,7 +145,8 @@ def _together(runs: Sequence[LoggedRun]) -> list[list[LoggedRun]]:
     for run in runs:
         joint = run.kind in _JOINT
         columns = tuple(sorted(run.parts[0].columns)) if run.kind == "constant-speed" else ()
-        key = (run.kind, columns, run.voltage) if joint else (run.kind, run.index)
+        voltage = None if run.kind == "flux-points" else run.voltage
+        key = (run.kind, columns, voltage) if joint else (run.kind, run.index)
         found.setdefault(key, []).append(run)
     return list(found.values())
 
@@ -143,28 +191,53 @@ def _sweep(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
     return analyse_sweep(sweep, _known_values(bench, runs).get("magnet_flux"))
 
 
-def _rows(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
-    series = np.concatenate(
-        [np.full(run.parts[0].rows.size, place) for place, run in enumerate(runs)]
+def _series(runs: Sequence[LoggedRun]) -> Groups:
+    """Place of each row's run, shape (N,)."""
+    return np.concatenate(
+        [np.full(run.parts[0].rows.size, place, dtype=np.intp) for place, run in enumerate(runs)]
     )
 
-    def joined(quantity: str) -> FloatArray | None:
-        parts = [run.column(quantity) for run in runs]
-        whole = [part for part in parts if part is not None]
-        return np.concatenate(whole) if len(whole) == len(runs) else None
 
+def _joined(runs: Sequence[LoggedRun], quantity: str) -> FloatArray | None:
+    """A quantity over the rows of all runs; None where not all have it."""
+    parts = [run.column(quantity) for run in runs]
+    whole = [part for part in parts if part is not None]
+    return np.concatenate(whole) if len(whole) == len(runs) else None
+
+
+def _flux(bench: Bench, runs: Sequence[LoggedRun]) -> FluxFit:
+    i_d, i_q, u_d, u_q, speed = (
+        np.concatenate([run.need(quantity) for run in runs])
+        for quantity in ("i_d", "i_q", "u_d", "u_q", "speed")
+    )
+    rows = FluxRows(
+        tuple(run.name for run in runs),
+        _series(runs),
+        i_d + 1j * i_q,
+        u_d + 1j * u_q,
+        bench.pole_pairs * speed,
+        _joined(runs, "temperature"),
+        any(run.voltage == "reference" for run in runs),
+    )
+    why = points_fault(rows)
+    if why:
+        raise refused(runs[0], why)
+    return analyse_points(rows)
+
+
+def _rows(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
     speed, i_q, u_q = (
         np.concatenate([run.need(quantity) for run in runs]) for quantity in ("speed", "i_q", "u_q")
     )
     rows = SteadyRows(
         tuple(run.name for run in runs),
-        series,
+        _series(runs),
         bench.pole_pairs * speed,
         i_q,
         u_q,
-        joined("i_d"),
-        joined("u_d"),
-        joined("temperature"),
+        _joined(runs, "i_d"),
+        _joined(runs, "u_d"),
+        _joined(runs, "temperature"),
     )
     why = rows_fault(rows)
     if why:
@@ -172,9 +245,82 @@ def _rows(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
     return analyse_rows(rows, _known_values(bench, runs), reference=runs[0].voltage == "reference")
 
 
+def _offsets(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+    sweeps = []
+    for run in runs:
+        curves = []
+        for part in run.parts:
+            offset = part.columns.get("encoder_offset")
+            curves += [
+                OffsetCurve(quantity, offset, values)
+                for quantity, values in part.columns.items()
+                if quantity in ("u_d", "u_q", "psi_d", "psi_q") and offset is not None
+            ]
+        speed = run.constants.get("speed")
+        if speed is None:
+            found = run.column("speed")
+            speed = math.nan if found is None else float(np.mean(found))
+        sweep = OffsetSweep(run.name, speed, tuple(curves))
+        why = offset_fault(sweep) if curves else "no curve of u_d, u_q, psi_d or psi_q"
+        if why:
+            raise refused(run, why)
+        sweeps.append(sweep)
+    return analyse_offsets(sweeps, bench.pole_pairs, _known_values(bench, runs).get("magnet_flux"))
+
+
+def _voltage_steps(_bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+    steps = []
+    for run in runs:
+        columns = (run.need(name) for name in ("time", "voltage", "speed"))
+        steps.append(VoltageSteps(run.name, *columns))
+        why = steps_fault(steps[-1])
+        if why:
+            raise refused(run, why)
+    return analyse_steps(steps)
+
+
+def _bursts(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+    (run,) = runs
+    current = run.column("current")
+    bursts = Bursts(
+        run.name,
+        run.need("time"),
+        run.need("i_q") if current is None else current,
+        run.need("torque"),
+    )
+    why = bursts_fault(bursts)
+    if why:
+        raise refused(run, why)
+    known = _known_values(bench, runs).get("magnet_flux")
+    return analyse_bursts(bursts, bench.pole_pairs, known)
+
+
+def _spin(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+    (run,) = runs
+    spin = SpinDown(run.name, run.need("time"), run.need("speed"))
+    why = spin_fault(spin)
+    if why:
+        raise refused(run, why)
+    return analyse_spin(spin, bench.known["inertia"])
+
+
+def _inverter(_bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+    (run,) = runs
+    table = InverterTable(run.name, run.need("current"), run.need("voltage"))
+    why = table_fault(table)
+    if why:
+        raise refused(run, why)
+    return analyse_table(table)
+
+
 _ANALYSES: dict[str, Callable[[Bench, Sequence[LoggedRun]], Analysis]] = {
     "speed-sweep": _sweep,
     "constant-speed": _rows,
+    "offset-sweep": _offsets,
+    "voltage-speed": _voltage_steps,
+    "locked-torque": _bursts,
+    "spin-down": _spin,
+    "inverter-table": _inverter,
 }
 
 

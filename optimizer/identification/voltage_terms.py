@@ -50,10 +50,12 @@ _SMOOTH = 0.02
 _NONE = 0.05
 # Residuals below this share of a voltage are rounding and no noise.
 _LEAST_NOISE = 1e-9
+# Three rows for each of the usual terms.
+_LEAST_ROWS = 18
 # Of one quadrant where fewer rows than this share are of another.
 _FEW = 0.05
 
-_TERMS: Mapping[str, tuple[str, str]] = {
+TERMS: Mapping[str, tuple[str, str]] = {
     "resistance": ("phase resistance", "Ohm"),
     "resistance_slope": ("change of the resistance with temperature", "Ohm/K"),
     "magnet_flux": ("magnet flux linkage", "Wb"),
@@ -129,7 +131,8 @@ class _Model:
         return _Model(columns, values, self.series, self.axis, self.mean_temperature, scale)
 
 
-def _model(rows: SteadyRows) -> _Model:
+def voltage_columns(rows: SteadyRows) -> dict[str, FloatArray]:
+    """Columns by term over the rows of u_q, then those of u_d where it was logged."""
     i_d = np.zeros_like(rows.i_q) if rows.i_d is None else rows.i_d
     whole = np.hypot(rows.current, _SMOOTH * max(float(rows.current.max()), 1e-12))
     zero, one = np.zeros_like(i_d), np.ones_like(i_d)
@@ -145,15 +148,17 @@ def _model(rows: SteadyRows) -> _Model:
     if rows.u_d is not None:
         by_term["inductance_q"] = (zero, -rows.omega_e * rows.i_q)
         by_term["offset_d"] = (zero, one)
-    mean = None
     if rows.temperature is not None:
-        mean = float(rows.temperature.mean())
-        warmer = rows.temperature - mean
+        warmer = rows.temperature - rows.temperature.mean()
         by_term["resistance_slope"] = (warmer * rows.i_q, warmer * i_d)
     axes = (0, 1) if rows.u_d is not None else (0,)
-    columns = {
-        term: np.concatenate([pair[axis] for axis in axes]) for term, pair in by_term.items()
-    }
+    return {term: np.concatenate([pair[axis] for axis in axes]) for term, pair in by_term.items()}
+
+
+def _model(rows: SteadyRows) -> _Model:
+    columns = voltage_columns(rows)
+    axes = (0, 1) if rows.u_d is not None else (0,)
+    mean = None if rows.temperature is None else float(rows.temperature.mean())
     values = np.concatenate([each for each in (rows.u_q, rows.u_d) if each is not None])
     axis = np.repeat(np.array(axes, dtype=np.intp), rows.u_q.size)
     series = np.tile(rows.series, len(axes)) + axis * len(rows.runs)
@@ -190,6 +195,8 @@ def _regression(model: _Model, terms: Sequence[str]) -> Regression:
 
 def rows_fault(rows: SteadyRows) -> str:
     """Why rows say nothing, '' where they do."""
+    if rows.u_q.size < _LEAST_ROWS:
+        return f"{rows.u_q.size} rows for up to {len(_TERMS)} terms; it needs {_LEAST_ROWS}"
     if float(rows.current.max()) <= 0.0:
         return "no current flows in any row, which gives no resistance"
     if float(np.ptp(rows.omega_e)) == 0.0 and float(np.max(np.abs(rows.omega_e))) == 0.0:
@@ -240,7 +247,7 @@ def analyse_rows(
     covariance = fit.covariance
     parameters = with_partners(parameters, covariance)
     parameters, covariance = _with_coefficient(rows, model, terms, fit, parameters, covariance)
-    absent = [_absent(term, rows, open_terms) for term in _TERMS if term not in terms]
+    absent = [_absent(term, rows, open_terms) for term in TERMS if term not in terms]
     absent.append(_angle())
     whole = len(parameters) + len(absent)
     padded = np.full((whole, whole), np.nan)
@@ -253,14 +260,14 @@ def analyse_rows(
         tuple(_residuals(rows, model, fit)),
         tuple(remarks),
         tuple(contradictions),
-        tuple(_TERMS[term][0] for term in terms),
+        tuple(TERMS[term][0] for term in terms),
     )
 
 
 def _parameter(
     rows: SteadyRows, model: _Model, term: str, place: int, fit: _Found, reason: str
 ) -> Parameter:
-    label, unit = _TERMS[term]
+    label, unit = TERMS[term]
     if term == "resistance" and model.mean_temperature is not None:
         label = f"{label} at {model.mean_temperature:.0f} degC"
     return judged(
@@ -350,7 +357,7 @@ def _absent(term: str, rows: SteadyRows, open_terms: Sequence[str]) -> Parameter
         why = _narrow(rows)
     elif term not in open_terms:
         why = "the voltages are measured: they hold no error of the inverter"
-    return unknown((term, *_TERMS[term]), why)
+    return unknown((term, *TERMS[term]), why)
 
 
 def _angle() -> Parameter:

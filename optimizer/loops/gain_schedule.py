@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,16 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import CURRENT_DELAY
+from dqforge.machines.transforms import CURRENT_DELAY, Reals
 from dqforge.optimizer.curves.fitting import Curve, SideConditions, fit_curve
-from dqforge.optimizer.curves.single_precision import MultiplyAdd, SingleArray, multiply_add
+from dqforge.optimizer.curves.single_precision import (
+    SingleArray,
+    between,
+    compiled,
+    horner,
+    in_segments,
+    rest,
+)
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
 from dqforge.optimizer.loops.pi_methods import (
@@ -34,6 +41,7 @@ from dqforge.optimizer.loops.pi_methods import (
 )
 from dqforge.optimizer.loops.robustness import Axis, BoxPoints, DriveBox, LoopRobustness, summarise
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
+from dqforge.optimizer.steps.step_arithmetic import Arithmetic
 
 FloatArray = NDArray[np.float64]
 TOLERANCE = 0.02  # Largest relative error of a gain in the firmware.
@@ -64,7 +72,20 @@ class AxisSchedule:
 
 
 ScheduleForm = Literal["polynomial", "table"]
-GAIN_NAMES = ("kp_d", "ki_ts_d", "kp_q", "ki_ts_q")
+
+
+class Gains(NamedTuple):
+    """Gains of both current controllers, the integral ones times the sampling period, in V/A."""
+
+    kp_d: Reals
+    ki_ts_d: Reals
+    kp_q: Reals
+    ki_ts_q: Reals
+
+
+GAIN_NAMES = Gains._fields
+# Their names in the firmware until they are put through its pointers.
+_LOCALS = "proportional_d", "integral_d", "proportional_q", "integral_q"
 
 # Thumb-2 with an FPU: bytes of a multiply and an add with their literal, of what every gain takes,
 # and of the rest.
@@ -74,7 +95,7 @@ _TABLE_BASE, _TABLE_PER_GAIN = 44, 28
 
 @dataclass(frozen=True, slots=True)
 class GainEvaluator:
-    """What the firmware evaluates, in its order of operations; every number is a float32.
+    """What the firmware evaluates, by `step`; every number is a float32.
 
     Args:
         end: Largest |i_q| in A; beyond it the gains stay.
@@ -112,39 +133,52 @@ class GainEvaluator:
         segments = self.starts.size * (_PER_GAIN * len(self.polynomials) + _PER_SEGMENT)
         return int(constant + _PER_POWER * powers + segments)
 
-    def gains(self, i_q: SingleArray, muladd: MultiplyAdd = multiply_add) -> SingleArray:
-        """Gains at float32 currents in A, shape (M,) -> (M, 4) in the order of `GAIN_NAMES`."""
-        size = np.where(i_q < 0.0, -i_q, i_q)
-        at = np.where(size <= self.end, size, np.where(size > self.end, self.end, np.float32(0.0)))
-        result = np.empty((i_q.size, len(GAIN_NAMES)), dtype=np.float32)
-        for column, name in enumerate(GAIN_NAMES):
-            if name in self.constants:
-                value = np.full(i_q.shape, self.constants[name], dtype=np.float32)
-            elif name in self.tables:
-                value = self._interpolated(self.tables[name], at, muladd)
-            else:
-                value = self._polynomial(self.polynomials[name], at, muladd)
-            result[:, column] = np.where(np.isnan(i_q), self.fallback[name], value)
-        return result
+    def gains(self, i_q: SingleArray, *, fused: bool = False) -> SingleArray:
+        """Gains at float32 currents in A, shape (M,) -> (M, 4) in the order of `GAIN_NAMES`; with
+        ``fused`` as of a compiler that contracts products and sums.
+        """
+        rows = np.stack([*self.tables.values()], axis=1) if self.tables else None
+        with np.errstate(invalid="ignore", over="ignore"):
+            found = self.step(compiled(fused=fused), i_q, self.end, rows)
+        return np.stack([np.broadcast_to(part, i_q.shape) for part in found], axis=1)
 
-    def _polynomial(self, rows: SingleArray, at: SingleArray, muladd: MultiplyAdd) -> SingleArray:
-        segment = np.searchsorted(self.starts[1:], at, side="right")
-        local = at - self.starts[segment]
-        chosen = rows[segment]
-        value = chosen[:, -1]
-        for power in range(rows.shape[1] - 2, -1, -1):
-            value = muladd(value, local, chosen[:, power])
-        return np.asarray(value, dtype=np.float32)
+    def step(self, o: Arithmetic, i_q: Reals, end: Any, rows: Any) -> Gains:
+        """Gains for any current in A, shape (M,); not-a-number gives those that are constant.
 
-    def _interpolated(
-        self, table: SingleArray, at: SingleArray, muladd: MultiplyAdd
-    ) -> SingleArray:
-        place = at * self.inverse_step
-        index = np.minimum(place.astype(np.int32), np.int32(table.size - 2))
-        share = place - index.astype(np.float32)
-        return np.asarray(
-            muladd(share, table[index + 1] - table[index], table[index]), dtype=np.float32
-        )
+        Args:
+            o: The arithmetic.
+            i_q: In A.
+            end: What stands for ``end``.
+            rows: What stands for the tables, shape (N, gains of these).
+        """
+        size = o.let("size", o.choose(i_q < 0.0, -i_q, i_q))
+        a = o.let("a", o.choose(size > end, end, size))
+
+        def chosen(found: Mapping[str, Any]) -> tuple[Any, ...]:
+            constants = {name: float(value) for name, value in self.constants.items()}
+            every = {**constants, **found}
+            return tuple(every[name] for name in GAIN_NAMES)
+
+        def within(number: int, x: Reals) -> tuple[Any, ...]:
+            polynomials = self.polynomials.items()
+            return chosen({name: horner(o, part[number], x) for name, part in polynomials})
+
+        def between_points() -> tuple[Any, ...]:
+            place = o.let("place", a * float(self.inverse_step))
+            k = o.placed("k", place, len(rows) - 2)
+            share, found = rest(o, k, place), dict[str, Any]()
+            for column, name in enumerate(self.tables):
+                low = o.let(f"low_{column}", o.at(rows, k, column))
+                found[name] = between(o, share, low, o.at(rows, k + 1, column))
+            return chosen(found)
+
+        def other() -> tuple[Any, ...]:
+            o.remark("not-a-number")
+            return tuple(float(self.fallback[name]) for name in GAIN_NAMES)
+
+        if self.tables:
+            return Gains(*o.cases(_LOCALS, (a >= 0.0, between_points), otherwise=other))
+        return Gains(*in_segments(o, _LOCALS, self.starts, a, within, (a >= 0.0, other)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -488,13 +522,12 @@ def errors_of(evaluator: GainEvaluator, curves: Mapping[str, Curve]) -> dict[str
         evaluator: The gains as the firmware computes them.
         curves: Exact gains over the current in A, by name.
     """
-    from dqforge.optimizer.curves.single_precision import fused_multiply_add
-
     at = np.linspace(0.0, float(evaluator.end), _DENSE).astype(np.float32)
     exact = np.stack([curves[name](at.astype(np.float64)) for name in GAIN_NAMES], axis=1)
     worst = np.zeros(len(GAIN_NAMES))
-    for muladd in (multiply_add, fused_multiply_add):
-        worst = np.maximum(worst, np.max(np.abs(evaluator.gains(at, muladd) / exact - 1.0), axis=0))
+    for fused in (False, True):
+        found = evaluator.gains(at, fused=fused)
+        worst = np.maximum(worst, np.max(np.abs(found / exact - 1.0), axis=0))
     return dict(zip(GAIN_NAMES, worst.tolist(), strict=True))
 
 

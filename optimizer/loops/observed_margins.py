@@ -35,6 +35,45 @@ class LimitCycle:
         return f"it swings at {hertz:.3g} Hz, the speed by {rpm:.3g} rpm from peak to peak"
 
 
+@dataclass(frozen=True, slots=True)
+class DeadTimeCycle:
+    """A swing that the dead time keeps up in a speed loop that is stable without it.
+
+    It takes a voltage of the sign of the current and of the size ``lost`` in V, of which the
+    observer knows nothing: as much as a resistance that falls as the current grows, by its
+    describing function 4 lost/(pi i). At the current amplitude ``current`` in A it is
+    ``resistance`` in Ohm, from which on the loop is unstable; it swings at ``omega`` in rad/s, the
+    mechanical speed by ``swing`` in rad/s from peak to peak; ``limited`` says that it grows until
+    the current is at its limit. ``factor`` is that of a slower loop
+    without the swing, ``advice`` what to write for it; None and empty without one.
+    """
+
+    lost: float
+    resistance: float
+    current: float
+    omega: float
+    swing: float
+    limited: bool = False
+    factor: float | None = None
+    advice: str = ""
+
+    @property
+    def words(self) -> str:
+        """What swings, and what helps."""
+        hertz, rpm = self.omega / (2.0 * np.pi), in_rpm(self.swing)
+        less = f", or make the loop slower ({self.advice})" if self.advice else ""
+        size = (
+            "it grows until the current is limited"
+            if self.limited
+            else f"the current by {self.current:.2g} A, the speed by {rpm:.2g} rpm peak to peak"
+        )
+        return (
+            f"the dead time ({self.lost:.3g} V, unknown to the observer) keeps up a swing at about "
+            f"{hertz:.3g} Hz where the current passes through zero: {size}, within a factor of "
+            f"two; compensate the dead time{less}"
+        )
+
+
 _SYMBOLS = {"r_s": "R", "l_d": "L_d", "l_q": "L_q", "psi_pm": "psi", "inertia": "J", "v_dc": "V_dc"}
 
 
@@ -231,6 +270,7 @@ class ObservedLoop:
             tracker without a loop of its own.
         slowed: Spread of the speed loop where the one of the rule was too fast for the corners;
             None where it was not.
+        relay: The swing that a dead time keeps up; None where it keeps up none.
         beyond: Largest electrical speed of the design in rad/s where the dc link does not reach it:
             the speeds end where it does. None where it reaches it.
     """
@@ -251,6 +291,7 @@ class ObservedLoop:
     corners: CornerJudgement | None = None
     slowed: float | None = None
     beyond: float | None = None
+    relay: DeadTimeCycle | None = None
 
     @property
     def stable(self) -> bool:

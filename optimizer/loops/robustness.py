@@ -51,6 +51,9 @@ FloatArray = NDArray[np.float64]
 
 _SPEEDS = 9
 
+# The same on the data alone, where the speed is told from which on they are unstable.
+_FINE_SPEEDS = 81
+
 
 @dataclass(frozen=True, slots=True)
 class Worst:
@@ -267,6 +270,93 @@ def zero_robustness(box: DriveBox, gains: LoopGains) -> LoopRobustness:
     return _kept("control.current_loop", gains, settings, plants, points, formula)
 
 
+@dataclass(frozen=True, slots=True)
+class RotatingAxes:
+    """Both current loops together on the machine as its data have it, at the inductances that
+    saturation lets appear.
+
+    Args:
+        radius: Largest pole modulus per sample up to the largest speed.
+        at: Where that is.
+        stable_to: Mechanical speed in rad/s up to which all points are stable; None where they are
+            up to the largest one.
+        needed: Inductances l_d, l_q in H at which they are unstable first.
+        decoupled: Those that the decoupling uses.
+        better: Whether half of the gains, or twice as much, is stable up to a larger speed; None
+            where neither is.
+    """
+
+    radius: float
+    at: str
+    stable_to: float | None
+    needed: tuple[float, float]
+    decoupled: tuple[float, float]
+    better: Literal["lower", "raise"] | None = None
+
+
+def rotating_axes(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> RotatingAxes:
+    """Both current loops together on the data alone, up to the largest speed.
+
+    That of the per-unit speed where the machine states none.
+
+    Args:
+        box: The drive, whose tolerances play no part.
+        i_d, i_q: The current loops.
+    """
+    machine, control = box.design.machine, box.design.control
+    alone = replace(box, tolerances=Tolerances())
+    top = machine.omega_m_max or control.bases.speed
+    omega_m = np.linspace(-top, top, _FINE_SPEEDS)
+    drives = alone.turning_machines(alone.turning_points(), machine.pole_pairs * omega_m)
+    emitted = _emitted(box, i_d, i_q)
+    radius = largest_pole(drives, emitted).reshape(-1, _FINE_SPEEDS)
+    limit = _stable_to(radius, omega_m)
+    first = np.abs(omega_m) >= (top if limit is None else limit) * (1.0 + 1e-9)
+    row = int(np.argmax(np.max(np.where(first | (limit is None), radius, 0.0), axis=1)))
+    l_d, l_q = (part.reshape(radius.shape)[row, 0] for part in (drives.l_d, drives.l_q))
+    better = None
+    if limit is not None:
+        halves = [
+            _stable_to(largest_pole(drives, scaled).reshape(radius.shape), omega_m) or top
+            for scaled in (_scaled(emitted, 0.5), _scaled(emitted, 2.0))
+        ]
+        better = None if max(halves) <= limit else ("lower", "raise")[int(np.argmax(halves))]
+    return RotatingAxes(
+        float(np.max(radius)),
+        f"{in_rpm(abs(omega_m[int(np.argmax(np.max(radius, axis=0)))])):.5g} rpm",
+        limit,
+        (float(l_d), float(l_q)),
+        (machine.l_d, machine.l_q),
+        better,
+    )
+
+
+def _stable_to(radius: FloatArray, omega_m: FloatArray) -> float | None:
+    """Speed in rad/s up to which all poles lie within the unit circle, None where all do."""
+    unstable = np.any(radius >= 1.0, axis=0)
+    if not np.any(unstable):
+        return None
+    below = np.abs(omega_m) < np.min(np.abs(omega_m)[unstable]) * (1.0 - 1e-9)
+    return float(np.max(np.abs(omega_m)[below])) if np.any(below) else 0.0
+
+
+def _scaled(control: CurrentControl, factor: float) -> CurrentControl:
+    kp, ki_ts = ((factor * part[0], factor * part[1]) for part in (control.kp, control.ki_ts))
+    return replace(control, kp=kp, ki_ts=ki_ts)
+
+
+def _emitted(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> CurrentControl:
+    machine, t_s = box.design.machine, box.design.control.t_s
+    return CurrentControl(
+        (i_d.kp, i_q.kp),
+        (i_d.ki_ts, i_q.ki_ts),
+        machine.l_d,
+        machine.l_q,
+        CURRENT_DELAY * t_s,
+        t_s,
+    )
+
+
 def turning_robustness(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> Worst | None:
     """Largest pole modulus of both current loops together over the box, at standstill
     and up to the largest speed.
@@ -280,20 +370,13 @@ def turning_robustness(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> Worst |
     Raises:
         NoSolutionError: The loops are unstable at a point; names it with its speed.
     """
-    machine, control = box.design.machine, box.design.control
+    machine = box.design.machine
     if machine.omega_m_max is None:
         return None
     points = box.turning_points()
     omega_m = np.linspace(-machine.omega_m_max, machine.omega_m_max, _SPEEDS)
-    emitted = CurrentControl(
-        (i_d.kp, i_q.kp),
-        (i_d.ki_ts, i_q.ki_ts),
-        machine.l_d,
-        machine.l_q,
-        CURRENT_DELAY * control.t_s,
-        control.t_s,
-    )
-    radius = largest_pole(box.turning_machines(points, machine.pole_pairs * omega_m), emitted)
+    drives = box.turning_machines(points, machine.pole_pairs * omega_m)
+    radius = largest_pole(drives, _emitted(box, i_d, i_q))
     row, place = divmod(int(np.argmax(radius)), _SPEEDS)
     at = f"{in_rpm(omega_m[place]):.4g} rpm, {points.text(row)}"
     if np.max(radius) >= 1.0:

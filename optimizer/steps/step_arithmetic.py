@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from enum import IntEnum
-from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from dqforge.machines.transforms import (
     park,
     park_inverse,
 )
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.steps.integer_arithmetic import Arithmetic as Codes
 
 Pair = tuple[Reals, Reals]  # The alpha and beta (or d and q) components of a vector.
 
@@ -222,9 +225,9 @@ class Arithmetic(Floats):
 
     def placed(self, name: str, a: Reals, most: int) -> Any:  # noqa: ARG002
         """Places of an array: what numbers from 0 on are without what is behind the point, at most
-        ``most``.
+        ``most``; any place for others.
         """
-        return np.minimum(np.asarray(a).astype(np.intp), most)
+        return np.clip(np.asarray(a).astype(np.intp), 0, most)
 
     def with_item(self, array: tuple[_N, ...], place: Any, value: Any) -> tuple[_N, ...]:
         """An array of the state with another number at a place, which is given back to its member
@@ -405,7 +408,7 @@ def limited(o: Arithmetic, value: Reals, limit: Any) -> Reals:
     return o.choose(value > limit, limit, o.choose(value < -limit, -limit, value))
 
 
-def where(o: Arithmetic, condition: Any, change: Any, *changing: Any) -> None:
+def where(o: Arithmetic | Codes[Any, Any], condition: Any, change: Any, *changing: Any) -> None:
     """What is done where a condition holds.
 
     Args:

@@ -6,16 +6,45 @@ from pathlib import Path
 
 from dqforge.machines.bench.bench_reader import read_bench
 from dqforge.machines.errors import NoSolutionError
+from dqforge.optimizer.identification.bench_plan import plan_bench
 from dqforge.optimizer.identification.identify import identify
+from dqforge.reports.command_line.designs import load
 from dqforge.reports.identification import (
+    BENCH_FILE,
+    MAP_NAME,
+    SHEET,
     design_of,
     identification_tables,
+    map_csv,
     plain_identification,
+    plain_plan,
+    plan_bench_file,
+    plan_sheet,
+    plan_tables,
 )
 from dqforge.reports.pages.answer import Answer, Files, stage
 from dqforge.reports.pages.templating import to_text
 
 RESULT, DESIGN = "result.json", "design.yaml"
+
+
+def answer_plan(name: Path) -> Answer:
+    """Plan the bench for the machine of a design: points, order, and the intervals to expect.
+
+    Raises:
+        NoSolutionError: The machine has no magnets, or the voltage limit leaves no points.
+    """
+    design = load(str(name))
+    plan = plan_bench(design)
+    files = {SHEET: plan_sheet(plan), BENCH_FILE: plan_bench_file(design)}
+    return Answer(
+        design.name,
+        plan_tables(plan),
+        {"plan": plain_plan(plan)},
+        files=Files(
+            files, "", follow=f"fill {{out}}/{SHEET}; dqforge identify {{out}}/{BENCH_FILE}"
+        ),
+    )
 
 
 def answer_identify(path: Path) -> Answer:
@@ -39,6 +68,8 @@ def answer_identify(path: Path) -> Answer:
     plain = {"identification": plain_identification(found)}
     design, lacking = design_of(found)
     contents = {RESULT: to_text("identify", bench.name, plain).encode()}
+    if found.flux is not None:
+        contents[MAP_NAME] = map_csv(found.flux.table)
     if design is not None:
         contents[DESIGN] = design
     follow = f"dqforge check {{out}}/{DESIGN}" if design is not None else ""

@@ -135,7 +135,7 @@ def _online(design: Design) -> tuple[list[Table], PlainData]:
     if design.control.online_estimation is None:
         return [], {}
     from dqforge.optimizer.online_estimation import solve_online_estimation
-    from dqforge.reports.single_headers.online_estimation import (
+    from dqforge.reports.observers.online_estimation import (
         estimation_tables,
         plain_estimation,
     )

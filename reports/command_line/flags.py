@@ -251,7 +251,7 @@ GROUPS = {
     "Design": ("new", "check", "run"),
     "Analysis": ("mtpa", "fit", "tune", "losses", "dqy", "simulate", "estimators"),
     "Firmware": ("export", "explain", "verify"),
-    "Data": ("bemf",),
+    "Data": ("bemf", "identify"),
     "Many": ("explore", "compare"),
     "Tools": ("serve", "machines", "schema", "doctor", "reproduce"),
 }
@@ -637,6 +637,11 @@ OutOfPair = Annotated[
 
 
 Bench = Annotated[Path, _argument("BENCH", "Bench file: the runs, their logs and columns.")]
+
+
+Plan = Annotated[
+    bool, Option("--plan", help="BENCH is a design: write the points to run, and what to expect.")
+]
 
 
 OutOfBench = Annotated[

@@ -10,9 +10,9 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.fixed_control.arithmetic import CodeArray
 from dqforge.optimizer.fixed_control.design import FixedControlFit
 from dqforge.optimizer.fixed_control.transforms import FixedControl
+from dqforge.optimizer.steps.integer_arithmetic import CodeArray
 from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, Harness, Programme, title
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.control.fixed_model import input_names, output_names, row_inputs, row_results

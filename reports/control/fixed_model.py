@@ -13,7 +13,6 @@ import numpy as np
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.transforms import Triple
-from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_control.codes import (
     code_clarke,
     code_clarke_inverse,
@@ -44,8 +43,9 @@ from dqforge.optimizer.fixed_control.transforms import (
     reduced_order_step,
     speed_loop,
 )
-from dqforge.optimizer.fixed_control.vectors import Abc, AlphaBeta, Dq
 from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.steps.code_vectors import Abc, AlphaBeta, Dq
+from dqforge.optimizer.steps.integer_arithmetic import CodeArray, Integers
 
 _LOOP_INPUTS = ("integral", "output", "proportional")
 

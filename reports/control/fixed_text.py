@@ -31,7 +31,7 @@ from dqforge.optimizer.fixed_control.transforms import (
     reduced_order_step,
     speed_loop,
 )
-from dqforge.optimizer.fixed_control.vectors import Abc, AlphaBeta, Dq, Duties, Feedforward
+from dqforge.optimizer.steps.code_vectors import Abc, AlphaBeta, Dq, Duties, Feedforward
 from dqforge.reports.c_code.numbers import comment_text
 from dqforge.reports.steps.code_reader import Code, CodeReader
 from dqforge.reports.steps.code_text import (

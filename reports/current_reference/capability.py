@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dqforge.machines.design.design import Design
+from dqforge.machines.design.design import Design, back_emf_warning
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import Core
 from dqforge.machines.transforms import in_rpm
@@ -309,6 +309,9 @@ def trials_table(trials: Sequence[Trial], core: Core) -> HtmlTable:
 
 # The current reference as tables of the terminal.
 
+# Share of the torque from which what the tolerances make of it is said among the warnings.
+WIDE_BAND = 0.05
+
 POOR_FIT = 0.01  # Relative copper-loss penalty from which a fit is called poor.
 
 
@@ -553,10 +556,36 @@ def _summary(solution: Solution, _: Solution) -> Rows:
 def _watched(solution: Solution, _: Solution) -> list[str]:
     fit = solution.fit
     data = " ".join(data_lines(solution.data, fit.torque_max))
+    band = solution.torque_band
+    wide = band is not None and band.independent > WIDE_BAND
     return [
+        *([_beyond_the_link(solution)] if _beyond_the_link(solution) else []),
+        *([f"the torque may be {band_text(band)}, within control.tolerances"] if wide else []),
         *([data] if data else []),
         *([poor_fit_text(solution.design, fit)] if fit.errors.loss_relative > POOR_FIT else []),
     ]
+
+
+def _beyond_the_link(solution: Solution) -> str:
+    """That the largest speed needs field weakening which the design does not have, or nothing."""
+    design, machine = solution.design, solution.design.machine
+    if machine.omega_m_max is None or solution.weakening is not None:
+        return ""
+    text = back_emf_warning(
+        machine.pole_pairs,
+        machine.psi_pm,
+        machine.omega_m_max,
+        design.inverter.v_dc,
+        design.inverter.topology,
+    )
+    if not text or design.phase_machine is not None:
+        return ""
+    speed = f"{in_rpm(machine.omega_m_max):.5g} rpm"
+    return (
+        f"{text}. The references of this design weaken no field: write field_weakening: "
+        f"{{speed: {speed}}}, or a smaller machine.max_speed; 'dqforge mtpa --speed' shows what "
+        "the link permits"
+    )
 
 
 def _flashed(solution: Solution, _: Solution) -> list[Flashed]:

@@ -38,13 +38,14 @@ from dqforge.optimizer.current_reference.forms import (
 )
 from dqforge.optimizer.current_reference.solve import COVERED, DataUse, Trial
 from dqforge.optimizer.current_reference.torque_band import TorqueBand
-from dqforge.optimizer.curves.integer_polynomial import CodeArray, FixedPolynomial, FixedSegment
+from dqforge.optimizer.curves.integer_polynomial import FixedPolynomial, FixedSegment
 from dqforge.optimizer.curves.single_precision import (
     PiecewisePolynomial,
     SingleArray,
     SinglePolynomial,
 )
 from dqforge.optimizer.solution import NegativeHalf, Solution
+from dqforge.optimizer.steps.integer_arithmetic import CodeArray
 from dqforge.reports.c_code.harness import SWEEP_POINTS, SWEEP_SEED, Harness, Programme
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.operating_points.map_tables import plain_curves, plain_speed
@@ -329,29 +330,6 @@ _FORM_TEXT = {
 }
 
 
-def _fixed_ladders(plain: PlainData, saturates: dict[str, bool]) -> list[list[PlainData]]:
-    """Branch ladders in fixed point: one for both axes where they share their breakpoints,
-    else one per axis.
-    """
-    axes = [axis for axis in ("d", "q") if plain.get(axis) is not None]
-    starts = {axis: tuple(segment["start"] for segment in plain[axis]) for axis in axes}
-    groups = [axes] if len(set(starts.values())) == 1 else [[axis] for axis in axes]
-    found = []
-    for group in groups:
-        edges = starts[group[0]]
-        found.append(
-            [
-                {
-                    "start": start,
-                    "end": edges[index + 1] if index + 1 < len(edges) else plain["torque_max"],
-                    "polynomials": [(axis, plain[axis][index], saturates[axis]) for axis in group],
-                }
-                for index, start in enumerate(edges)
-            ]
-        )
-    return found
-
-
 def _arithmetic(reference: Reference) -> str:
     if isinstance(reference, FixedReference):
         return f"integers as emitted{', all codes of the torque' if reference.width <= 16 else ''}"
@@ -482,18 +460,15 @@ def _argument_text(reference: Emitted) -> list[str]:
 
 
 def reference_context(solution: Solution, plain: PlainData) -> PlainData:
-    """Comment and constants of the evaluator, and ladders of integers, for the template."""
+    """Comment and constants of the evaluator, for the template."""
     fit, where = solution.fit, operation_text(solution.fit.speed)
     shape = (
         f"{fit.settings.method}, degree {fit.settings.degree}, {fit.settings.segments} segment(s) "
         f"over 0 to {fit.torque_max:.6g} N m;"
     )
-    is_float = plain["format"] == "float32"
     has_polynomials = fit.d is not None or fit.q is not None
     return plain | {
-        **_fixed_context(fit.reference),
         "uses_sqrt": plain["form"] in ("closed-form", "reluctance"),
-        "ladders": [] if is_float else _fixed_ladders(plain, _saturates(fit.reference)),
         "comment": [
             *_argument_text(solution.reference),
             (
@@ -521,17 +496,6 @@ def _negative_text(solution: Solution) -> list[str]:
         ),
         *_error_lines(half.fit, half.certificate, solution.design.strategy),
     ]
-
-
-def _fixed_context(reference: Reference) -> PlainData:
-    """What only the templates of fixed point ask for."""
-    if not isinstance(reference, FixedReference):
-        return {}
-    return {
-        "width": reference.width,
-        "largest": reference.q.largest,
-        "has_d": reference.d is not None,
-    }
 
 
 def reference_harness(reference: Emitted) -> Harness:

@@ -540,7 +540,6 @@ def _sources(prefix: str, code: str, low: str, *, shared: bool) -> dict[str, str
         "states": STATES,
         "columns": COLUMNS,
         "hears": (),
-        "bridge": "",
     }
     sources = {
         "plant.c": render("simulation/plant.c.j2", context),

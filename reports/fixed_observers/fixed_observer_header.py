@@ -12,7 +12,6 @@ import numpy as np
 
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.transforms import Pair, in_rpm
-from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
     FIXED_METHODS,
     FixedObserverFit,
@@ -22,6 +21,7 @@ from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
 from dqforge.optimizer.fixed_observers.kit import TOP, WIDTH, TrackedState, shown, widened
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.observers.methods.registry import METHODS
+from dqforge.optimizer.steps.integer_arithmetic import CodeArray, Integers
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,

@@ -5,7 +5,7 @@ as plain data and as text.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -48,6 +48,7 @@ from dqforge.reports.loops.firmware_text import (
     proof_summary,
     robust_notes,
     robust_rows,
+    rotating_words,
     schedule_lines,
     schedule_notes,
     schedule_rows,
@@ -90,13 +91,15 @@ from dqforge.reports.plain_data import PlainData, shortest
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
+    from dqforge.machines.transforms import Reals
     from dqforge.optimizer.certificates.current_loop_proof import CurrentLoopProof
     from dqforge.optimizer.control_design.gain_set import GainSet
     from dqforge.optimizer.curves.single_precision import SingleArray
-    from dqforge.optimizer.loops.gain_schedule import GainSchedule
+    from dqforge.optimizer.loops.gain_schedule import Gains, GainSchedule
     from dqforge.optimizer.loops.integer_gains import PerUnitGains
     from dqforge.optimizer.loops.loop_gains import LoopGains
     from dqforge.optimizer.solution import Solution
+    from dqforge.optimizer.steps.step_arithmetic import Arithmetic
 
 
 _SEED = 20_261_121
@@ -200,26 +203,75 @@ def schedule_inputs(
     return np.concatenate([np.array(special, dtype=np.float32), across, bits])
 
 
+def _body(design: Design, evaluator: GainEvaluator, lines: Sequence[str]) -> str:
+    """What stands between the guards of the header; ``lines`` of the function's comment."""
+    # Nothing else of this room writes C.
+    from dqforge.reports.c_code.numbers import comment_text, float_literal
+    from dqforge.reports.steps.blocks import Block, Functions
+    from dqforge.reports.steps.counted_loops import Table
+    from dqforge.reports.steps.record_text import comment
+    from dqforge.reports.steps.step_reader import StepReader
+    from dqforge.reports.steps.symbols import Expression
+
+    prefix, tables = design.export.prefix, evaluator.tables
+    end = f"{title(design)['macro']}_SCHEDULE_END_A"
+    value = float_literal(float(evaluator.end))
+    parts = [f"#define {end} ({value}) /* largest |i_q| that the gains follow, A (peak) */"]
+    rows = None
+    if tables:
+        values = np.stack([*tables.values()], axis=1)
+        rows = Table(f"{prefix}_gains_table", values.shape)
+        said = (
+            f"Gains at {len(values)} currents, even steps from 0 to the end, V/A: "
+            f"{', '.join(tables)}."
+        )
+        table = [f"    {{ {', '.join(float_literal(float(x)) for x in row)} }}," for row in values]
+        begin = f"static const float {rows.text}[{len(values)}][{len(tables)}] = {{"
+        parts.append("\n".join([*comment(said), begin, *table, "};"]))
+    reader = StepReader(prefix, Functions(), Block("", set()))
+
+    def current_gains(o: Arithmetic, i_q: Reals) -> Gains:
+        return evaluator.step(o, i_q, Expression(end), rows)
+
+    argument = [Expression("i_q")]
+    reader.write("current_gains", current_gains, argument, into=GAIN_NAMES, names=["i_q_A"])
+    meaning = ["/* Gains of both current controllers for a q-axis current.", " *"]
+    meaning += [f" * {comment_text(line)}".rstrip() for line in lines] + [" */"]
+    parts.append("\n".join([*meaning, *reader.functions.texts.values()]))
+    return "\n\n".join(parts)
+
+
 def _context(design: Design, gains: GainSet, schedule: GainSchedule) -> PlainData:
-    evaluator = schedule.fit.evaluator
-    plain = plain_evaluator(evaluator)
-    ends = [*plain["starts"][1:], None]
-    segments = [
-        {
-            "start": start,
-            "end": end,
-            "polynomials": [
-                (name, plain["polynomials"][name][place]) for name in plain["polynomials"]
-            ],
-        }
-        for place, (start, end) in enumerate(zip(plain["starts"], ends, strict=True))
+    lines = [
+        (
+            "i_q_A: q-axis current in A as it is measured, either sign; beyond SCHEDULE_END the "
+            "gains stay as they are there."
+        ),
+        (
+            "kp_d, kp_q: proportional gains, V/A; ki_ts_d, ki_ts_q: integral gains times the "
+            "sampling period, V/A."
+        ),
+        (
+            "Parallel form: I[k] = I[k-1] + ki_ts[k] e[k], d[k] = kp[k] e[k] + I[k]; or as "
+            "differences d[k] = d[k-1] + kp[k] e[k] - kp[k-1] e[k-1] + ki_ts[k] e[k]."
+        ),
+        (
+            "Not d[k-1] + kp[k] (e[k] - e[k-1]) + ki_ts[k] e[k]: what kp changes by would stay "
+            "in d for good, and the loop can grow though it is stable at every current."
+        ),
+        "Not-a-number gives the constant gains, those for the least inductance.",
+        "",
+        *schedule_lines(schedule),
+        *changing_lines(gains),
+        "Margins are those of frozen currents along the current reference.",
     ]
     return {
         **title(design),
-        "form": plain,
-        "names": GAIN_NAMES,
-        "segments": segments,
-        "points": max((len(values) for values in plain["tables"].values()), default=0),
+        "part": "gains",
+        "subject": "current-loop gains over the current",
+        "includes": [],
+        "body": _body(design, schedule.fit.evaluator, lines),
+        "vectors": True,
         "preamble": [
             (
                 f"Method {design.control.current_loop.method}, sampled every "
@@ -229,29 +281,6 @@ def _context(design: Design, gains: GainSet, schedule: GainSchedule) -> PlainDat
                 "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated "
                 "errors hold either way."
             ),
-        ],
-        "comment": [
-            (
-                "i_q_A: q-axis current in A as it is measured, either sign; beyond SCHEDULE_END "
-                "the gains stay as they are there."
-            ),
-            (
-                "kp_d, kp_q: proportional gains, V/A; ki_ts_d, ki_ts_q: integral gains times the "
-                "sampling period, V/A."
-            ),
-            (
-                "Parallel form: I[k] = I[k-1] + ki_ts[k] e[k], d[k] = kp[k] e[k] + I[k]; or as "
-                "differences d[k] = d[k-1] + kp[k] e[k] - kp[k-1] e[k-1] + ki_ts[k] e[k]."
-            ),
-            (
-                "Not d[k-1] + kp[k] (e[k] - e[k-1]) + ki_ts[k] e[k]: what kp changes by would stay "
-                "in d for good, and the loop can grow though it is stable at every current."
-            ),
-            "Not-a-number gives the constant gains, those for the least inductance.",
-            "",
-            *schedule_lines(schedule),
-            *changing_lines(gains),
-            "Margins are those of frozen currents along the current reference.",
         ],
     }
 
@@ -269,7 +298,7 @@ def gains_files(design: Design, gains: GainSet, schedule: GainSchedule) -> dict[
     context, evaluator = _context(design, gains, schedule), schedule.fit.evaluator
     inputs = schedule_inputs(evaluator, design.export.vectors, _SEED)
     vectors = np.concatenate([inputs[:, np.newaxis], evaluator.gains(inputs)], axis=1)
-    text = render("loops/gains.h.j2", context)
+    text = render("c_code/header.h.j2", context)
     return GAIN_HARNESS.files(design, text, vectors)
 
 
@@ -457,6 +486,7 @@ def _flashed(_: Solution, gains: GainSet) -> list[Flashed]:
 def _watched(_: Solution, gains: GainSet) -> list[str]:
     """Loops that swing, and what the observer leaves of the speed loop."""
     texts = [f"the {loop.loop} loop is unstable" for loop in gains.loops if not loop.stable]
+    texts += rotating_words(gains.rotating)
     speed = gains.speed
     if speed is not None and speed.observed is not None and not speed.observed.holds:
         texts.append(left_words(speed))

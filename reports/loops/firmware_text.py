@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dqforge.machines.transforms import in_rpm
+from dqforge.machines.units.quantities import format_quantity
 from dqforge.reports.c_code.numbers import rounded_up
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from dqforge.optimizer.firmware.firmware_method import JudgedLoop, Price, Shortfall
     from dqforge.optimizer.firmware.gain_search import FirmwareLoop, FirmwareLoops
     from dqforge.optimizer.loops.gain_schedule import AxisSchedule, GainSchedule
-    from dqforge.optimizer.loops.robustness import LoopRobustness, RobustSet
+    from dqforge.optimizer.loops.robustness import LoopRobustness, RobustSet, RotatingAxes
     from dqforge.reports.plain_data import PlainData
 
 
@@ -477,6 +478,37 @@ def _loops(robust: RobustSet) -> list[tuple[str, LoopRobustness]]:
         ("speed", robust.speed),
     )
     return [(name, loop) for name, loop in named if loop is not None]
+
+
+def rotating_words(found: RotatingAxes | None) -> list[str]:
+    """Both current loops together on the data alone, where they are unstable within the speeds."""
+    if found is None or found.stable_to is None:
+        return []
+    axes = ", ".join(
+        f"{name} is {format_quantity(value, 'H', 3)} (the decoupling uses "
+        f"{format_quantity(used, 'H', 3)})"
+        for name, value, used in zip(("l_d", "l_q"), found.needed, found.decoupled, strict=True)
+        if abs(value - used) > 1e-3 * used
+    )
+    ways = "raise control.sampling_frequency"
+    if found.better is not None:
+        ways = f"{found.better} the bandwidth of the current loops, {ways}"
+    return [
+        f"both current loops together are unstable above {in_rpm(found.stable_to):.5g} rpm"
+        + (f", where {axes}" if axes else "")
+        + f"; {ways}, or write a smaller machine.max_speed"
+    ]
+
+
+def plain_rotating(found: RotatingAxes | None) -> PlainData | None:
+    """The same as plain data."""
+    if found is None:
+        return None
+    return {
+        "largest_pole": found.radius,
+        "at": found.at,
+        "stable_to_rad_per_s": found.stable_to,
+    }
 
 
 def worst_words(robust: RobustSet) -> str:

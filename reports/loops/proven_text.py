@@ -21,9 +21,11 @@ from dqforge.reports.loops.firmware_text import (
     form_rows,
     plain_firmware,
     plain_robustness,
+    plain_rotating,
     plain_schedule,
     robust_notes,
     robust_rows,
+    rotating_words,
     schedule_notes,
     schedule_rows,
     stability_notes,
@@ -455,7 +457,7 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
     title, notes = (
         f"{design.name}: gains, sampled every {design.control.t_s * 1e6:.4g} us",
         (
-            *([OWN_TIMING] if gains.firmware is None else []),
+            *rotating_words(gains.rotating),
             *observed_notes(gains.speed),
             *leaving_notes(gains.speed),
         ),
@@ -578,6 +580,7 @@ def plain_gains(
         "position": _plain_position(gains),
         **({} if gains.tracker is None else {"tracker": plain_tracker(gains.tracker)}),
         "bases": asdict(design.control.bases),
+        "rotating": plain_rotating(gains.rotating),
         **_plain_tolerances(gains),
         **plain_schedule(gains.schedule),
         **plain_changing(gains),

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from dqforge.optimizer.loops.loop_gains import LoopGains
     from dqforge.optimizer.loops.observed_margins import (
         CornerJudgement,
+        DeadTimeCycle,
         FailingCorner,
         ObservedLoop,
         SpeedRange,
@@ -97,6 +98,7 @@ def observed_notes(gains: LoopGains | None) -> tuple[str, ...]:
             "time, no load"
         ),
         left_words(gains),
+        *(() if found.relay is None else (found.relay.words,)),
         *slowed,
         *beyond_notes(gains),
         *swinging,
@@ -118,6 +120,19 @@ def beyond_notes(gains: LoopGains | None) -> tuple[str, ...]:
             "is judged up to there"
         ),
     )
+
+
+def _plain_relay(found: DeadTimeCycle) -> PlainData:
+    return {
+        "lost_V": found.lost,
+        "resistance_Ohm": found.resistance,
+        "current_A": found.current,
+        "omega_rad_per_s": found.omega,
+        "swing_rad_per_s": found.swing,
+        "limited": found.limited,
+        "factor": found.factor,
+        "advice": found.advice,
+    }
 
 
 def corner_notes(found: ObservedLoop) -> tuple[str, ...]:
@@ -313,6 +328,7 @@ def plain_observed(gains: LoopGains) -> PlainData:
             "limit_cycle": None
             if found.cycle is None
             else {"omega_rad_per_s": found.cycle.omega, "swing_rad_per_s": found.cycle.swing},
+            "dead_time_cycle": None if found.relay is None else _plain_relay(found.relay),
             "stable_advice": found.stable_advice,
             "pll_least_rad_per_s": found.pll_least,
             "slowed_to_spread": found.slowed,

@@ -20,6 +20,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
 from dqforge.machines.plants.scenario import Profile
 from dqforge.machines.records import dataclass
+from dqforge.machines.units.quantities import half_digit
 from dqforge.optimizer.curves.fitting import chebyshev_nodes
 from dqforge.optimizer.operating_points.mtpa_locus import (
     mtpa_currents,
@@ -217,18 +218,13 @@ def interpolated(axis: str, nodes: Nodes, degree: int, edges: FloatArray) -> Flo
     return np.asarray(np.linalg.solve(powers, values[..., np.newaxis])[..., 0])
 
 
-def _half_digit(value: float) -> float:
-    """Half of the third digit of a printed number; of a printed 0 half a milliampere."""
-    return 0.5 * 10.0 ** (math.floor(math.log10(abs(value))) - 2) if value else 5e-4
-
-
 def _printed_coefficients(printed: Coefficients) -> tuple[Printed, ...]:
     return tuple(
         Printed(
             f"c{degree - k} of i_{axis}, degree {degree}, segment {segment}",
             f"A/(N m)^{degree - k}",
             value,
-            _half_digit(value),
+            half_digit(value, 3),
         )
         for (axis, degree), rows in printed.items()
         for segment, row in enumerate(rows)
@@ -264,7 +260,7 @@ def _row(
     for kind, polynomials in enumerate(made):
         for k, value in enumerate(row):
             found = np.multiply.outer(scale[:, k], polynomials[:, k])
-            held[kind] += np.abs(found - value) <= _half_digit(value)
+            held[kind] += np.abs(found - value) <= half_digit(value, 3)
     return _Row(made, scale, held)
 
 

@@ -12,9 +12,7 @@ import numpy as np
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.topologies import TOPOLOGIES
-from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_control.transforms import IDLE, speed_loop
-from dqforge.optimizer.fixed_control.vectors import Abc, Dq
 from dqforge.optimizer.fixed_phase_control.design import phase_ranges
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedAxis,
@@ -27,6 +25,8 @@ from dqforge.optimizer.fixed_phase_control.integers import (
     phase_gains,
 )
 from dqforge.optimizer.fixed_phase_control.phase_step import PhaseSteps
+from dqforge.optimizer.steps.code_vectors import Abc, Dq
+from dqforge.optimizer.steps.integer_arithmetic import CodeArray, Integers
 from dqforge.reports.control.fixed_model import (
     NOT_OURS,
     forms_from,

@@ -6,9 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from dqforge.machines.topologies import TOPOLOGIES
-from dqforge.optimizer.fixed_control.arithmetic import magnitude
 from dqforge.optimizer.fixed_control.transforms import duty, speed_loop
-from dqforge.optimizer.fixed_control.vectors import Abc, AlphaBeta, Dq, Gain, Rotation
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedPhaseControl,
     Measured,
@@ -29,6 +27,8 @@ from dqforge.optimizer.fixed_phase_control.reference_steps import (
     open_phase,
     zero,
 )
+from dqforge.optimizer.steps.code_vectors import Abc, AlphaBeta, Dq, Gain, Rotation
+from dqforge.optimizer.steps.integer_arithmetic import magnitude
 from dqforge.reports.control.fixed_text import pi_reader
 from dqforge.reports.steps.code_reader import Code, CodeReader
 from dqforge.reports.steps.code_text import (

@@ -27,6 +27,7 @@ from dqforge.optimizer.solution import Solution, solve
 from dqforge.optimizer.start_up.start_records import StartupFault, StartupState
 from dqforge.reports.fixed_observers.fixed_observer_header import fixed_observer_files
 from dqforge.reports.main_header import header_files
+from dqforge.reports.observers.online_estimation import estimation_files
 from dqforge.reports.observers.position_header import (
     REDUCED_ORDER,
     estimator_files,
@@ -57,7 +58,6 @@ from dqforge.reports.simulation.recorded_run import (
 from dqforge.reports.single_headers.application import application_files
 from dqforge.reports.single_headers.field_weakening import weakening_files
 from dqforge.reports.single_headers.fixed_reference import reference_files
-from dqforge.reports.single_headers.online_estimation import estimation_files
 from dqforge.reports.single_headers.speed_measurement import measurement_files
 from dqforge.reports.start_up.header import every_start_file
 from dqforge.reports.waveforms.tables import waveform_files

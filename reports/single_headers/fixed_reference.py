@@ -10,8 +10,8 @@ import numpy as np
 
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE
-from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
+from dqforge.optimizer.steps.integer_arithmetic import CodeArray, Integers
 from dqforge.reports.c_code.harness import (
     SWEEP_POINTS,
     SWEEP_SEED,

@@ -5,10 +5,11 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Protocol, TypeVar, get_args, get_origin
+from typing import Any, Protocol, TypeVar, cast, get_args, get_origin
 
-from dqforge.optimizer.fixed_control.vectors import Filling
+from dqforge.optimizer.steps.code_vectors import CODE, WIDE, WORDS_OF_GAIN, Filling, Gain
 from dqforge.reports.steps.blocks import Block
+from dqforge.reports.steps.counted_loops import Table
 from dqforge.reports.steps.record_text import kind_fields, whole_of
 from dqforge.reports.steps.state_text import Kept
 from dqforge.reports.steps.symbols import Expression, folded
@@ -45,24 +46,6 @@ def sizes(value: Any) -> str:
     return f"[{len(value)}]{sizes(value[0])}" if is_array(value) else ""
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A constant array of a record, from one of its places on."""
-
-    text: str
-    kind: str
-    first: int = 0
-
-    def __getitem__(self, rest: slice) -> Table:
-        """The same array from a later place on."""
-        return Table(self.text, self.kind, self.first + int(rest.start))
-
-    def at(self, index: Expression) -> str:
-        """Text of an entry."""
-        behind = f" + {self.first}" if self.first else ""
-        return f"{self.text}[{index.bare()}{behind}]"
-
-
 class Entries(tuple[int, ...]):
     """The numbers of a constant array of the header.
 
@@ -94,7 +77,7 @@ def tables(value: Any, text: str, kind: str) -> Any:
     """The rows of an array of numbers."""
     if is_array(value[0]):
         return tuple(tables(item, f"{text}[{n}]", kind) for n, item in enumerate(value))
-    return Table(text, kind)
+    return Table(text, (len(value),), kind)
 
 
 # Arrays of a state: of numbers, and records that are arrays in C.
@@ -211,3 +194,24 @@ def put_into(array: Filled, result: Sequence[Any], end: Block) -> list[Expressio
                 end.add(f"{place}.{axis} = ", part.bare())
                 found.append(part)
     return found
+
+
+# Types of numbers and of the parts of vectors.
+
+
+def word_of(hint: Any) -> str:
+    """What a number is by its annotation; a wide word without one."""
+    found = [item for item in getattr(hint, "__metadata__", ()) if isinstance(item, str)]
+    return found[0] if found else WIDE
+
+
+def axes_of(kind: type[Any]) -> tuple[str, ...]:
+    """Names of the parts of a vector in C."""
+    found: tuple[str, ...] = getattr(kind, "AXES", None) or cast("Any", kind)._fields
+    return found
+
+
+def words_of(kind: type[Any]) -> tuple[str, ...]:
+    """What the parts of a vector are."""
+    own = WORDS_OF_GAIN if kind is Gain else getattr(kind, "WORDS", CODE)
+    return (own,) * len(axes_of(kind)) if isinstance(own, str) else own

@@ -2,7 +2,7 @@
 many, so that a text needs no ranges.
 
 Vectors and members of records are codes; what a function is given and returns is a wide word unless
-its annotation says otherwise (`dqforge.optimizer.fixed_control.vectors`).
+its annotation says otherwise (`dqforge.optimizer.steps.code_vectors`).
 """
 
 from __future__ import annotations
@@ -12,24 +12,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast, get_type_hints
 
-from dqforge.optimizer.fixed_control.arithmetic import rounded, saturated
-from dqforge.optimizer.fixed_control.vectors import (
+from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.steps.code_vectors import (
     CODE,
     COUNT,
     FEW,
     TURN,
     WIDE,
-    WORDS_OF_GAIN,
     Gain,
 )
-from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.steps.integer_arithmetic import rounded, saturated
 from dqforge.reports.c_code.numbers import int32_literal, int64_literal
 from dqforge.reports.steps.blocks import Block, Functions
 from dqforge.reports.steps.code_arrays import (
     Call,
     Entries,
     Filled,
-    Table,
+    axes_of,
     elements,
     filled_by,
     is_array,
@@ -41,8 +40,10 @@ from dqforge.reports.steps.code_arrays import (
     sizes,
     tables,
     taking,
+    word_of,
+    words_of,
 )
-from dqforge.reports.steps.counted_loops import filled
+from dqforge.reports.steps.counted_loops import Table, filled
 from dqforge.reports.steps.integers import CODES
 from dqforge.reports.steps.record_text import c_name
 from dqforge.reports.steps.step_reader import StepReader
@@ -61,6 +62,7 @@ _OPERATIONS = {
 
 
 _COLUMNS = 12  # Of a table.
+_WORD = "int32_t"
 
 # Types whose names are not those of their classes.
 _NAMES = {"alpha_beta": "alphabeta", "fixed_decoupling": "decoupling_gains"}
@@ -107,17 +109,18 @@ class CodeFunctions(Functions):
 
 
 class Code(Expression):
-    """A number in codes, as text; ``value`` of a constant, else None, and ``free`` if it may be
-    written twice, as a comparison of names.
+    """A number in codes, as text; ``value`` of a constant, else None, ``free`` if it may be
+    written twice, as a comparison of names, and ``narrow`` its text in words of 32 bits, empty
+    where that is another number.
     """
 
-    __slots__ = ("free", "value")
+    __slots__ = ("free", "narrow", "value")
 
     def __init__(
         self, text: str, *, value: int | None = None, free: bool = False, **more: Any
     ) -> None:
         super().__init__(text, **more)
-        self.value, self.free = value, free
+        self.value, self.free, self.narrow = value, free, ""
 
     @property
     def is_name(self) -> bool:
@@ -147,6 +150,12 @@ class Code(Expression):
     def __rlshift__(self, factor: int) -> Code:
         """A number times a power of two, as wide as an operator computes."""
         return _Power(factor, self)
+
+
+class Word(Code):
+    """A number in a word of 32 bits."""
+
+    __slots__ = ()
 
 
 class _Power(Code):
@@ -215,7 +224,7 @@ class CodeReader(StepReader):
     ) -> None:
         super().__init__(prefix, functions, block)
         self.form, self.words, self.hints = form, words, hints or {}
-        self.known_functions, self.counted = functions, words.wide
+        self.known_functions, self.counted, self.pointed = functions, words.wide, words.of(CODE)
         self.array = filled_by(self.hints.get("return"))  # that the function fills
         self.inner = self  # of the function that was written last
 
@@ -231,7 +240,7 @@ class CodeReader(StepReader):
 
     def axis_kinds(self, kind: type[Any]) -> list[str]:
         """Types of the parts of a vector."""
-        return [self.words.of(word) for word in _words_of(kind)]
+        return [self.words.of(word) for word in words_of(kind)]
 
     def vector(self, kind: type[Any], name: str, *, state: bool = False) -> Any:
         """A vector by its name in C."""
@@ -336,9 +345,11 @@ class CodeReader(StepReader):
         return found
 
     def _kind(self, value: Any) -> str:
-        """A variable that branches give its value is wide, or a count."""
+        """A variable that branches give its value is wide, or a count, or a word of 32 bits."""
         if isinstance(value, tuple):
             return super()._kind(value)
+        if isinstance(value, Word):
+            return _WORD
         return self.words.wide if value.kind[0] != "u" else cast("str", value.kind)
 
     # Calls.
@@ -391,6 +402,8 @@ class CodeReader(StepReader):
 
     def returned(self, result: Any, into: Sequence[str] = ()) -> tuple[str, list[str]]:
         """Type of what a function returns, and the statements that return it or fill an array."""
+        if into:
+            result = type(result)(*(part.to(self.pointed) for part in result))
         if self.array is None:
             return super().returned(result, into)
         end = Block(self.block.indent, set())
@@ -513,7 +526,12 @@ class CodeReader(StepReader):
             signs.append(" - " if negative else " + ")
         texts = self._wide(parts)
         text = "".join(sign + own for sign, own in zip(signs, texts, strict=True))
-        return _made(text, self.words.wide, *parts)
+        found = _made(text, self.words.wide, *parts)
+        if all(part.is_name and (part.kind == _WORD or part.value is not None) for part in parts):
+            found.narrow = "".join(
+                f"{sign}{own.text}" for sign, own in zip(signs, parts, strict=True)
+            )
+        return found
 
     def negative(self, a: Any) -> Any:
         """The number with the other sign."""
@@ -521,7 +539,7 @@ class CodeReader(StepReader):
             return a.negative()
         text = a.text if a.atom else f"({a.text})"
         found = _made(f"-({self.words.wide}){text}", self.words.wide, a)
-        found.minus = a
+        found.minus, found.narrow = a, f"-{text}" if a.is_name and a.kind == _WORD else ""
         if not a.is_name:
             found.uses = a.uses
         return found
@@ -533,6 +551,15 @@ class CodeReader(StepReader):
     def widened(self, a: Any) -> Any:
         """A wide word of the same number."""
         return _made(a.text, self.words.wide, a, atom=a.atom)
+
+    def narrowed(self, name: str, a: Any) -> Any:  # noqa: ARG002
+        """A word of 32 bits: of a sum or negative of such words without others."""
+        if a.value is not None:
+            return a
+        text, atom = a.narrow or a.text, a.atom
+        if a.kind == self.words.wide != _WORD and not a.narrow:
+            text, atom = a.to(_WORD).text, False
+        return Word(text, kind=_WORD, atom=atom, reads=a.reads, members=a.members)
 
     def shifted(self, a: Any, bits: Any) -> Any:
         """A right shift."""
@@ -762,23 +789,3 @@ class CodeReader(StepReader):
 
 def _value(part: Expression) -> int | None:
     return cast("int | None", getattr(part, "value", None))
-
-
-# Types.
-
-
-def word_of(hint: Any) -> str:
-    """What a number is by its annotation; a wide word without one."""
-    found = [item for item in getattr(hint, "__metadata__", ()) if isinstance(item, str)]
-    return found[0] if found else WIDE
-
-
-def axes_of(kind: type[Any]) -> tuple[str, ...]:
-    """Names of the parts of a vector in C."""
-    found: tuple[str, ...] = getattr(kind, "AXES", None) or cast("Any", kind)._fields
-    return found
-
-
-def _words_of(kind: type[Any]) -> tuple[str, ...]:
-    own = WORDS_OF_GAIN if kind is Gain else getattr(kind, "WORDS", CODE)
-    return (own,) * len(axes_of(kind)) if isinstance(own, str) else own

@@ -7,9 +7,11 @@ from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Any
 
-from dqforge.optimizer.fixed_control import arithmetic, codes
+from dqforge.optimizer.fixed_control import codes
 from dqforge.optimizer.fixed_control.shortening import inverse_root, reciprocal, shortened
-from dqforge.optimizer.fixed_control.vectors import (
+from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.steps import integer_arithmetic as arithmetic
+from dqforge.optimizer.steps.code_vectors import (
     COUNT,
     FEW,
     TURN,
@@ -19,18 +21,15 @@ from dqforge.optimizer.fixed_control.vectors import (
     Gain,
     Rotation,
 )
-from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.reports.c_code.numbers import int32_literal, int64_literal
 from dqforge.reports.steps.blocks import Block
-from dqforge.reports.steps.code_arrays import is_array, sizes
+from dqforge.reports.steps.code_arrays import axes_of, is_array, sizes, word_of
 from dqforge.reports.steps.code_reader import (
     Code,
     CodeFunctions,
     CodeReader,
     Words,
-    axes_of,
     gain_text,
-    word_of,
 )
 from dqforge.reports.steps.record_text import c_name, comment, said, sentence, struct
 from dqforge.reports.steps.symbols import folded

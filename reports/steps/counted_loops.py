@@ -56,14 +56,29 @@ def place(text: str, **more: Any) -> Index:
 
 
 class Table:
-    """A constant array of numbers, or one of arrays, by its name in C; ``shape`` is numpy's."""
+    """A constant array of numbers of a type ``kind``, or one of arrays, by its name in C and from
+    one of its places on; ``shape`` is numpy's.
+    """
 
-    def __init__(self, text: str, shape: tuple[int, ...]) -> None:
-        self.text, self.shape = text, shape
+    def __init__(
+        self, text: str, shape: tuple[int, ...], kind: str = "float", first: int = 0
+    ) -> None:
+        self.text, self.shape, self.kind, self.first = text, shape, kind, first
 
     def __len__(self) -> int:
         """Numbers, or arrays in it."""
         return self.shape[0]
+
+    def __getitem__(self, rest: slice) -> Table:
+        """The same array from a later place on."""
+        start = int(rest.start)
+        shape = (self.shape[0] - start, *self.shape[1:])
+        return Table(self.text, shape, self.kind, self.first + start)
+
+    def at(self, index: Expression) -> str:
+        """Text of a number."""
+        behind = f" + {self.first}" if self.first else ""
+        return f"{self.text}[{index.bare()}{behind}]"
 
 
 def tables_of(value: Any, text: str) -> Any:

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Concatenate, ParamSpec, TypeVar, get_type_hints
 
 from dqforge.machines.transforms import Pair
-from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, rounded, scaled
 from dqforge.optimizer.fixed_control.codes import rotation
-from dqforge.optimizer.fixed_control.vectors import Dq
 from dqforge.optimizer.fixed_observers.kit import WIDTH, FixedMethod, to_rotor, to_stator
 from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.steps.code_vectors import Dq
+from dqforge.optimizer.steps.integer_arithmetic import Range, Ranges, rounded, scaled
 from dqforge.reports.c_code.numbers import comment_text
 from dqforge.reports.steps import integers
 from dqforge.reports.steps.blocks import Block

@@ -13,10 +13,10 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 from dqforge.machines.transforms import Pair
-from dqforge.optimizer.fixed_control.arithmetic import Range
-from dqforge.optimizer.fixed_control.vectors import Dq
 from dqforge.optimizer.fixed_observers.kit import WIDTH, FixedMethod, TrackedState, shown
 from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.steps.code_vectors import Dq
+from dqforge.optimizer.steps.integer_arithmetic import Range
 from dqforge.reports.c_code.numbers import int32_literal, int64_literal
 from dqforge.reports.steps.blocks import Block
 from dqforge.reports.steps.code_arrays import sizes

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.fixed_control.arithmetic import Range
+from dqforge.optimizer.steps.integer_arithmetic import Range
 from dqforge.reports.c_code.numbers import int32_literal, int64_literal
 from dqforge.reports.steps.symbols import Expression
 

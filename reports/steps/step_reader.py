@@ -93,6 +93,7 @@ class StepReader(Arithmetic):
     """
 
     __setattr__ = object.__setattr__  # its parents are frozen, it writes
+    pointed = "float"  # what results through pointers are
 
     def __init__(self, prefix: str, functions: Functions, block: Block) -> None:
         super().__init__(np.float32, self._wrapped, self._rotated)
@@ -588,8 +589,7 @@ class StepReader(Arithmetic):
             self.block.take(own)
             self.block.variable("float", own)
         texts = [*(part.bare() for part in parts), *(f"&{own}" for own in kind._fields)]
-        begin = f"{self.prefix}_{name}("
-        self.block.work(folded(begin, ", ".join(texts), ");", self.block.indent))
+        self.block.work(folded(f"{self.prefix}_{name}(", ", ".join(texts), ");", self.block.indent))
         return kind(*map(Expression, kind._fields))
 
     def _called(self, name: str, arguments: Sequence[Any], kind: type[Any] | None) -> Any:
@@ -672,7 +672,7 @@ class StepReader(Arithmetic):
             text.removeprefix("const ") if changed else text
             for (text, _), changed in zip(inside, changes, strict=True)
         )
-        parameters = ", ".join([parameters, *(f"float *{pointer}" for pointer in into)])
+        parameters = ", ".join([parameters, *(f"{inner.pointed} *{pointer}" for pointer in into)])
         said = text or sentence(function)
         body = inner.block.lines
         used = set(re.findall(r"\w+", " ".join([*body, *end])))

@@ -16,8 +16,8 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.names import Core
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.fixed_control.arithmetic import CodeArray
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
+from dqforge.optimizer.steps.integer_arithmetic import CodeArray
 from dqforge.reports.control.fixed_header import control_fixed_files
 from dqforge.reports.verification.measured_cost import CallCost, cost_of_calls
 

@@ -29,8 +29,8 @@ from dqforge.machines.transforms import (
     park_inverse,
     phases_to_dq,
 )
-from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges
 from dqforge.optimizer.fixed_control.codes import FIXED_MODULATORS, Codes
+from dqforge.optimizer.steps.integer_arithmetic import Integers, Range, Ranges
 
 SINGLES = Floats(np.float32)
 ROOT = Path(dqforge.__file__).parent

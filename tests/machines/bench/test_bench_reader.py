@@ -143,3 +143,14 @@ def test_a_requested_current_that_is_said_to_be_measured(log: Path) -> None:
     (log / "log.csv").write_text(text)
     (run,) = read_bench(written(log, ROWS.replace("i_q: iq", "i_q: IqReq"))).runs
     assert "looks like a requested current" in run.remarks[0]
+
+
+def test_a_log_of_a_known_tool_needs_no_word_on_its_currents(
+    tmp_path: Path, shared_data: Path
+) -> None:
+    shutil.copy(shared_data / "bench/moteus_ld/ld_mj5208.json", tmp_path / "sweep.json")
+    runs = """
+- {name: sweep, kind: speed-sweep, file: sweep.json, format: moteus-ld}
+"""
+    (run,) = read_bench(written(tmp_path, runs)).runs
+    assert run.voltage == "reference"

@@ -68,10 +68,12 @@ def test_no_input_overflows_and_the_accumulators_are_used(number_format: NumberF
         assert polynomial is not None
         assert not polynomial.overflows()
         for segment, length in zip(polynomial.segments, polynomial.lengths(), strict=True):
-            for x in np.linspace(0, length, 2001).astype(int).tolist():
+            local = np.linspace(0, length, 2001).astype(int)
+            found = polynomial.evaluate(segment.start + local)
+            for x, result in zip(local.tolist(), found.tolist(), strict=True):
                 value, bits = steps_in_exact_integers(segment, x, reference.width)
                 longest = max(longest, bits)
-                assert value == int(polynomial.evaluate(np.array([segment.start + x]))[0])
+                assert value == result
     assert longest >= 2 * reference.width - 2
 
 
@@ -112,14 +114,17 @@ def test_ranges_enclose_what_happens_and_overflow_is_seen() -> None:
     product = np.array([-20000]) * x + 700_000_000
     inner = product >> 14
     last = inner * x + 5_000
-    products, values, results = segment.ranges(30_000)
-    assert products[0] <= min(product.min(), last.min(), (inner * x).min())
-    assert products[1] >= max(product.max(), last.max(), (inner * x).max())
-    assert values[0] <= inner.min()
-    assert values[1] >= inner.max()
+    proven, results = segment.ranges(30_000, 16)
+    products, sums, values = (proven.reaches[n].range for n in ("product", "sum", "value"))
+    assert products.low <= min((x * -20000).min(), (inner * x).min())
+    assert products.high >= max((x * -20000).max(), (inner * x).max())
+    assert sums.low <= min(product.min(), last.min())
+    assert sums.high >= max(product.max(), last.max())
+    assert values.low <= inner.min()
+    assert values.high >= inner.max()
     found = last >> 16
-    assert results[0] <= found.min()
-    assert found.max() <= results[1] <= found.max() + 0.05 * np.ptp(found)
+    assert results.low <= found.min()
+    assert found.max() <= results.high <= found.max() + 0.05 * np.ptp(found)
     assert not overflows(segment, 30_000, 16)
     assert overflows(segment, 120_000, 16)
     assert overflows(replace(segment, leading=20000, constants=(2**31 - 1, 0)), 30_000, 16)

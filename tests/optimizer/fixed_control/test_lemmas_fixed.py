@@ -23,9 +23,7 @@ from dqforge.optimizer.curves.single_precision import (
     in_segments,
     multiply_add,
 )
-from dqforge.optimizer.fixed_control import arithmetic as fixed
 from dqforge.optimizer.fixed_control import ranges as fixed_ranges
-from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges, Reach, scaled
 from dqforge.optimizer.fixed_control.ranges import (
     DeadBand,
     codes,
@@ -45,8 +43,10 @@ from dqforge.optimizer.fixed_control.transforms import (
     pi_gains,
     reduced_order_gains,
 )
-from dqforge.optimizer.fixed_control.vectors import Dq
 from dqforge.optimizer.loops.integer_gains import FixedGain, given, quantise
+from dqforge.optimizer.steps import integer_arithmetic as fixed
+from dqforge.optimizer.steps.code_vectors import Dq
+from dqforge.optimizer.steps.integer_arithmetic import Integers, Range, Ranges, Reach, scaled
 
 SPANS = [Range(low, high) for low in range(-4, 5) for high in range(low, 5)]
 POSITIVE = [Range(low, high) for low in range(1, 5) for high in range(low, 5)]

@@ -18,7 +18,6 @@ from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges, scaled
 from dqforge.optimizer.fixed_control.codes import FIXED_MODULATORS
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
 from dqforge.optimizer.fixed_control.ranges import (
@@ -31,6 +30,7 @@ from dqforge.optimizer.fixed_control.ranges import (
 )
 from dqforge.optimizer.fixed_control.transforms import FixedPi, Pi, pi_gains, pi_step
 from dqforge.optimizer.loops.integer_gains import FixedGain, given, quantise
+from dqforge.optimizer.steps.integer_arithmetic import Integers, Range, Ranges, scaled
 from dqforge.reports.control.fixed_model import row_inputs, row_results
 
 

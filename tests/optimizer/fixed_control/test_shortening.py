@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from dqforge.machines.design import catalogue
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
 from dqforge.optimizer.fixed_control.shortening import inverse_root, longest, reciprocal, shortened
 from dqforge.optimizer.fixed_control.transforms import (
@@ -20,7 +19,8 @@ from dqforge.optimizer.fixed_control.transforms import (
     speed_loop,
     speed_loop_gains,
 )
-from dqforge.optimizer.fixed_control.vectors import AlphaBeta
+from dqforge.optimizer.steps.code_vectors import AlphaBeta
+from dqforge.optimizer.steps.integer_arithmetic import CodeArray, Integers
 
 WIDTHS = (16, 32)
 

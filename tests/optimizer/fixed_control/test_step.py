@@ -30,7 +30,6 @@ from dqforge.machines.transforms import (
     park_inverse,
 )
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_control.codes import FIXED_MODULATORS, Codes, rotation
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
 from dqforge.optimizer.fixed_control.transforms import (
@@ -48,9 +47,10 @@ from dqforge.optimizer.fixed_control.transforms import (
     reduced_order_gains,
     reduced_order_step,
 )
-from dqforge.optimizer.fixed_control.vectors import Abc, AlphaBeta, Dq
 from dqforge.optimizer.loops.integer_gains import given, quantise
 from dqforge.optimizer.observers.reduced_order import estimate_speed, simulate_observer
+from dqforge.optimizer.steps.code_vectors import Abc, AlphaBeta, Dq
+from dqforge.optimizer.steps.integer_arithmetic import CodeArray, Integers
 
 EXACT = Integers()
 WIDTHS = (16, 32)

@@ -7,7 +7,6 @@ import pytest
 
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.transforms import Pair
-from dqforge.optimizer.fixed_control.arithmetic import Integers
 from dqforge.optimizer.fixed_observers.kit import (
     ONE,
     TOP,
@@ -17,6 +16,7 @@ from dqforge.optimizer.fixed_observers.kit import (
     quotient,
     sine_of_angle,
 )
+from dqforge.optimizer.steps.integer_arithmetic import Integers
 
 NUMBERS = Integers()
 RNG = np.random.default_rng(20_261_122)

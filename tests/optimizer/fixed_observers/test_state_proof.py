@@ -9,10 +9,10 @@ import pytest
 from fixed_drives import fitted
 
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.fixed_control.arithmetic import Integers, Range
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import FIXED_METHODS, observer_reaches
 from dqforge.optimizer.fixed_observers.kit import TOP
 from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.steps.integer_arithmetic import Integers, Range
 from dqforge.reports.fixed_observers.fixed_observer_header import row_inputs, row_results
 
 EVERY = pytest.mark.parametrize(

@@ -17,8 +17,6 @@ from dqforge.machines.names import CurrentFrame, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.topologies import TOPOLOGIES, leg_signs
 from dqforge.machines.transforms import clarke_matrix
-from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges
-from dqforge.optimizer.fixed_control.vectors import Abc, Dq, Rotation
 from dqforge.optimizer.fixed_phase_control.design import fit_phase_control
 from dqforge.optimizer.fixed_phase_control.integers import (
     Control,
@@ -32,6 +30,8 @@ from dqforge.optimizer.fixed_phase_control.integers import (
 from dqforge.optimizer.fixed_phase_control.leg_steps import LegSteps
 from dqforge.optimizer.fixed_phase_control.phase_step import HarmonicSteps, PhaseSteps
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
+from dqforge.optimizer.steps.code_vectors import Abc, Dq, Rotation
+from dqforge.optimizer.steps.integer_arithmetic import Integers, Range, Ranges
 
 RPM = math.pi / 30.0
 

@@ -9,11 +9,11 @@ import pytest
 from weakened_drives import CASES, SATURATED, line_fit, weakened_design, weakened_fit
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges
 from dqforge.optimizer.fixed_control.design import dc_link
 from dqforge.optimizer.fixed_reference.fit import CodePoints, mesh_currents
 from dqforge.optimizer.fixed_reference.mesh import CurrentMesh
 from dqforge.optimizer.operating_points.points import optimal_points
+from dqforge.optimizer.steps.integer_arithmetic import Integers, Range, Ranges
 
 FAST = ("interior", "small ipm", "reluctance")
 NAMES = [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in CASES]

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench_files import bench_text, moteus_bench, slow_noise, write_table
+from simulated_points import MeasuredMap, simulated
 
 from dqforge import cli
 from dqforge.machines.design.catalogue import load_design
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 
 RUN = """
 - name: ride
@@ -63,7 +65,7 @@ def test_a_design_with_sources_and_tolerances(ride: Path, tmp_path: Path) -> Non
     values = {value.path: value for value in design.values}
     assert "dqforge identify, bench.yaml: ride" in values["machine.resistance"].source
     assert design.machine.r_s == pytest.approx(0.07, rel=0.03)
-    assert "control.tolerances.r_s" in values
+    assert {"control.tolerances.r_s", "control.tolerances.psi_pm"} <= set(values)
 
 
 def test_json_holds_covariance_and_hashes(ride: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -103,7 +105,7 @@ def test_a_run_that_says_nothing_has_its_line(
 ) -> None:
     write_table(
         tmp_path / "ride.csv",
-        {"erpm": np.arange(5.0), "q_axis_current": np.zeros(5), "q_axis_voltage": np.ones(5)},
+        {"erpm": np.arange(30.0), "q_axis_current": np.zeros(30), "q_axis_voltage": np.ones(30)},
     )
     path = tmp_path / "bench.yaml"
     path.write_text(bench_text(RUN, MACHINE))
@@ -112,3 +114,51 @@ def test_a_run_that_says_nothing_has_its_line(
     assert len(lines) == 1
     assert "bench.yaml:8:" in lines[0]
     assert "no current flows" in lines[0]
+
+
+def test_a_flux_map_that_the_design_reads(tmp_path: Path, shared_data: Path) -> None:
+    rows = simulated(MeasuredMap(shared_data), 1, rpm=(400.0,))
+    columns = {
+        "i_d [A]": rows.current.real,
+        "i_q [A]": rows.current.imag,
+        "u_d [V]": rows.voltage.real,
+        "u_q [V]": rows.voltage.imag,
+    }
+    assert rows.temperature is not None
+    write_table(tmp_path / "points.csv", columns | {"T [degC]": rows.temperature})
+    run = """
+- name: grid
+  kind: flux-points
+  file: points.csv
+  columns: {i_d: i_d, i_q: i_q, u_d: u_d, u_q: u_q, temperature: T, speed: {value: 400 rpm}}
+  currents: measured
+  voltage: reference
+"""
+    path = tmp_path / "bench.yaml"
+    machine = "pole_pairs: 2\nmax_current: 18 A"
+    path.write_text(bench_text(run, machine, "{v_dc: 540 V, switching_frequency: 8 kHz}"))
+    assert call("identify", path, "-o", tmp_path / "out") == 0
+    design = load_design(tmp_path / "out" / "design.yaml")
+    assert isinstance(design.machine, SaturatedMachine)
+    assert design.machine.r_s == pytest.approx(0.63, abs=0.002)
+    heading = (tmp_path / "out" / "map.csv").read_text().splitlines()[0]
+    assert heading == "i_d [A],i_q [A],psi_d [Wb],psi_q [Wb],sigma_d [Wb],sigma_q [Wb],n"
+
+
+def test_a_planned_bench_that_is_filled_is_identified(tmp_path: Path) -> None:
+    assert call("identify", "--plan", "hoverboard-hub", "-o", tmp_path) == 0
+    sheet = tmp_path / "points.csv"
+    heading, *points = [line.split(",") for line in sheet.read_text().splitlines()]
+    rng, filled = np.random.default_rng(5), [",".join(heading)]
+    for number, rpm, i_d, i_q, seconds, *_ in points:
+        omega, d, q = float(rpm) * np.pi / 30.0 * 15.0, float(i_d), float(i_q)
+        u_d = 0.2 * d - omega * 0.4e-3 * q + rng.normal(0.0, 0.05)
+        u_q = 0.2 * q + omega * (0.021 + 0.4e-3 * d) + rng.normal(0.0, 0.05)
+        filled.append(f"{number},{rpm},{i_d},{i_q},{seconds},{u_d:.5g},{u_q:.5g}")
+    sheet.write_text("\n".join(filled))
+    assert call("identify", tmp_path / "bench.yaml", "-o", tmp_path / "out") == 0
+    machine = load_design(tmp_path / "out" / "design.yaml").machine
+    assert machine.psi_pm == pytest.approx(0.021, rel=0.01)
+    assert machine.l_q == pytest.approx(0.4e-3, rel=0.03)
+    assert call("identify", "--plan", "abb-syrm-6k7", "-o", tmp_path / "no") == 1
+    assert not (tmp_path / "no").exists()

@@ -16,13 +16,13 @@ import pytest
 from fixed_drives import fitted, observed_design
 
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.fixed_control.arithmetic import CodeArray
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
     FIXED_METHODS,
     FixedObserverFit,
     fixed_method_named,
     solve_fixed_observers,
 )
+from dqforge.optimizer.steps.integer_arithmetic import CodeArray
 from dqforge.reports.fixed_observers.fixed_observer_header import (
     fixed_observer_files,
     fixed_observer_from,

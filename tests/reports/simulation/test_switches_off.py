@@ -74,7 +74,7 @@ int main(void)
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("plant")
-    context = {"parameters": PARAMETERS, "states": STATES, "hears": (), "bridge": ""}
+    context = {"parameters": PARAMETERS, "states": STATES, "hears": ()}
     for name in ("plant.c", "phase_plant.c"):
         (folder / name).write_text(render(f"simulation/{name}.j2", context), encoding="ascii")
     (folder / "main.c").write_text(MAIN, encoding="ascii")

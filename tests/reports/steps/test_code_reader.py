@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from dqforge.machines.transforms import N
-from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded, saturated
-from dqforge.optimizer.fixed_control.vectors import AlphaBeta, Coded, Dq, Turned
+from dqforge.optimizer.steps.code_vectors import AlphaBeta, Coded, Dq, Turned
+from dqforge.optimizer.steps.integer_arithmetic import Arithmetic, rounded, saturated
 from dqforge.reports.steps.code_reader import Code, CodeReader
 from dqforge.reports.steps.code_text import basics_reader, code_reader, texts, write
 

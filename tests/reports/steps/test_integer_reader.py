@@ -17,9 +17,7 @@ from fixed_drives import observed_design
 from static_checks import program
 
 from dqforge.machines.transforms import N, Pair
-from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, Range, rounded, scaled
 from dqforge.optimizer.fixed_control.codes import rotation
-from dqforge.optimizer.fixed_control.vectors import Dq
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
     FixedObserverFit,
     FixedPositionObserver,
@@ -45,6 +43,8 @@ from dqforge.optimizer.fixed_observers.kit import (
     vector_words,
 )
 from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.steps.code_vectors import Dq
+from dqforge.optimizer.steps.integer_arithmetic import Arithmetic, Range, rounded, scaled
 from dqforge.optimizer.steps.step_arithmetic import Member
 from dqforge.reports.fixed_observers.fixed_observer_header import (
     fixed_observer_files,

@@ -17,9 +17,9 @@ from weakened_drives import line_fit, weakened_design, weakened_fit
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.fixed_control.arithmetic import CodeArray
 from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
 from dqforge.optimizer.fixed_reference.mesh import CurrentMesh
+from dqforge.optimizer.steps.integer_arithmetic import CodeArray
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.run import export_design, verify_folder
 from dqforge.reports.single_headers.fixed_mesh_reading import mesh_from

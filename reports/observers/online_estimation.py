@@ -247,6 +247,7 @@ def estimation_inputs(gains: OnlineEstimationGains, count: int, seed: int) -> Si
     lead = generator.uniform(0.0, np.pi, (sequences, 1))
     current = size * np.exp(1j * (theta + lead)) * generator.uniform(0.9, 1.1, shape)
     wild = 10.0 ** generator.choice([0.0, 0.0, 2.0, 4.0], (sequences, 1))
+    wild = wild * np.where(wild > 1.0, generator.choice([1.0, -1.0], (sequences, 1)), 1.0)
     voltage = gains.r_s * current + 1j * speed * gains.psi_pm * np.exp(1j * theta)
     voltage = voltage * wild * generator.uniform(0.5, 1.5, shape)
     rows = np.zeros((*shape, _COLUMNS_IN))

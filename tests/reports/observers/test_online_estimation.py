@@ -14,9 +14,7 @@ from dqforge.machines.design.catalogue import load_text, read_text
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.online_estimation import FLUX, RESISTANCE, solve_online_estimation
-from dqforge.reports.run import export_design, verify_folder
-from dqforge.reports.simulation.design_run import simulate_design
-from dqforge.reports.single_headers.online_estimation import (
+from dqforge.reports.observers.online_estimation import (
     estimation_inputs,
     estimation_outputs,
     estimation_tables,
@@ -24,6 +22,8 @@ from dqforge.reports.single_headers.online_estimation import (
     model_from,
     plain_model,
 )
+from dqforge.reports.run import export_design, verify_folder
+from dqforge.reports.simulation.design_run import simulate_design
 
 TEXT = read_text("paper001-pmsm-bench").decode("utf-8")
 # Weak magnets, then warm windings: fast and idle, then slow and loaded.

@@ -1,7 +1,7 @@
 """Integer steps that can be run on numbers and on ranges of numbers,
 so that one text serves as model and as proof.
 
-The control functions in fixed point (`fixed_transforms`, `fixed_control`) are written once, with
+The functions in fixed point (control, references, observers) are written once, with
 the operations of `Arithmetic`. Run with `Integers` they are the model of the emitted C, on arrays
 of int64; run with `Ranges` they are its interval analysis, in exact integers of any size, and every
 named quantity leaves the range that it can take.
@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import C, N
-from dqforge.optimizer.fixed_control.vectors import COUNT, Coded
-from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.steps.code_vectors import COUNT, Coded
 
 CodeArray = NDArray[np.int64]
 
@@ -33,6 +32,22 @@ BoolArray = NDArray[np.bool_]
 _T = TypeVar("_T")
 _V = TypeVar("_V", bound=tuple[Any, ...])
 _P = ParamSpec("_P")
+
+
+class Factor(Protocol):
+    """A number mantissa / 2^shift, and half of what the shift leaves."""
+
+    @property
+    def mantissa(self) -> int:
+        """An integer."""
+
+    @property
+    def shift(self) -> int:
+        """Bits."""
+
+    @property
+    def half(self) -> int:
+        """Half of 2^shift, 0 without a shift."""
 
 
 class Arithmetic(Protocol[N, C]):
@@ -167,6 +182,9 @@ class Arithmetic(Protocol[N, C]):
 
     def widened(self, a: N) -> N:
         """The number a, which the firmware keeps in a word of twice as many bits."""
+
+    def narrowed(self, name: str, a: N) -> N:
+        """The number a, which the firmware keeps in a word of 32 bits."""
 
     def entries(
         self,
@@ -371,6 +389,10 @@ class Integers(_Unnamed):
             self.seen[name] = (min(low, int(np.min(a))), max(high, int(np.max(a))))
         return a
 
+    def narrowed(self, name: str, a: CodeArray) -> CodeArray:  # noqa: ARG002
+        """The numbers."""
+        return a
+
     def known(self, a: CodeArray, low: int, high: int) -> CodeArray:
         """The numbers within the limits; the C would differ from others."""
         return self.clamp(a, low, high)
@@ -542,11 +564,13 @@ class Ranges(_Unnamed):
     prefix: str = ""
     reaches: dict[str, Reach] = field(default_factory=dict)
 
-    def _note(self, name: str, a: Range) -> Range:
+    def _note(self, name: str, a: Range, bits: int = 0) -> Range:
         name = f"{self.prefix}{name}"
         before = self.reaches.get(name)
-        hull = a if before is None else a.hull(before.range)
-        self.reaches[name] = Reach(name, hull, 2 * self.width)
+        if before is None:
+            self.reaches[name] = Reach(name, a, bits or 2 * self.width)
+        elif a.low < before.range.low or a.high > before.range.high:
+            self.reaches[name] = Reach(name, a.hull(before.range), before.bits)
         return a
 
     def overflowing(self) -> Reach | None:
@@ -569,6 +593,10 @@ class Ranges(_Unnamed):
         if True in conditions:
             return True
         return None if None in conditions else False
+
+    def narrowed(self, name: str, a: Range) -> Range:
+        """The range, of a word of 32 bits."""
+        return self._note(name, a, 32)
 
     def known(self, a: Range, low: int, high: int) -> Range:
         """The part of the range that lies there."""
@@ -737,7 +765,7 @@ def saturated(o: Arithmetic[N, Any], width: int, x: N) -> Coded[N]:
     return o.clamp(x, -(1 << (width - 1)), (1 << (width - 1)) - 1)
 
 
-def scaled(o: Arithmetic[N, C], name: str, gain: FixedGain, x: N) -> N:
+def scaled(o: Arithmetic[N, C], name: str, gain: Factor, x: N) -> N:
     """The product with a gain, rounded to nearest."""
     product = o.product(name, o.const(gain.mantissa), x)
     return o.shifted(o.total(name, product, o.const(gain.half)), gain.shift)
