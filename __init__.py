@@ -186,4 +186,4 @@ if not TYPE_CHECKING:  # a type checker shall refuse names that are not there
 
 def __dir__() -> list[str]:
     """List the public names, loaded or not."""
-    return sorted({*globals(), *__all__})
+    return sorted((*__all__, "__version__"))

@@ -72,7 +72,7 @@ def run(
 ) -> None:
     """Solve, export, verify and report a design.
 
-    Everything that it requests: headers, test vectors, verification, report, result.json.
+    Everything the design requests: headers, test vectors, verification, report, result.json.
     """
     ask = partial(answers.run.answer_run, verify=not no_verify)
     respond("run", lambda: ask(load(design, sets)), json, out=out, default=True)

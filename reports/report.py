@@ -275,7 +275,7 @@ def value_rows(design: Design) -> list[PlainData]:
         {
             "path": value.path,
             "text": value.text,
-            "si": f"{number(value.si, 6)}{NARROW}{unit_text(value.unit)}".rstrip(),
+            "si": f"{number(value.si, 6)}{NARROW}{unit_text(value.unit)} {value.kind}".rstrip(),
             "source": value.source,
             "inferred": value.inferred,
             "note": value.note,

@@ -888,16 +888,14 @@ def test_phase_currents_of_a_salient_machine(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_osqp_is_heard_on_the_terminal_in_the_report_and_in_json(run: Run, tmp_path: Path) -> None:
+def test_osqp_is_heard_in_the_report_and_in_json(run: Run, tmp_path: Path) -> None:
     entries = json.loads(run("dqy", WAVES, "--json").out)["waveforms"]["confirmations"]
     assert len(entries) == 7
     assert {entry["verdict"] for entry in entries} == {"confirmed"}
-    table = run("dqy", WAVES).out.split("The same programmes solved by OSQP")[1]
+    assert "OSQP" not in run("dqy", WAVES).out
     run("run", WAVES, "-o", "out", "--no-verify")
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     for entry in entries:
-        assert f"{entry['residuals_osqp']['largest']:.1e}" in table
-        assert f"{entry['residuals']['largest']:.1e}" in table
         assert f"{entry['residuals_osqp']['largest']:.1e}" in report
 
 

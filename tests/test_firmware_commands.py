@@ -104,6 +104,14 @@ def test_the_table_of_an_export_has_keys_values_and_units(call: Call) -> None:
     assert code == 0
     row = next(line for line in out.splitlines() if "magnet flux linkage" in line)
     assert row.split()[3:7] == ["6.1259", "mWb", "foc_motor_flux_linkage", "0.00612588"]
+    row = next(line for line in out.splitlines() if "pole pairs " in line)
+    assert row.split("23")[-1].split("twice")[-1].split() == ["the", "pole", "pairs"]
+    row = next(line for line in out.splitlines() if "foc_cc_decoupling" in line)
+    assert row.split()[0:4] == ["foc_cc_decoupling", "3", "foc_cc_decoupling", "3"]
+    assert "what is fed forward" in row
+    assert "convention: currents and flux linkage are peak values" in out
+    assert "vesc: run no motor detection afterwards" in out
+    assert "delay of 0.5 periods" in out
     assert "loops as vesc runs them" in out
     assert "what the format cannot hold" in out
     assert "written: e/scooter_mcconf.xml e/scooter_mcconf.h" in out
@@ -338,6 +346,10 @@ def test_the_gains_of_a_file_are_judged_by_tune(call: Call, tmp_path: Path) -> N
     found = answered(call, "tune", "made/design.yaml")
     judged = scooter_fit("vesc").judged
     assert judged.current_q is not None
+    assert call("tune", "made/design.yaml")[1].splitlines()[-1] == (
+        "next: dqforge run made/design.yaml, or dqforge export made/design.yaml --for vesc, "
+        "simplefoc, ..."
+    )
     margins = json.dumps(found)
     assert f"{judged.current_q.phase_margin:.9g}" in margins
 

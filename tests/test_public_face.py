@@ -61,7 +61,7 @@ def test_every_name_is_there_and_says_what_it_is() -> None:
         found = getattr(dqforge, name)
         assert found.__name__ == name
         assert inspect.getdoc(found)
-    assert set(dqforge.__all__) <= set(dir(dqforge))
+    assert set(dir(dqforge)) == {*dqforge.__all__, "__version__"}
 
 
 def test_what_type_checkers_read_is_what_is_loaded() -> None:
@@ -103,6 +103,28 @@ def test_functions_describe_every_argument(name: str) -> None:
 def test_the_reference_page_has_every_name(name: str) -> None:
     page = (ROOT / "docs" / "reference" / "python.md").read_text(encoding="utf-8")
     assert f"`{name}" in page
+
+
+def test_the_reference_page_has_the_signatures() -> None:
+    """Names in their order, those behind a star by name alone; ``...`` leaves out the rest."""
+    page = (ROOT / "docs" / "reference" / "python.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)\(([^)`]*)\)`", page, re.MULTILINE)
+    functions = {
+        name: listed for name, listed in rows if inspect.isfunction(getattr(dqforge, name))
+    }
+    assert set(functions) == {n for n in dqforge.__all__ if inspect.isfunction(getattr(dqforge, n))}
+    for name, listed in functions.items():
+        parts = [part.strip() for part in listed.split(",") if part.strip()]
+        expected = []
+        for parameter in inspect.signature(getattr(dqforge, name)).parameters.values():
+            if parameter.kind is parameter.KEYWORD_ONLY and "*" not in expected:
+                expected.append("*")
+            many = parameter.kind is parameter.VAR_KEYWORD
+            expected.append(f"**{parameter.name}" if many else parameter.name)
+        if parts[-1:] == ["..."]:
+            parts.pop()
+            expected = expected[: len(parts)]
+        assert parts == expected, name
 
 
 def blocks(page: str) -> list[str]:

@@ -34,6 +34,21 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import TOPOLOGIES, amplitude_limit, sine_share
 from dqforge.machines.units.quantities import format_quantity
 
+# Constants of machines, each with the keys of the section ``machine`` that may give it.
+CONSTANTS = {
+    "pole_pairs": ("pole_pairs", "poles"),
+    "r_s": ("resistance",),
+    "l_d": ("inductance_d", "inductance"),
+    "l_q": ("inductance_q", "inductance"),
+    "l_s": ("self_inductance",),
+    "m_s": ("mutual_inductance",),
+    "psi_pm": ("magnet_flux", "back_emf_constant", "torque_constant", "kv"),
+    "i_max": ("max_current",),
+    "inertia": ("inertia",),
+    "friction": ("friction",),
+    "omega_m_max": ("max_speed",),
+}
+
 
 @dataclass(frozen=True, slots=True)
 class DesignFiles:
@@ -92,7 +107,15 @@ class Design:
         """Name, machine and inverter in a few lines; `values` says all that the file says."""
         machine = self.machine if self.phase_machine is None else self.phase_machine
         inverter = f"{self.inverter.v_dc:g} V, {self.inverter.f_sw:g} Hz"
-        return f"Design {self.name!r}\n  {machine!r}\n  {inverter}, digest {self.digest[:12]}"
+        keys = {value.path: value.text for value in self.values}
+        origins = [
+            f"{name}: {key} {keys[f'machine.{key}']}"
+            for name, candidates in CONSTANTS.items()
+            for key in candidates
+            if f"machine.{key}" in keys
+        ]
+        lines = [f"Design {self.name!r}", repr(machine), *([", ".join(origins)] if origins else [])]
+        return "\n  ".join([*lines, f"{inverter}, digest {self.digest[:12]}"])
 
     @property
     def strategy(self) -> Strategy:
@@ -680,6 +703,10 @@ ROUNDING_OF_DATA = 1e-3
 # One value of a design with its origin, as it is shown and traced.
 
 
+# Keys whose value in SI is of the convention that the file names.
+_KEPT_KINDS = ("machine.back_emf_constant", "machine.torque_constant", "machine.kv")
+
+
 @dataclass(frozen=True, slots=True)
 class InputValue:
     """One value of the design as it was read.
@@ -696,3 +723,11 @@ class InputValue:
     source: str = ""
     inferred: bool = False
     note: str = ""
+
+    @property
+    def kind(self) -> str:
+        """Convention of a constant whose SI value keeps it, such as ``line-to-line rms``; empty of
+        values that are converted to peak of phase.
+        """
+        _, opened, kind = self.text.removesuffix(")").rpartition("(")
+        return kind if opened and self.path in _KEPT_KINDS else ""

@@ -120,7 +120,7 @@ def check_map(
             source=source,
         )
     return (
-        (*dips, f"{about}; they are equal without loss and error")
+        (*dips, f"{about}; they should be equal in a lossless machine; check the map")
         if misfit > NOTABLE_CURL
         else dips
     )

@@ -298,6 +298,25 @@ _OUTPUT_PREFIXES = (
 )
 
 
+_ROUNDING = 1e-9  # Percent that are nothing but rounding.
+
+
+def signed_percent(value: float) -> str:
+    """A relative change in percent with its sign and three digits; what is rounding alone is 0.
+
+    Args:
+        value: The change over what changes, dimensionless.
+    """
+    percent = 100.0 * value
+    return "0 %" if abs(percent) < _ROUNDING else f"{percent:+.3g} %"
+
+
+def signed_hundredths(percent: float) -> str:
+    """A change in percent with its sign and two decimals, 0 where these are noughts."""
+    text = f"{percent:+.2f}"
+    return "0" if text in {"+0.00", "-0.00"} else text
+
+
 def half_digit(value: float, digits: int) -> float:
     """Half of the last of the significant digits of a printed number: how far the number before
     rounding may lie from it. Of a printed 0 these are places behind the point.

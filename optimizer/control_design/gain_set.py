@@ -15,6 +15,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import in_rpm, linear_voltage
+from dqforge.machines.units.quantities import signed_percent
 from dqforge.optimizer.certificates.cell_queue import (
     BoxDrive,
     CurrentLoopBox,
@@ -153,7 +154,7 @@ def prove_loops(
 
 
 def _refusal(unstable: Mapping[str, float]) -> NoSolutionError:
-    at = ", ".join(f"{name} {100.0 * value:+.3g} %" for name, value in unstable.items())
+    at = ", ".join(f"{name} {signed_percent(value)}" for name, value in unstable.items())
     return NoSolutionError(
         f"control.speed_loop: within control.tolerances the speed loop is unstable at {at}, "
         "between the corners and points that were tried; ask for a slower loop, or narrow "
@@ -576,5 +577,5 @@ def _turning_proof_refusal(
         ("v_dc", drive.gain),
     )
     parts = [f"{rpm:.4g} rpm, {drive.r_s:.4g} Ohm"]
-    parts += [f"{name} {100.0 * (share - 1.0):+.3g} %" for name, share in shares]
+    parts += [f"{name} {signed_percent(share - 1.0)}" for name, share in shares]
     return unstable_together(", ".join(parts), radius)

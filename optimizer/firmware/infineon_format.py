@@ -296,7 +296,7 @@ def _given(
 
 
 _FIELDS = {
-    "pole_pairs": (("motor.P",), "half of it"),
+    "pole_pairs": (("motor.P",), "twice the pole pairs"),
     "r_s": (("motor.r",), "as it is, ohm of a phase"),
     "l_d": (("motor.ld",), "as it is, H of a phase"),
     "l_q": (("motor.lq",), "as it is, H of a phase"),
@@ -304,7 +304,7 @@ _FIELDS = {
     "inertia": (("mech.inertia",), "as it is, kg m^2"),
     "viscous": (("mech.viscous",), "as it is, N m s/rad"),
     "i_max": (("motor.i_peak",), "as it is, A (peak of phase)"),
-    "omega_m_max": (("motor.w_max.elec",), "over pole pairs, rad/s (mechanical)"),
+    "omega_m_max": (("motor.w_max.elec",), "pole pairs times the speed, rad/s (electrical)"),
     "v_dc": (("sys.vdc_nom",), "as it is, V"),
     "f_sw": (("sys.samp.fs0",), "times fpwm_fs0_ratio, Hz"),
     "t_s": (("sys.samp.fs0",), "one over it, s"),

@@ -195,7 +195,7 @@ CONVENTIONS = (
     "currents and flux linkage are peak values",
     "foc_motor_l is the mean of L_d and L_q, foc_motor_ld_lq_diff is L_q - L_d",
     "foc_f_zv is twice the PWM frequency; the control step runs once per PWM period",
-    "erpm count electrical revolutions per minute: mechanical ones times pole pairs",
+    "l_max_erpm and s_pid_kp count electrical rev/min: mechanical ones times pole pairs",
     "s_pid_kp and s_pid_ki are 20 times the share of l_current_max per erpm",
 )
 
@@ -312,16 +312,16 @@ def _speed(own: Mapping[str, OwnValue]) -> PiGains | None:
 
 
 _FIELDS = {
-    "pole_pairs": ("si_motor_poles", "half of it"),
+    "pole_pairs": ("si_motor_poles", "twice the pole pairs"),
     "r_s": ("foc_motor_r", "as it is, Ohm of a phase"),
-    "l_d": ("foc_motor_l", "less half of foc_motor_ld_lq_diff, H of a phase"),
-    "l_q": ("foc_motor_l", "plus half of foc_motor_ld_lq_diff, H of a phase"),
+    "l_d": ("foc_motor_l", "mean of L_d and L_q, with foc_motor_ld_lq_diff = L_q - L_d, H"),
+    "l_q": ("foc_motor_l", "mean of L_d and L_q, with foc_motor_ld_lq_diff = L_q - L_d, H"),
     "psi_pm": ("foc_motor_flux_linkage", "as it is, Wb (peak of phase)"),
     "i_max": ("l_current_max", "as it is, A (peak of phase)"),
-    "omega_m_max": ("l_max_erpm", "times pi/30 over the pole pairs, rad/s (mechanical)"),
-    "f_sw": ("foc_f_zv", "half of it, Hz"),
-    "t_s": ("foc_f_zv", "one PWM period, s"),
-    "dead_time": ("foc_dt_us", "in s"),
+    "omega_m_max": ("l_max_erpm", "pole pairs times the speed in rev/min"),
+    "f_sw": ("foc_f_zv", "twice the switching frequency, Hz"),
+    "t_s": ("foc_f_zv", "the control runs once per PWM period"),
+    "dead_time": ("foc_dt_us", "in us"),
     "current_d.kp": ("foc_current_kp", "as it is, V/A"),
     "current_d.ki": ("foc_current_ki", "as it is, V/(A s)"),
     "current_q.kp": ("foc_current_kp", "as it is, V/A"),

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import CURRENT_DELAY, in_rpm
+from dqforge.machines.units.quantities import signed_percent
 from dqforge.optimizer.loops.plants import PiLoop
 from dqforge.optimizer.sampled_systems import LEAST_SHARE, LoopMargins
 
@@ -87,7 +88,7 @@ class Corner:
     @property
     def words(self) -> str:
         """Every error, the load, and the dead time."""
-        parts = [f"{_SYMBOLS[name]} {100.0 * error:+.3g} %" for name, error in self.errors.items()]
+        parts = [f"{_SYMBOLS[name]} {signed_percent(error)}" for name, error in self.errors.items()]
         parts.append(f"load {self.load:.3g} N m" if self.load else "no load")
         return ", ".join(parts + [f"dead time {self.lost:.3g} V"] * (self.lost != 0.0))
 

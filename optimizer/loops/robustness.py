@@ -23,6 +23,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine, torque_from_
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import CURRENT_DELAY, in_rpm
+from dqforge.machines.units.quantities import signed_percent
 from dqforge.optimizer.certificates.current_loop_proof import CurrentLoopProof
 from dqforge.optimizer.loops.integer_gains import CurrentControl, TurningMachines, largest_pole
 from dqforge.optimizer.loops.loop_gains import LoopGains, speed_delay
@@ -484,7 +485,7 @@ class BoxPoints:
 def _part(name: str, value: float) -> str:
     if name == "dead_time":
         return f"dead_time {value * 1e6:+.3g} us"
-    return f"{name} {100.0 * value:+.3g} %"
+    return f"{name} {signed_percent(value)}"
 
 
 def box_points(limits: dict[str, tuple[float, float]], *, loads: bool = False) -> BoxPoints:

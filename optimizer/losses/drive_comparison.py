@@ -90,6 +90,7 @@ class DriveComparison:
         reached: Whether the currents make the torque within the limits, shape (S, M, F, P).
         best: Flat index of the usable alternative that loses least, shape (P,), or -1; of equal
             ones the first.
+        compared: Whether the totals say who loses least, as `compares`; ``best`` is -1 otherwise.
     """
 
     alternatives: Alternatives
@@ -98,6 +99,7 @@ class DriveComparison:
     budget: DriveBudget
     reached: BoolArray
     best: NDArray[np.intp]
+    compared: bool = True
 
     @property
     def usable(self) -> BoolArray:
@@ -187,7 +189,7 @@ def compare_drives(
     """
     if 0 in alternatives.shape:
         raise InputError(
-            "loss comparison: give a strategy, a modulator and a carrier frequency at least"
+            "loss comparison: give a strategy, a modulator and a switching frequency at least"
         )
     wanted, speed = np.broadcast_arrays(
         np.asarray(torque, np.float64), np.asarray(omega_m, np.float64)
@@ -202,15 +204,23 @@ def compare_drives(
         budgets.append(parts[0])
         reached.append(parts[1])
     budget = stacked_budgets(budgets, 0)
-    made = np.stack(reached)
-    return DriveComparison(
-        alternatives,
-        wanted,
-        speed,
-        budget,
-        made,
-        least(np.where(made & budget.feasible, budget.total, np.inf)),
-    )
+    made, compared = np.stack(reached), compares(inverter, alternatives)
+    total = np.where(made & budget.feasible & compared, budget.total, np.inf)
+    return DriveComparison(alternatives, wanted, speed, budget, made, least(total), compared)
+
+
+def compares(inverter: Inverter, alternatives: Alternatives) -> bool:
+    """Whether totals say which alternative loses least.
+
+    Without a device the losses by which modulators and frequencies differ most are unknown;
+    strategies with one modulator at one frequency are compared all the same.
+
+    Args:
+        inverter: The bridge.
+        alternatives: What is compared.
+    """
+    _, modulations, frequencies = alternatives.shape
+    return inverter.device is not None or (modulations == 1 and frequencies == 1)
 
 
 def dead_time_share(inverter: Inverter, alternatives: Alternatives) -> tuple[float, float]:
@@ -400,7 +410,8 @@ class MissionRun:
 class MissionComparison:
     """All alternatives over one mission.
 
-    ``best`` is the index of the usable run that loses least, or -1.
+    ``best`` is the index of the usable run that loses least, or -1, also where the totals do not
+    say it (``compared``, as `compares`).
 
     ``dead_time_share`` is what dead time takes of the linear range,
     least and most of the alternatives.
@@ -411,6 +422,7 @@ class MissionComparison:
     runs: tuple[MissionRun, ...]
     best: int
     dead_time_share: tuple[float, float]
+    compared: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -457,7 +469,7 @@ def compare_mission(
     """
     if 0 in alternatives.shape:
         raise InputError(
-            "loss comparison: give a strategy, a modulator and a carrier frequency at least"
+            "loss comparison: give a strategy, a modulator and a switching frequency at least"
         )
     chosen = BudgetOptions() if options is None else options
     tables = known_bridge(inverter)
@@ -467,11 +479,18 @@ def compare_mission(
     for strategy in alternatives.strategies:
         for name in alternatives.modulations:
             runs += _runs(drive, strategy, name, alternatives.frequencies)
-    totals = np.array([run.total if run.usable else np.inf for run in runs]).reshape(
-        *alternatives.shape, 1
-    )
+    return mission_comparison(mission, inverter, alternatives, runs)
+
+
+def mission_comparison(
+    mission: Mission, inverter: Inverter, alternatives: Alternatives, runs: Sequence[MissionRun]
+) -> MissionComparison:
+    """Runs of all alternatives in their order, with the one that loses least."""
+    compared = compares(inverter, alternatives)
+    totals = np.array([run.total if run.usable and compared else np.inf for run in runs])
+    best = int(least(totals.reshape(*alternatives.shape, 1))[0])
     taken = dead_time_share(inverter, alternatives)
-    return MissionComparison(mission, alternatives, tuple(runs), int(least(totals)[0]), taken)
+    return MissionComparison(mission, alternatives, tuple(runs), best, taken, compared)
 
 
 def _runs(

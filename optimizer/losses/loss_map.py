@@ -33,7 +33,7 @@ from dqforge.optimizer.losses.drive_comparison import (
     compare_drives,
     dead_time_share,
     held_winding,
-    least,
+    mission_comparison,
     usable_limit,
 )
 from dqforge.optimizer.losses.phase_comparison import (
@@ -241,10 +241,7 @@ def compare_phase_mission(
         for name in labels.modulations
         for frequency in labels.frequencies
     ]
-    totals = np.array([run.total if run.usable else np.inf for run in runs])
-    best = int(least(totals.reshape(*labels.shape, 1))[0])
-    taken = dead_time_share(drive.inverter, labels)
-    return MissionComparison(mission, labels, tuple(runs), best, taken)
+    return mission_comparison(mission, drive.inverter, labels, runs)
 
 
 def _warm_options(

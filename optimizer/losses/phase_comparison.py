@@ -42,6 +42,7 @@ from dqforge.optimizer.losses.drive_comparison import (
     Alternatives,
     DriveComparison,
     compare_drives,
+    compares,
     least,
     strategy_currents,
 )
@@ -160,8 +161,9 @@ def compare_phases(
         found.append(stacked_phase_budgets(by_name))
         reached.append(np.broadcast_to(np.stack(made), (len(names), len(made), torque.size)))
     legs, kept_all = stacked_phase_budgets(found), np.stack(reached)
-    total = np.where(kept_all & legs.budget.feasible, legs.budget.total, np.inf)
-    drives = DriveComparison(labels, torque, omega_m, legs.budget, kept_all, least(total))
+    compared = compares(drive.inverter, labels)
+    total = np.where(kept_all & legs.budget.feasible & compared, legs.budget.total, np.inf)
+    drives = DriveComparison(labels, torque, omega_m, legs.budget, kept_all, least(total), compared)
     return PhaseComparison(drives, legs)
 
 
@@ -622,10 +624,11 @@ class LossComparison:
         most: Torque in N m that is made there, shape (S, M, P): what is asked for, or as near as
             the limits allow.
         saving: Total loss saved, in percent of that of the first strategy with the first modulator,
-            shape (S, M, P); NaN where either of the two is not feasible or the first has no loss.
+            shape (S, M, P); NaN where either of the two is not feasible or the first has no loss,
+            and of other modulators where these are not compared.
         best_strategy, best_modulation: Indices of the feasible alternative with the least total
             loss, shape (P,), or -1 where none is feasible. Of equally good alternatives the first,
-            in the order of the labels.
+            in the order of the labels. None where modulators are not compared.
         scope: What the total counts.
         legs: Half bridges and neutral of a machine with any back-EMF, arrays (S, M, P) and (S, M,
             P, L) as in `PhaseBudget`; None for others.
@@ -649,6 +652,13 @@ class LossComparison:
         permitted.
         """
         return self.reached & self.budget.feasible
+
+    @property
+    def compared(self) -> bool:
+        """Whether the totals say which alternative loses least: without the bridge only those of
+        one modulator do.
+        """
+        return self.scope == "drive" or len(self.modulations) == 1
 
     @property
     def best_labels(self) -> tuple[tuple[AnyStrategy, ModulationName] | None, ...]:
@@ -707,7 +717,10 @@ def compare_points(
     made = found.budget.torque[:, :, 0]
     budget = _point_comparison_blanked(found.budget, reached)
     total = np.where(reached & budget.feasible, budget.total, np.inf)
-    best = least(total[:, :, None])
+    saving = _saving(total)
+    if not found.compared:
+        saving[:, 1:] = np.nan
+    best = least(np.where(found.compared, total, np.inf)[:, :, None])
     count = len(labels.modulations)
     return LossComparison(
         strategies=labels.strategies,
@@ -716,7 +729,7 @@ def compare_points(
         budget=budget,
         reached=reached,
         most=made,
-        saving=_saving(total),
+        saving=saving,
         best_strategy=np.where(best >= 0, best // count, -1),
         best_modulation=np.where(best >= 0, best % count, -1),
         scope="drive" if inverter.device is not None else "without-bridge",

@@ -92,7 +92,7 @@ def _values(design: Design) -> Table:
         (
             value.path,
             value.text,
-            f"{value.si:.6g} {value.unit}".strip(),
+            f"{value.si:.6g} {value.unit} {value.kind}".strip(),
             "inferred" if value.inferred else "",
             value.source,
         )

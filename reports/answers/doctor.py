@@ -49,7 +49,7 @@ def _tried(trial: Trial) -> tuple[str, ...]:
         return (name, "no", use, get)
     if trial.failure:
         return (name, f"{trial.path} fails: {trial.failure}", use, get)
-    return (name, f"{trial.compiler}, tried: {trial.path}", use, "")
+    return (name, f"works: {trial.compiler}, {trial.path}", use, "")
 
 
 def _found(program: Program) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.optimizer.firmware.firmware_method import check_drivable
+from dqforge.optimizer.firmware.key_meanings import next_steps
 from dqforge.optimizer.firmware.solve import FirmwareFit, method_of
 from dqforge.reports.firmware.target import MOST_BYTES, TARGETS, decoded_file
 from dqforge.reports.firmware.written_files import (
@@ -133,6 +134,8 @@ def answer_export_for(
         fits = [fit for fit, _ in made_files]
         verdicts = settling_verdicts(design, fits, _running)
         notes = [settling_text(verdict) for verdict in verdicts]
+    for fit, _ in made_files:
+        notes += [f"{fit.name}: {step}" for step in next_steps(fit.name)]
     options, given = {FIRMWARES: ",".join(chosen)}, {}
     if into is not None:
         options[EXISTING], given[into.name] = into.name, original

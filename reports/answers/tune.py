@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from dqforge.machines.design.catalogue import design_names
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.control_design.observed_remedies import require_observed
@@ -56,7 +57,18 @@ def answer_tune(design: Design) -> Answer:
         *rounded,
     ]
     found = Tuning(design, gains, fixed, proof, evidence)
-    return Answer(design.name, tables, found.plain() | start | online, found.figure)
+    plain = found.plain() | start | online
+    return Answer(design.name, tables, plain, found.figure, notes=_next(design))
+
+
+def _next(design: Design) -> tuple[str, ...]:
+    """What to do with the gains; nothing of a design that stands in no file."""
+    if design.places is None:
+        return ()
+    source = design.places.source
+    stem = source.removesuffix(".yaml")
+    name = stem if stem in design_names() else source
+    return (f"next: dqforge run {name}, or dqforge export {name} --for vesc, simplefoc, ...",)
 
 
 # What not every design asks for is loaded where one does.

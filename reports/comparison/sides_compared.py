@@ -16,7 +16,7 @@ from typing import Any
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import in_rpm
-from dqforge.machines.units.quantities import format_quantity
+from dqforge.machines.units.quantities import format_quantity, signed_percent
 from dqforge.optimizer.firmware.configuration import DriveValues, PiGains
 from dqforge.optimizer.firmware.solve import OwnGains
 from dqforge.reports.capabilities import CAPABILITIES
@@ -278,7 +278,7 @@ def _text(value: Value, unit: str) -> str:
 
 def _share(relative: float, ratio: float) -> str:
     # Beyond ten times a share in percent is hard to read.
-    return f"{100.0 * relative:+.3g} %" if abs(relative) < 9.0 else f"{ratio:.3g} times"
+    return signed_percent(relative) if abs(relative) < 9.0 else f"{ratio:.3g} times"
 
 
 def _difference(row: Row) -> str:

@@ -56,6 +56,7 @@ from dqforge.reports.pages.html_text import (
     heading_cells,
     number,
     operation_text,
+    percent,
     quantity,
     raised,
     share,
@@ -257,11 +258,11 @@ def alternatives_table(fit: ReferenceFit, alternatives: Sequence[Alternative]) -
     columns = (
         "",
         "torque error",
-        "of largest",
+        "torque error, of largest",
         "i_d error",
         "i_q error",
         "extra loss",
-        "extra loss",
+        "extra loss, of least",
         "step at zero",
     )
     return HtmlTable(
@@ -290,8 +291,8 @@ def trials_table(trials: Sequence[Trial], core: Core) -> HtmlTable:
                 f"{trial.segments}",
                 f"{trial.cycles:.0f}",
                 f"{trial.flash} B",
-                share(ceiling(trial.errors.torque_relative), 3),
-                share(ceiling(trial.errors.loss_relative), 3),
+                percent(ceiling(trial.errors.torque_relative)),
+                percent(ceiling(trial.errors.loss_relative)),
             ),
             "chosen" if trial is trials[-1] else "",
         )

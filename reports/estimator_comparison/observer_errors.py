@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.transforms import in_rpm
+from dqforge.machines.units.quantities import signed_percent
 from dqforge.optimizer.estimator_comparison.candidate import LOCKED, CaptureMap
 from dqforge.optimizer.estimator_comparison.solve import (
     BY_SALIENCY,
@@ -96,8 +97,8 @@ def warm_table(warm: WarmErrors) -> Table:
     )
     columns = ("winding, magnets", "electrical Hz", *(_load_name(s) for s in warm.shares.tolist()))
     changes = "; ".join(
-        f"{_state_name(warm.states[t])}: R {100.0 * warm.states[t].r_s:+.3g} %, psi "
-        f"{100.0 * warm.states[t].psi_pm:+.3g} %"
+        f"{_state_name(warm.states[t])}: R {signed_percent(warm.states[t].r_s)}, psi "
+        f"{signed_percent(warm.states[t].psi_pm)}"
         for t in warm.shown
     )
     own = "angle, and the speed in % of it" if with_speed else "angle; the speed has none"
@@ -542,7 +543,7 @@ def pair_lines(asked: Question, pair: FlashedPair) -> tuple[str, ...]:
     lines += _keys(asked, pair)
     if pair.gap is not None:
         from_, to = (shaft_speed(omega, pairs) for omega in pair.gap)
-        lines.append(f"neither holds at every load from {from_} to {to}")
+        lines.append(f"none holds at every load from {from_} to {to}")
     return tuple(lines)
 
 

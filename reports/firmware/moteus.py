@@ -63,7 +63,7 @@ _FIELDS = {
 }
 
 _CONVERSIONS = {
-    "pole_pairs": "poles / 2",
+    "pole_pairs": "twice the pole pairs",
     "psi_pm": "60/(sqrt(3) 2 pi p Kv)",
     "omega_m_max": "revolutions per second times 2 pi",
     "t_s": "one PWM period, two above 30 kHz",

@@ -14,6 +14,7 @@ from dqforge import __version__
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
+from dqforge.optimizer.firmware.key_meanings import conventions_here, meaning
 from dqforge.optimizer.firmware.solve import FirmwareFit
 from dqforge.reports.capability import Capability, Outcome, Passage, ReportPart, Rows
 from dqforge.reports.firmware.design_made import Targets, in_file, read_file, together
@@ -451,10 +452,11 @@ def configuration_table(found: Configuration, title: str) -> Table:
         if key in shown or (origin is not None and origin.key in shown):
             continue
         text = f"{value:.9g}" if isinstance(value, float) else str(value)
-        rows.append((key, "", *((text, "", "") if origin is None else _placed(origin))))
-    columns = ("", "value", "in the file", "line", "conversion")
+        file, line, _ = _placed(origin)
+        rows.append((key, text, file or text, line, meaning(found.firmware, key)))
+    columns = ("", "value", "in the file", "line", "conversion or meaning")
     notes = (
-        *(f"convention: {sentence}" for sentence in found.conventions),
+        *(f"convention: {sentence}" for sentence in conventions_here(found)),
         *(f"contradiction: {sentence}" for sentence in found.contradictions),
     )
     return Table(title, columns, tuple(rows), notes)
@@ -465,7 +467,7 @@ def _placed(origin: Origin | None) -> tuple[str, str, str]:
     if origin is None:
         return "", "", ""
     line = "" if origin.line is None else str(origin.line)
-    return f"{origin.key} {origin.text}".strip(), line, origin.conversion
+    return f"{origin.key} {origin.text}".strip(), line, origin.conversion or "as it is"
 
 
 def loops_table(found: JudgedFirmware, title: str, profile: LoopProfile | None = None) -> Table:
@@ -475,9 +477,17 @@ def loops_table(found: JudgedFirmware, title: str, profile: LoopProfile | None =
         for name, label in _LOOPS
         if (loop := getattr(found, name)) is not None
     )
-    return Table(
-        title, _COLUMNS if rows else (), rows, (*_observed(found, profile), *found.remarks)
-    )
+    notes = (*_timing(profile), *_observed(found, profile), *found.remarks)
+    return Table(title, _COLUMNS if rows else (), rows, notes)
+
+
+def _timing(profile: LoopProfile | None) -> Iterator[str]:
+    """What the margins are of, where those of dqforge's own control are others."""
+    if profile is not None:
+        yield (
+            f"margins: with this firmware's delay of {profile.current.delay:.3g} periods from the "
+            "sampling to its voltage; tune shows those of dqforge's control, 1 period"
+        )
 
 
 def _loop_cells(label: str, loop: JudgedLoop) -> tuple[str, ...]:

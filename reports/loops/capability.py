@@ -461,7 +461,7 @@ def tolerance_tables(gains: GainSet, pole_pairs: int) -> list[HtmlTable]:
 def _summary(_: Solution, gains: GainSet) -> Rows:
     rows = [("speed loop at all corners", words) for words in corner_words(gains.speed)]
     if gains.phases is not None and gains.phases.judged is not None:
-        rows.append(("currents together", judged_words(gains.phases.judged)))
+        rows.append(("both axes", judged_words(gains.phases.judged)))
     if gains.firmware is not None:
         rows.append((f"as {gains.firmware.name} runs them", firmware_words(gains.firmware)))
     return rows
@@ -621,7 +621,7 @@ LOOPS = Capability(
             for loop, units in _FIRMWARE_UNITS.items()
             for row in _firmware_quantities(loop, *units)
         ),
-        Quantity("currents together", "radius per sample", "", ("gains", "currents", "radius")),
+        Quantity("both axes", "radius per sample", "", ("gains", "currents", "radius")),
         *(
             Quantity("observer", label, unit, ("gains", "observer", key))
             for label, key, unit in _OBSERVER

@@ -274,7 +274,7 @@ def proof_text(proof: CurrentLoopProof, pole_pairs: int) -> str:
     return (
         "both current loops together: proven stable for every drive in the box at every constant "
         f"speed up to {_rpm(proof.box.omega_e, pole_pairs):.4g} rpm either way ({cells}, confirmed "
-        f"in ball arithmetic): {scope_text(proof)}"
+        f"in interval arithmetic): {scope_text(proof)}"
     )
 
 
@@ -285,8 +285,8 @@ def _open_text(proof: CurrentLoopProof, pole_pairs: int) -> str:
     share = math.floor(proof.share * 1000.0) / 10.0
     return (
         f"proven stable for {share:.1f} % of the drives in the box ({confirmation.matrices} cells, "
-        "confirmed in ball arithmetic), the rest not decided within the budget: too close to the "
-        "border; nothing is "
+        "confirmed in interval arithmetic), the rest not decided within the budget: too close to "
+        "the border; nothing is "
         f"proven of drives with {_range_text(proof.still_open, pole_pairs)}; {scope_text(proof)}"
     )
 
@@ -537,7 +537,12 @@ def robust_rows(robust: RobustSet) -> tuple[tuple[str, ...], ...]:
         rows += [(name if place == 0 else "", *text) for place, text in enumerate(texts)]
     if robust.turning is not None:
         rows.append(
-            ("both, turning", "largest pole", f"{robust.turning.value:.6f}", robust.turning.at)
+            (
+                "both axes, rotating",
+                "largest pole",
+                f"{robust.turning.value:.6f}",
+                robust.turning.at,
+            )
         )
     return tuple(rows)
 

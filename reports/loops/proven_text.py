@@ -114,6 +114,12 @@ def _range(axis: ChangingAxis) -> str:
     return f"l_{axis.axis[-1]} between {low} and {high} mH along the reference"
 
 
+def _changes(axis: ChangingAxis) -> bool:
+    """Whether the inductance takes two values that are printed differently."""
+    low, high = axis.inductance
+    return f"{1e3 * low:.4g}" != f"{1e3 * high:.4g}"
+
+
 def changing_text(axis: ChangingAxis) -> str:
     """What is proven of an axis whose inductance changes with the current.
 
@@ -124,8 +130,8 @@ def changing_text(axis: ChangingAxis) -> str:
     if axis.any_current is None:
         if axis.proven:
             return (
-                f"{axis.axis}, constant gains: deviations are forgotten however fast saturation "
-                f"changes {_range(axis)} (proven by {held} in rational arithmetic)"
+                f"{axis.axis}, constant gains: stable however fast saturation changes "
+                f"{_range(axis)} (proven by {held} in rational arithmetic)"
             )
         slower = (
             "not proven for any change of it"
@@ -141,8 +147,8 @@ def changing_text(axis: ChangingAxis) -> str:
         else "not with the gains of another current, such as the reference of one on its way"
     )
     return (
-        f"{axis.axis}, scheduled gains in parallel form at the measured current: small deviations "
-        f"are forgotten however fast the current changes {_range(axis)} (proven by {held} in "
+        f"{axis.axis}, scheduled gains in parallel form at the measured current: for small "
+        f"deviations stable however fast the current changes {_range(axis)} (proven by {held} in "
         f"rational arithmetic); {other}"
     )
 
@@ -165,8 +171,8 @@ def velocity_text(axis: ChangingAxis) -> str:
 
 
 def changing_notes(gains: GainSet) -> tuple[str, ...]:
-    """What is proven while inductances change; nothing of a machine that does not saturate."""
-    notes = [changing_text(axis) for axis in gains.proofs.changing]
+    """What is proven while inductances change; nothing of those that are constant."""
+    notes = [changing_text(axis) for axis in gains.proofs.changing if _changes(axis)]
     notes += [velocity_text(axis) for axis in gains.proofs.changing]
     return tuple(note for note in notes if note)
 
@@ -421,6 +427,13 @@ def _per_unit_text(scaled: PerUnitGains) -> str:
     return ", ".join(f"{number.mantissa} (Q{number.shift})" for number in scaled.integers)
 
 
+# What the margins of the first table are of, where other firmware shows others for the same gains.
+OWN_TIMING = (
+    "margins: of dqforge's control, whose voltage begins one period after the sampling; export "
+    "--for shows those with another firmware's delay"
+)
+
+
 def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = None) -> list[Table]:
     """Gains of each loop with their margins, and the observer with its errors
     and what is proven of it.
@@ -449,6 +462,8 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
             *leaving_notes(gains.speed),
         ),
     )
+    if gains.firmware is None:
+        notes = (OWN_TIMING, *notes)
     if gains.schedule is None:
         notes = (*notes, *changing_notes(gains))
     tables = [Table(title, columns, tuple(rows), notes)]

@@ -27,6 +27,7 @@ from dqforge.reports.losses.map_tables import (
     mission_tables,
     plain_losses,
     plain_mission,
+    winner_reason,
 )
 from dqforge.reports.pages.figures_style import (
     FAINT,
@@ -42,6 +43,7 @@ from dqforge.reports.pages.figures_style import (
 )
 from dqforge.reports.pages.html_text import (
     NARROW,
+    NOT_COMPARED,
     STRATEGY_LABELS,
     STRATEGY_TEXT,
     WITHOUT_BRIDGE,
@@ -196,7 +198,8 @@ def plot_loss_map(found: LossMap) -> Figure:
         )
         upper = figure.add_axes((0.085, (below + 0.5) / height, 0.68, 2.75 / height))
         _draw_winners(upper, found, alternatives)
-        upper.set_title("Least total loss")
+        compared = found.comparison.compared
+        upper.set_title("Least total loss" if compared else NOT_COMPARED)
         label_in_unit(upper.yaxis, "Torque in {}", float(found.torque[-1]), "N m")
         lower = figure.add_axes((0.24, 0.4 / height, 0.74, (below - 0.75) / height))
         if ranked:
@@ -482,6 +485,7 @@ def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
         "saved",
         "junction",
         "phase voltage",
+        "ripple current",
     )
     tables = []
     for p, point in enumerate(comparison.points):
@@ -505,12 +509,15 @@ def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
                     *known_texts(
                         (float(budget.junction_temperature[index]), "\u00b0C"),
                         (float(budget.voltage[index]), "V"),
+                        (float(budget.ripple_current[index]), "A"),
                     ),
                 )
                 rows.append(Row(cells, "muted" if reason else "best" if best else ""))
         notes = [
             point_text(point),
+            winner_reason(comparison, p),
             friction_text(comparison, p),
+            "" if comparison.compared else NOT_COMPARED,
             "" if comparison.scope == "drive" else WITHOUT_BRIDGE,
             *leg_notes(comparison, p),
         ]
@@ -540,7 +547,9 @@ def _summary(_: Solution, comparison: LossComparison) -> Rows:
     for p, (point, best) in enumerate(zip(comparison.points, comparison.best_labels, strict=True)):
         label = f"losses at {point.torque:.4g} N m, {in_rpm(point.omega_m):.4g} rpm"
         if best is None:
-            rows.append((label, "no alternative is feasible"))
+            rows.append(
+                (label, "no alternative is feasible" if comparison.compared else NOT_COMPARED)
+            )
             continue
         index = (int(comparison.best_strategy[p]), int(comparison.best_modulation[p]), p)
         budget = comparison.budget

@@ -17,6 +17,7 @@ from dqforge.optimizer.losses.drive_comparison import Alternatives, MissionCompa
 from dqforge.optimizer.losses.phase_comparison import LossComparison, PhaseBudget
 from dqforge.reports.pages.answer import Table
 from dqforge.reports.pages.html_text import (
+    NOT_COMPARED,
     WITHOUT_BRIDGE,
     friction_text,
     letter,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 _GRID = (10, 12)  # Torques and speeds of the map in the terminal at most.
 _MOST_ROWS = 40
+_FREQUENCY = "frequency: that of the switching"
 
 
 def alternative_text(alternatives: Alternatives, index: int, *, plain: bool = True) -> str:
@@ -79,27 +81,34 @@ def map_tables(design: Design, found: LossMap) -> list[Table]:
                 _watt(float(hottest[k])),
                 _watt(float(ripple[k])),
                 f"{100.0 * np.mean(usable[k]):.0f}",
-                f"{100.0 * least[k]:.0f}",
+                f"{100.0 * least[k]:.0f}" if found.comparison.compared else "-",
             )
         )
     headings = [f"{part_label(PARTS[part])} W" for part in kinds]
-    columns = ("", "strategy", "modulator", "carrier", *headings, "total W")
+    columns = ("", "strategy", "modulator", "frequency", *headings, "total W")
     columns = (*columns, "junction max degC", "ripple max A", "drives %", "least at %")
     title = f"{design.name}: losses over {found.torque.size} torques by {found.omega_m.size} speeds"
     notes = [
         (
             f"mean losses over the {100.0 * np.mean(found.shared):.0f} % of the points that all "
             "alternatives drive"
-        )
+        ),
+        (
+            f"{_FREQUENCY}; drives: share of the points that the alternative makes within its "
+            "limits; least at: share at which it has the least loss of all"
+        ),
     ]
-    notes += _bridge_notes(design) + _dead_time_notes(found.dead_time_share)
+    compared = found.comparison.compared
+    notes += _bridge_notes(design, compared=compared) + _dead_time_notes(found.dead_time_share)
     if np.any(~found.comparison.budget.within_tables & found.comparison.usable):
         notes.append("at some points the device tables are extrapolated")
-    return [Table(title, columns, tuple(rows), tuple(notes)), _winner_table(found)]
+    table = Table(title, columns, tuple(rows), tuple(notes))
+    return [table, _winner_table(found)] if compared else [table]
 
 
-def _bridge_notes(design: Design) -> list[str]:
-    return [] if design.inverter.device is not None else [WITHOUT_BRIDGE]
+def _bridge_notes(design: Design, *, compared: bool) -> list[str]:
+    notes = [] if design.inverter.device is not None else [WITHOUT_BRIDGE]
+    return notes if compared else [NOT_COMPARED, *notes]
 
 
 def _dead_time_notes(taken: tuple[float, float]) -> list[str]:
@@ -173,6 +182,7 @@ def plain_map(found: LossMap) -> PlainData:
         "omega_m_rad_per_s": found.omega_m,
         "alternatives": rows,
         "best": comparison.best.reshape(shape),
+        "compared": comparison.compared,
         "shared_share": float(np.mean(found.shared)),
         "dead_time_share": list(found.dead_time_share),
         "within_tables": not bool(np.any(~comparison.budget.within_tables & comparison.usable)),
@@ -181,7 +191,7 @@ def plain_map(found: LossMap) -> PlainData:
 
 def _energy(joule: float) -> str:
     """Energy in Wh, as missions are counted."""
-    return f"{joule / 3600.0:.4g}"
+    return f"{joule / 3600.0 + 0.0:.4g}"
 
 
 def mission_mark(run: MissionRun, *, best: bool) -> str:
@@ -228,7 +238,7 @@ def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
     columns = (
         "strategy",
         "modulator",
-        "carrier",
+        "frequency",
         *(f"{part_label(PARTS[part])} Wh" for part in kinds),
         "total Wh",
     )
@@ -238,11 +248,13 @@ def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
     notes = [
         f"{mission.length.size} intervals, {length:.6g} s; the mission repeats",
         (
-            f"at the shaft {_energy(first.driving)} Wh go out and {_energy(-first.braking)} Wh "
-            "come back"
+            f"at the shaft {_energy(first.driving)} Wh go out and {_energy(-first.braking)} Wh are "
+            "recovered"
         ),
     ]
-    notes += _bridge_notes(design) + _dead_time_notes(found.dead_time_share)
+    notes += [_FREQUENCY, "swing: largest less smallest temperature of a junction over the mission"]
+    notes += _bridge_notes(design, compared=found.compared)
+    notes += _dead_time_notes(found.dead_time_share)
     if len(found.runs) > _MOST_ROWS:
         notes.append(f"{len(found.runs) - _MOST_ROWS} more alternatives are in the JSON")
     if math.isfinite(first.winding_temperature):
@@ -293,6 +305,7 @@ def plain_mission(found: MissionComparison) -> PlainData:
         "dead_time_share": list(found.dead_time_share),
         "alternatives": rows,
         "best": best_index,
+        "compared": found.compared,
         "course": course,
     }
 
@@ -362,6 +375,61 @@ def plain_legs(found: PhaseBudget, index: Index) -> dict[str, PlainData]:
     }
 
 
+# Why an alternative has the least loss, from its numbers.
+
+_EQUAL = 0.01  # Relative difference up to which two losses are called equal.
+_HALF = (0.47, 0.53)  # Ratios that are called half.
+
+
+def winner_reason(comparison: LossComparison, point: int) -> str:
+    """What the best modulator does otherwise than the most usual other one with its strategy.
+
+    Empty where none is best, or no other can be used.
+    """
+    s, best = int(comparison.best_strategy[point]), int(comparison.best_modulation[point])
+    others = [
+        m
+        for m, name in sorted(enumerate(comparison.modulations), key=lambda one: one[1] != "svpwm")
+        if m != best and comparison.usable[s, m, point]
+    ]
+    if s < 0 or not others:
+        return ""
+    other, names = others[0], comparison.modulations
+    budget = comparison.budget
+
+    def pair(part: str) -> tuple[float, float]:
+        values = getattr(budget, part)
+        return float(values[s, best, point]), float(values[s, other, point])
+
+    part = max(PARTS, key=lambda one: pair(one)[1] - pair(one)[0])
+    own, theirs = pair(part)
+    if theirs - own <= _EQUAL * pair("total")[1]:
+        return f"{names[best]}: total within {100.0 * _EQUAL:g} % of that of {names[other]}"
+    equal = [
+        part_label(one)
+        for one in ("copper", "conduction", "switching")
+        if one != part and _equal(*pair(one))
+    ]
+    at = f" at equal {' and '.join(equal)} loss" if equal else ""
+    text = f"{names[best]}: {_share_text(own / theirs)} {part_label(part)} loss of {names[other]}"
+    mine, reference = pair("ripple_current")
+    if not (math.isfinite(mine) and math.isfinite(reference)):
+        return text + at
+    if _equal(mine, reference):
+        return f"{text}{at}; ripple current equal"
+    word = "higher" if mine > reference else "lower"
+    figures = f"{three_decimals(mine)} A instead of {three_decimals(reference)} A"
+    return f"{text}{at}; ripple current {word}, {figures}"
+
+
+def _equal(own: float, theirs: float) -> bool:
+    return abs(own - theirs) <= _EQUAL * max(abs(own), abs(theirs)) and theirs > 0.0
+
+
+def _share_text(ratio: float) -> str:
+    return "half the" if _HALF[0] <= ratio <= _HALF[1] else f"{100.0 * ratio:.0f} % of the"
+
+
 # Loss comparisons as tables of the terminal.
 
 
@@ -371,7 +439,8 @@ def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
     """
     kinds = shown_parts(comparison.budget)
     headings = [f"{part_label(kind)} W" for kind in kinds]
-    columns = ("strategy", "modulator", *headings, "total W", "junction degC", "saving %", "")
+    columns = ("strategy", "modulator", *headings, "total W", "junction degC")
+    columns = (*columns, "ripple current A", "saving %", "")
     tables = []
     budget = comparison.budget
     for p, (point, best) in enumerate(zip(comparison.points, comparison.best_labels, strict=True)):
@@ -384,14 +453,18 @@ def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
                     *(getattr(budget, kind) for kind in kinds),
                     budget.total,
                     budget.junction_temperature,
+                    budget.ripple_current,
                 ]
                 texts = [three_decimals(float(cell[index])) for cell in cells]
                 # Strategies with the same currents differ by rounding, which nobody saves.
-                saving = three_decimals(round(float(comparison.saving[index]), 6))
+                saving = three_decimals(round(float(comparison.saving[index]), 3))
                 rows.append((strategy, modulation, *texts, saving, mark))
         title = f"{design.name}: losses at {point.torque:.4g} N m, {in_rpm(point.omega_m):.5g} rpm"
         notes = [
             friction_text(comparison, p),
+            winner_reason(comparison, p),
+            "saving: of the total of the first row; ripple current: r.m.s. of a phase",
+            "" if comparison.compared else NOT_COMPARED,
             WITHOUT_BRIDGE if comparison.scope != "drive" else "",
             *leg_notes(comparison, p),
         ]
@@ -416,20 +489,53 @@ def losses_tables_over(
                 saving = three_decimals(round(100.0 * (1.0 - total / base), 6)) if base else ""
                 rows.append((f"{frequencies[k]:g}", *row[:-2], saving, mark))
         columns = ("f_sw Hz", *parts[0].columns)
-        tables.append(Table(parts[0].title, columns, tuple(rows), parts[0].notes))
+        reason = winner_reason(found[0], p)  # of one frequency
+        notes = tuple(note for note in parts[0].notes if note != reason)
+        tables.append(Table(parts[0].title, columns, tuple(rows), notes))
     return tables
 
 
 def best_over(found: Sequence[LossComparison], point: int) -> tuple[int, int] | None:
     """Comparison, and flat index of its alternative, with the least total loss of what is usable at
-    a point; None where nothing is.
+    a point; None where nothing is, or the bridge is unknown.
     """
+    if not found[0].compared:
+        return None
     totals = [
         np.where(one.usable[:, :, point], one.budget.total[:, :, point], np.inf).ravel()
         for one in found
     ]
     k = int(np.argmin([float(part.min()) for part in totals]))
     return (k, int(np.argmin(totals[k]))) if np.isfinite(totals[k].min()) else None
+
+
+def loss_lines(comparison: LossComparison) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Headings and rows of a comparison as a Python session prints it, in SI units."""
+    headings = ("torque N m", "speed rad/s", "strategy", "modulator", "total W", "junction degC")
+    rows = []
+    for s, m, p in np.ndindex(comparison.budget.total.shape):
+        point, labels = comparison.points[p], (comparison.strategies[s], comparison.modulations[m])
+        mark = "best" if comparison.best_labels[p] == labels else obstacle(comparison, (s, m, p))
+        values = (comparison.budget.total, comparison.budget.junction_temperature)
+        numbers = (three_decimals(float(value[s, m, p])) for value in values)
+        rows.append((f"{point.torque:.5g}", f"{point.omega_m:.5g}", *labels, *numbers, mark))
+    none = "" if comparison.compared else NOT_COMPARED
+    return (*headings, none), rows
+
+
+def map_lines(found: LossMap) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Headings and rows of a map as a Python session prints it: alternatives, best first."""
+    alternatives, means = found.comparison.alternatives, np.sum(found.mean_losses, axis=0)
+    usable, least = np.mean(found.usable, axis=1), found.least_share
+    compared = found.comparison.compared
+    order = np.argsort(-least, kind="stable").tolist()
+    rows = []
+    for k in order:
+        strategy, modulation, frequency = alternatives.label(k)
+        shares = (f"{100.0 * usable[k]:.0f}", f"{100.0 * least[k]:.0f}" if compared else "-")
+        rows.append((strategy, modulation, f"{frequency:g}", three_decimals(means[k]), *shares))
+    headings = ("strategy", "modulator", "f_sw Hz", "mean total W", "drives %")
+    return (*headings, "least at %" if compared else NOT_COMPARED), rows
 
 
 # Loss comparisons as plain data.
@@ -458,6 +564,7 @@ def plain_losses(comparison: LossComparison | None) -> PlainData | None:
             "total_W": budget.total[index],
             "junction_degC": budget.junction_temperature[index],
             "voltage_V": budget.voltage[index],
+            "ripple_current_A": budget.ripple_current[index],
             "friction_W": budget.friction[index],
             "feasible": comparison.usable[index],
             "reached": comparison.reached[index],
@@ -472,7 +579,12 @@ def plain_losses(comparison: LossComparison | None) -> PlainData | None:
         for index in [(s, m, p)]
     ]
     best = [None if labels is None else list(labels) for labels in comparison.best_labels]
-    return {"scope": comparison.scope, "rows": rows, "best": best}
+    return {
+        "scope": comparison.scope,
+        "rows": rows,
+        "best": best,
+        "compared": comparison.compared,
+    }
 
 
 def plain_losses_over(found: Sequence[LossComparison], frequencies: Sequence[float]) -> PlainData:

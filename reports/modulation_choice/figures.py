@@ -277,7 +277,7 @@ def _frequency_edges(values: FloatArray) -> FloatArray:
 
 
 def _draw_losses(axes: Axes, choice: ModulationChoice) -> None:
-    """Bars of the mean losses: best choice, rules, design of today."""
+    """Bars of the mean losses: best choice, rules, this design."""
     rows: list[tuple[str, float, str, str]] = [
         ("best at every point", choice.best_mean, "", _BARS["best"]),
         *(_bar(choice, rule) for rule in reversed(choice.rules)),
@@ -318,7 +318,7 @@ def _draw_losses(axes: Axes, choice: ModulationChoice) -> None:
 
 def _bar(choice: ModulationChoice, rule: PricedRule) -> tuple[str, float, str, str]:
     label = (
-        f"rule of {question_text(rule.questions)}"
+        f"rule with {question_text(rule.questions)}"
         if rule.questions
         else alternative_text(rule.alternatives[0])
     )
@@ -523,17 +523,20 @@ def _cells(choice: ModulationChoice, label: str, rule: PricedRule) -> tuple[str,
 def _prices(choice: ModulationChoice) -> HtmlTable:
     rows = [Row(("best at every point", "any", watts(choice.best_mean), "", "kept"), "best")]
     for rule in reversed(choice.rules):
-        label = f"rule of {question_text(rule.questions)}" if rule.questions else "one everywhere"
+        label = f"rule with {question_text(rule.questions)}" if rule.questions else "one everywhere"
         rows.append(Row(_cells(choice, label, rule), "chosen" if rule is choice.emitted else ""))
-    rows.append(Row(_cells(choice, "design of today", choice.today), "muted"))
-    columns = ("", "takes", "mean loss", "above the best", "limits")
+    rows.append(Row(_cells(choice, "this design", choice.today), "muted"))
+    columns = ("", "modulator and frequency", "mean loss", "above the best", "limits")
     return HtmlTable("Mean losses over the map, all points alike", columns, tuple(rows), 2)
 
 
 def _rule_data(choice: ModulationChoice) -> HtmlTable:
     lines = rule_lines(choice.emitted.rule, choice.emitted.alternatives)
     return HtmlTable(
-        "The rule in the header", ("where", "takes"), tuple(Row(line) for line in lines), 2
+        "The rule in the header",
+        ("where", "modulator and frequency"),
+        tuple(Row(line) for line in lines),
+        2,
     )
 
 

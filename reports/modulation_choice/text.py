@@ -12,7 +12,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ChoiceSettings
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import in_rpm
-from dqforge.machines.units.quantities import format_quantity
+from dqforge.machines.units.quantities import format_quantity, signed_hundredths
 from dqforge.optimizer.modulation_choice.rule import Leaf, Rule
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, PricedRule
 from dqforge.reports.modulation_choice.rule_model import as_emitted, plain_rule
@@ -133,7 +133,7 @@ def choice_rows(choice: ModulationChoice) -> list[tuple[str, str]]:
         broken = "" if today.permitted else f", limits {kept_text(today)}"
         rows.append(
             (
-                "  design of today",
+                "  this design",
                 f"{alternative_text(today.alternatives[0])}: {today.mean_loss:.4g} W{broken}",
             )
         )
@@ -152,13 +152,13 @@ def _row(choice: ModulationChoice, label: str, what: str, rule: PricedRule) -> t
         label,
         what,
         f"{rule.mean_loss:.4g}",
-        f"{100.0 * choice.price(rule) + 0.0:+.2f}",
+        signed_hundredths(100.0 * choice.price(rule)),
         kept_text(rule),
     )
 
 
 def rule_rows(choice: ModulationChoice) -> list[tuple[str, ...]]:
-    """What the best choice, the rules and the design of today lose: label, alternatives, mean W,
+    """What the best choice, the rules and the this design lose: label, alternatives, mean W,
     price in %, limits.
     """
     rows: list[tuple[str, ...]] = [
@@ -173,7 +173,7 @@ def rule_rows(choice: ModulationChoice) -> list[tuple[str, ...]]:
     for rule in reversed(choice.rules):
         mark = " (in the header)" if rule is choice.emitted else ""
         label = (
-            f"rule of {question_text(rule.questions)}{mark}"
+            f"rule with {question_text(rule.questions)}{mark}"
             if rule.questions
             else f"one everywhere{mark}"
         )
@@ -183,9 +183,7 @@ def rule_rows(choice: ModulationChoice) -> list[tuple[str, ...]]:
             )
         )
     rows.append(
-        _row(
-            choice, "design of today", alternative_text(choice.today.alternatives[0]), choice.today
-        )
+        _row(choice, "this design", alternative_text(choice.today.alternatives[0]), choice.today)
     )
     return rows
 
@@ -213,11 +211,15 @@ def choice_notes(choice: ModulationChoice) -> list[str]:
 
 def choice_tables(design: Design, choice: ModulationChoice) -> list[Table]:
     """Prices of the rules, the rule itself, and coarse maps of the best modulator and frequency."""
-    columns = ("", "takes", "mean loss W", "above best %", "limits")
+    columns = ("", "modulator and frequency", "mean loss W", "above best %", "limits")
     title = f"{design.name}: modulator and switching frequency over torque and speed"
     prices = Table(title, columns, tuple(rule_rows(choice)), tuple(choice_notes(choice)))
     lines = rule_lines(choice.emitted.rule, choice.emitted.alternatives)
-    rule = Table(f"Rule in {design.export.prefix}_modulation.h", ("where", "takes"), tuple(lines))
+    rule = Table(
+        f"Rule in {design.export.prefix}_modulation.h",
+        ("where", "modulator and frequency"),
+        tuple(lines),
+    )
     return [prices, rule, _map(choice)]
 
 

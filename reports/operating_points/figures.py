@@ -39,6 +39,7 @@ from dqforge.reports.pages.figures_style import (
 )
 from dqforge.reports.pages.html_text import HtmlTable, Row, heading_cells, number, share, watts
 from dqforge.reports.pages.scaled import DrawnGrid, draw_filled
+from dqforge.reports.pages.templating import WINNERS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,6 +55,8 @@ _LEVELS = np.array(
 # Shares of the map that lie below the lines, as nearly as the levels allow.
 _SHARES = (0.04, 0.12, 0.25, 0.42, 0.6, 0.78, 0.92)
 _SHADES = ("#f7f9fc", "#ebf1f8", "#dbe7f3", "#c7daed", "#aecae4", "#94b8da", "#78a4ce", "#5f91c1")
+
+_SPEEDS_NAMED = 12  # in the legend of a figure
 
 _REGIONS = {
     Active.VOLTAGE: "field weakening",
@@ -84,6 +87,38 @@ def _mark_regions(upper: Axes, lower: Axes, points: OptimalPoints) -> None:
             fontsize=7.5,
             va="top",
         )
+
+
+def plot_points(
+    i_d: FloatArray, i_q: FloatArray, torque: FloatArray, omega_m: FloatArray
+) -> Figure:
+    """Operating points in the plane of the currents, in A; those of one speed are joined.
+
+    Arrays of one shape; torque in N m orders the points of a speed in rad/s.
+    """
+    d, q, made, speed = (np.ravel(part) for part in (i_d, i_q, torque, omega_m))
+    with style():
+        figure = new_figure("points", 3.6, "Currents of the operating points")
+        axes = figure.add_axes((0.1, 0.13, 0.62, 0.79))
+        for k, one in enumerate(np.unique(speed)):
+            order = np.flatnonzero(speed == one)
+            order = order[np.argsort(made[order], kind="stable")]
+            axes.plot(
+                d[order],
+                q[order],
+                "o-",
+                color=WINNERS[k % len(WINNERS)],
+                markersize=3.5,
+                linewidth=1.2,
+                label=f"{in_rpm(one):.5g} rpm" if k < _SPEEDS_NAMED else f"_{k}",
+            )
+        axes.axhline(0.0, color=MUTED, linewidth=0.8, zorder=1)
+        axes.axvline(0.0, color=MUTED, linewidth=0.8, zorder=1)
+        axes.margins(0.1)
+        axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), frameon=False, borderaxespad=0.0)
+        label_in_unit(axes.xaxis, "Current $i_d$ in {} (peak)", float(np.max(np.abs(d))), "A")
+        label_in_unit(axes.yaxis, "Current $i_q$ in {} (peak)", float(np.max(np.abs(q))), "A")
+    return figure
 
 
 def plot_speed(points: OptimalPoints, limit: VoltageLimit) -> Figure:

@@ -500,8 +500,8 @@ def mtpa_tables(design: Design, curves: Curves, negative: Curves | None = None) 
     per_unit_columns = () if base is None else ("torque p.u.", "i_d p.u.", "i_q p.u.")
     if base is not None:
         notes.append(
-            f"per unit of {base.current:.5g} A and {base.torque:.5g} N m (the bases of the MTPA "
-            "curve)"
+            f"p.u.: of i_base = psi_pm/(2 |l_q - l_d|) = {base.current:.5g} A and T_base = "
+            f"3/4 p psi_pm i_base = {base.torque:.5g} N m"
         )
     columns = ("torque N m", "i_d A", "i_q A", "|i| A", *per_unit_columns, "limited by")
     tables = [

@@ -661,15 +661,15 @@ def recomputation_text(found: Recomputation) -> str:
         lines.append(f"with other line endings than dqforge writes: {_names(found.line_ends)}")
     count = found.tally
     counts = (
-        (count.macros, "macros"),
-        (count.literals, "literals in code and tables"),
-        (count.figures, "figures in comments"),
-        (count.checksums, "checksums"),
-        (count.vectors, "test vectors"),
-        (count.entries, "entries of result.json"),
+        (count.macros, "macro", "macros"),
+        (count.literals, "literal in code and tables", "literals in code and tables"),
+        (count.figures, "figure in comments", "figures in comments"),
+        (count.checksums, "checksum", "checksums"),
+        (count.vectors, "test vector", "test vectors"),
+        (count.entries, "entry of result.json", "entries of result.json"),
     )
     if count.files:
-        held = ", ".join(f"{number} {what}" for number, what in counts if number)
+        held = ", ".join(f"{n} {one if n == 1 else many}" for n, one, many in counts if n)
         equal = "hold" if found.digits else "equal"
         lines.append(
             f"{count.files} files {equal} what {INPUT_DESIGN} (SHA-256 {found.digest[:12]}) gives "
@@ -743,9 +743,10 @@ def stored_proof_text(found: Confirmation) -> str:
     """What was checked, in words."""
     matrices = "one matrix" if found.matrices == 1 else f"{found.matrices} matrices"
     parts = f"{matrices}, {found.empty} cells without a drive"
+    both, how = "both current loops together", "confirmed in interval arithmetic"
     if found.proven:
-        return f"both current loops together: certificate confirmed in ball arithmetic ({parts})"
+        return f"{both}: certificate {how} ({parts})"
     return (
-        "both current loops together: what the certificate claims is confirmed in ball arithmetic "
-        f"({parts}); it leaves {found.left_open} cells open"
+        f"{both}: what the certificate claims is {how} ({parts}); it leaves {found.left_open} "
+        "cells open"
     )

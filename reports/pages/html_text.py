@@ -96,6 +96,11 @@ def share(value: float, digits: int = 2) -> str:
     return f"{number(value * factor, digits)}{NARROW}{unit}"
 
 
+def percent(value: float, digits: int = 3) -> str:
+    """A share of one in percent whatever its size, as the tables of the terminal have errors."""
+    return f"{number(100.0 * value, digits)}{NARROW}%"
+
+
 def decibel(factor: float) -> str:
     """A factor in dB."""
     if not (math.isfinite(factor) and factor > 0.0):
@@ -192,11 +197,11 @@ def error_cells(errors: ReferenceErrors) -> tuple[str, ...]:
     """Errors of a current reference as cells."""
     return (
         quantity(ceiling(errors.torque), "N m", 3),
-        share(ceiling(errors.torque_relative), 3),
+        percent(ceiling(errors.torque_relative)),
         quantity(ceiling(errors.i_d), "A", 3),
         quantity(ceiling(errors.i_q), "A", 3),
         quantity(ceiling(errors.loss), "W", 3),
-        share(ceiling(errors.loss_relative), 3),
+        percent(ceiling(errors.loss_relative)),
         quantity(ceiling(errors.step_at_zero), "A", 3),
     )
 
@@ -280,6 +285,10 @@ WITHOUT_BRIDGE = (
     "the design has no inverter.device: the total is without the bridge, of which conduction, "
     "switching and junctions are unknown"
 )
+
+
+# What is said in place of a winner there.
+NOT_COMPARED = "inverter.device is unknown: modulators are not compared"
 
 
 def friction_text(comparison: LossComparison, point: int) -> str:

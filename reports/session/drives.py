@@ -22,7 +22,7 @@ from dqforge.machines.design.numerical import located, on_design
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError
 from dqforge.machines.files.positioned_yaml import written
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
@@ -87,9 +87,28 @@ def load_design(source: str | Path, changes: Mapping[str, Any] | None = None) ->
     name = str(source)
     given = {} if changes is None else changes
     settings = [f"{key}={written(python_values(value))}" for key, value in given.items()]
-    if not Path(source).exists() and catalogue.is_known(name):
-        return catalogue.load(name, settings)
-    return load_file(source, settings)
+    with in_python():
+        if not Path(source).exists() and catalogue.is_known(name):
+            return catalogue.load(name, settings)
+        return load_file(source, settings)
+
+
+def _with_changes(text: str) -> str:
+    option = catalogue.OPTION
+    return text.replace(f"{option} ", "changes: ").replace(option, "changes")
+
+
+@contextmanager
+def in_python() -> Iterator[None]:
+    """Block whose messages name ``changes`` where the command line has its option."""
+    try:
+        yield
+    except DqforgeError as error:
+        for one in (error, *error.others):
+            one.message = _with_changes(one.message)
+            one.source = one.source and _with_changes(one.source)
+            one.args = (one.message,)
+        raise
 
 
 def library() -> tuple[str, ...]:
@@ -116,27 +135,42 @@ def limited(
     if modulation not in names:
         raise InputError(f"modulation: expected one of {', '.join(names)}, got {modulation!r}")
     name: ModulationName = next(name for name in names if name == modulation)
-    if not 0.0 <= margin < _MOST_MARGIN:
-        raise InputError(
-            f"margin: expected a share of the voltage from 0 to below {_MOST_MARGIN}, got "
-            f"{margin!r}"
-        )
-    for given, value, unit in (("v_dc", v_dc, "V"), ("i_max", i_max, "A")):
-        if value is not None and not (np.isfinite(value) and value > 0.0):
-            raise InputError(f"{given}: expected a positive number in {unit}, got {value!r}")
+    margin = share_kept(margin)
+    v_dc, i_max = _positive(v_dc, "v_dc", "V"), _positive(i_max, "i_max", "A")
     if isinstance(drive, Design):
-        inverter = drive.inverter if v_dc is None else replace(drive.inverter, v_dc=float(v_dc))
+        inverter = drive.inverter if v_dc is None else replace(drive.inverter, v_dc=v_dc)
         with asked_of(drive, "operation"):
             found = limited_drive(replace(drive, inverter=inverter), name, margin)
-        return found if i_max is None else replace(found, i_max=float(i_max))
+        return found if i_max is None else replace(found, i_max=i_max)
     check_machine(drive)
     if v_dc is None:
         raise InputError(
             "v_dc: a machine alone has no voltage limit; give v_dc in V, or a design that has one"
         )
-    inverter = Inverter(v_dc=float(v_dc), f_sw=_NO_CARRIER)
+    inverter = Inverter(v_dc=v_dc, f_sw=_NO_CARRIER)
     limit = voltage_limit(inverter, name, margin)
-    return LimitedDrive(drive, inverter, limit, drive.i_max if i_max is None else float(i_max))
+    return LimitedDrive(drive, inverter, limit, drive.i_max if i_max is None else i_max)
+
+
+def _positive(value: float | None, name: str, unit: str) -> float | None:
+    """A positive number, None where none was given."""
+    if value is None:
+        return None
+    found = single(value, name, unit)
+    if not found > 0.0:
+        raise InputError(f"{name}: expected a positive number in {unit}, got {value!r}")
+    return found
+
+
+def share_kept(margin: float) -> float:
+    """The share of the voltage that is kept for control; raises `InputError` where it is none."""
+    found = single(margin, "margin", "1")
+    if not 0.0 <= found < _MOST_MARGIN:
+        raise InputError(
+            f"margin: expected a share of the voltage from 0 to below {_MOST_MARGIN}, got "
+            f"{margin!r}"
+        )
+    return found
 
 
 def check_machine(machine: DqMachine) -> None:
@@ -178,6 +212,20 @@ def numbers(values: ArrayLike, name: str, unit: str) -> FloatArray:
         where = f" at index {place}" if array.ndim else ""
         raise InputError(f"{name}: expected finite numbers in {unit}, got {array[place]}{where}")
     return array
+
+
+def single(value: ArrayLike, name: str, unit: str, instead: str = "") -> float:
+    """One finite number, also as an array of one; `instead` says what takes several.
+
+    Raises:
+        InputError: There are several, or it is no number.
+    """
+    array = numbers(value, name, unit)
+    if array.size != 1:
+        raise InputError(
+            f"{name}: expected one number in {unit}, got {array.size}{instead and '; ' + instead}"
+        )
+    return float(array.item())
 
 
 def _said(values: object) -> str:
@@ -228,7 +276,7 @@ _UNITS = {
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class OperatingPoints(Result):
+class OperatingPoints(DrawnResult):
     """Currents of least loss, arrays of the common shape of torque and speed.
 
     ``torque_request`` and ``torque`` in N m (equal where ``reached``), ``omega_m`` in rad/s
@@ -257,6 +305,25 @@ class OperatingPoints(Result):
     extrapolated: NDArray[np.bool_]
     limit: VoltageLimit
     objective: Objective
+
+    def shown(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+        """Torque, speed, currents, voltage and losses of each point."""
+        headings = (
+            *("torque N m", "speed rad/s", "i_d A", "i_q A", "voltage V"),
+            *("copper W", "loss W", "limited by"),
+        )
+        names = ("torque", "omega_m", "i_d", "i_q", "voltage", "copper_loss", "loss")
+        columns = [
+            [f"{number + 0.0:.5g}" for number in np.ravel(getattr(self, name)).tolist()]
+            for name in names
+        ]
+        return headings, list(zip(*columns, self.held_by.ravel().tolist(), strict=True))
+
+    def figure(self) -> Figure:
+        """The points in the plane of the currents, those of one speed joined."""
+        from dqforge.reports.operating_points.figures import plot_points
+
+        return plot_points(self.i_d, self.i_q, self.torque, self.omega_m)
 
     def plain(self) -> PlainData:
         """By the keys of ``dqforge mtpa --speed --json``."""

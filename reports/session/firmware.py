@@ -24,6 +24,7 @@ from dqforge.reports.output.folder import sha256
 from dqforge.reports.pages.answer import write_all
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.run import solved_files
+from dqforge.reports.session.drives import in_python
 from dqforge.reports.session.result import Result
 
 Places = str | Path | Sequence[str | Path]
@@ -95,14 +96,16 @@ def design_from_firmware(files: Places, changes: Mapping[str, str] | None = None
     """
     paths = _paths(files)
     settings = [f"{key}={value}" for key, value in (changes or {}).items()]
-    made = design_from_files(paths, settings)
+    with in_python():
+        made = design_from_files(paths, settings)
     if made.missing:
         keys = ", ".join(f"{key!r}: {example!r}" for key, example in made.missing)
         raise InputError(
             f"changes: the file does not contain all that a design needs; give {{{keys}}}",
             source=str(paths[0]),
         )
-    return load_text(made.text.encode("utf-8"), "design made of a firmware's file")
+    with in_python():
+        return load_text(made.text.encode("utf-8"), "design made of a firmware's file")
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -23,18 +23,19 @@ from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.records import dataclass
+from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer import solution as solved
 from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import LossMap as FoundMap
 from dqforge.optimizer.losses.loss_map import budget_options, solve_map
-from dqforge.optimizer.losses.phase_comparison import LossComparison, compare_points
+from dqforge.optimizer.losses.phase_comparison import CENTRED, LossComparison, compare_points
 from dqforge.optimizer.waveforms.comparison import (
     RuleCurrents,
     WaveformComparison,
     compare_waveforms,
 )
 from dqforge.reports.back_emf import CaptureReading, plain_capture
-from dqforge.reports.losses.map_tables import plain_losses, plain_map
+from dqforge.reports.losses.map_tables import loss_lines, map_lines, plain_losses, plain_map
 from dqforge.reports.output.folder import RUN, write_output
 from dqforge.reports.output.recomputation import (
     Recomputation,
@@ -45,7 +46,7 @@ from dqforge.reports.output.recomputation import (
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.run import export_design, plain_solution, verify_folder
 from dqforge.reports.run_folder import INPUT_DESIGN
-from dqforge.reports.session.drives import asked_of, numbers, together, whole
+from dqforge.reports.session.drives import asked_of, numbers, share_kept, single, together, whole
 from dqforge.reports.session.result import DrawnResult, Result, Tuning, dataset
 from dqforge.reports.verification.host import Verification
 from dqforge.reports.waveforms.tables import plain_waveforms
@@ -64,9 +65,6 @@ _MOST_CELLS = 2000
 
 
 _MOST_BUDGETS = 4_000_000
-
-
-_MOST_MARGIN = 0.9
 
 
 _SLOWEST, _FASTEST = 1.0, 1e7
@@ -94,8 +92,15 @@ class Losses(DrawnResult):
         return self.found.modulations
 
     @property
+    def points(self) -> tuple[LoadPoint, ...]:
+        """Labels of the third axis: ``torque`` in N m and ``omega_m`` in rad/s."""
+        return self.found.points
+
+    @property
     def total(self) -> FloatArray:
-        """Total loss in W, shape (S, M, P); nan where the torque is out of reach."""
+        """Total loss in W over `strategies`, `modulations` and `points`, shape (S, M, P); nan
+        where the torque is out of reach.
+        """
         return self.found.budget.total
 
     @property
@@ -105,8 +110,14 @@ class Losses(DrawnResult):
 
     @property
     def best(self) -> tuple[tuple[AnyStrategy, ModulationName] | None, ...]:
-        """Who loses least at each point, None where none is usable."""
+        """Who loses least at each point, None where none is usable, and where ``found.compared`` is
+        false: without a device in the inverter modulators are not compared.
+        """
         return self.found.best_labels
+
+    def shown(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+        """Total loss and junction of every alternative at every point."""
+        return loss_lines(self.found)
 
     def plain(self) -> PlainData:
         """By the keys of ``losses`` in ``result.json``."""
@@ -154,8 +165,14 @@ class LossMap(DrawnResult):
 
     @property
     def best(self) -> NDArray[np.intp]:
-        """Index of the alternative that loses least, shape (N, M), -1 where none can be used."""
+        """Index of the alternative that loses least, shape (N, M); -1 where none can be used, and
+        without a device in the inverter where modulators or frequencies would be compared.
+        """
         return self.found.comparison.best.reshape(self.torque.size, self.omega_m.size)
+
+    def shown(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+        """Mean loss and share of the map of every alternative."""
+        return map_lines(self.found)
 
     def plain(self) -> PlainData:
         """By the keys of ``dqforge losses --map --json``."""
@@ -229,13 +246,30 @@ def _frequencies(design: Design, f_sw: ArrayLike | None) -> tuple[float, ...]:
     return found
 
 
-def _margin(margin: float) -> float:
-    if not 0.0 <= margin < _MOST_MARGIN:
+def _one_frequency(design: Design, f_sw: float | None) -> float:
+    """The switching frequency in Hz of a comparison at points."""
+    if f_sw is None:
+        return design.inverter.f_sw
+    instead = "losses compares at one, loss_map at several"
+    return _frequencies(design, single(f_sw, "f_sw", "Hz", instead))[0]
+
+
+def _check_rules(
+    design: Design, strategies: Sequence[str] | None, modulations: Sequence[str] | None
+) -> None:
+    """Refuse alternatives that machines with any back-EMF, or their inverters, do not have."""
+    if design.phase_machine is None:
+        return
+    if strategies is not None and isinstance(design.phase_machine, PhaseMachine):
         raise InputError(
-            f"margin: expected a share of the voltage from 0 to below {_MOST_MARGIN}, got "
-            f"{margin!r}"
+            "strategies: this machine with any back-EMF is compared by the rules dq, dqx, dqy and "
+            "limited; omit strategies"
         )
-    return float(margin)
+    topology = design.inverter.topology
+    if modulations is not None and not TOPOLOGIES[topology].modulated:
+        raise InputError(
+            f"modulations: the topology {topology} has one modulator, {CENTRED}; omit modulations"
+        )
 
 
 def losses(
@@ -260,14 +294,15 @@ def losses(
             ``limited``.
         modulations: Modulators by name; None for the design's, else spwm, svpwm, dpwm1 and
             ddt-gdpwm.
-        f_sw: Switching frequency in Hz; None for the design's.
+        f_sw: One switching frequency in Hz, `loss_map` takes several; None for the design's.
         margin: Share of the voltage that is kept for control; None for the design's.
 
     Raises:
-        InputError: A name is unknown, a number is not finite, or the design names no points and
-            none are given.
+        InputError: A name is unknown, a number is not finite, several frequencies are given, or the
+            design names no points and none are given.
     """
     require_design(design)
+    _check_rules(design, strategies, modulations)
     settings = design.losses
     if (torque is None) != (omega_m is None):
         raise InputError(
@@ -294,8 +329,8 @@ def losses(
             modulations, _DEFAULT_MODULATIONS if settings is None else settings.modulations
         ),
     )
-    share = design.operation.voltage_margin if margin is None else _margin(margin)
-    inverter = replace(design.inverter, f_sw=_frequencies(design, f_sw)[0])
+    share = design.operation.voltage_margin if margin is None else share_kept(margin)
+    inverter = replace(design.inverter, f_sw=_one_frequency(design, f_sw))
     with asked_of(design, "losses"):
         found = compare_points(
             design.machine,
@@ -333,6 +368,7 @@ def loss_map(
         NoSolutionError: The limits leave no speed at all.
     """
     require_design(design)
+    _check_rules(design, strategies, modulations)
     sizes = whole(torques, "torques", 2, _MOST_CELLS), whole(speeds, "speeds", 2, _MOST_CELLS)
     settings = design.losses
     asked = Alternatives(
@@ -349,7 +385,7 @@ def loss_map(
             "request fewer"
         )
     with asked_of(design, "losses"):
-        return LossMap(solve_map(design, asked, _margin(margin), *sizes))
+        return LossMap(solve_map(design, asked, share_kept(margin), *sizes))
 
 
 # Captures of the back-EMF, and phase currents of machines whose back-EMF is not sinusoidal.
@@ -472,18 +508,19 @@ def read_back_emf(
             three-phase back-EMF.
     """
     paths = [Path(files)] if isinstance(files, str | Path) else [Path(name) for name in files]
-    if interval is not None and not (np.isfinite(interval) and interval > 0.0):
+    step = None if interval is None else single(interval, "interval", "s")
+    if step is not None and not step > 0.0:
         raise InputError(f"interval: expected a time above 0 in s, got {interval!r}")
     if len(scale) != len("abc"):
         raise InputError(f"scale: expected three factors such as (1.0, 1.0, 10.0), got {scale!r}")
     pairs = None if pole_pairs is None else whole(pole_pairs, "pole_pairs", 1, 1000)
-    speed = None if omega_m is None else float(numbers(omega_m, "omega_m", "rad/s"))
+    speed = None if omega_m is None else single(omega_m, "omega_m", "rad/s")
     options = CaptureOptions(
         connection="line-to-line" if line_to_line else "phase",
         columns=None if columns is None else list(columns),
         scale=(float(scale[0]), float(scale[1]), float(scale[2])),
         pole_pairs=pairs,
-        interval=interval,
+        interval=step,
     )
     capture = read_captures(
         [str(path) for path in paths],
@@ -559,7 +596,7 @@ def waveforms(
         ("ripple", ripple, "1"),
     ):
         if value is not None:
-            changes[name] = float(numbers(value, name, unit))
+            changes[name] = single(value, name, unit)
     if not 0.0 <= changes.get("ripple", 0.0) < 1.0:
         raise InputError(f"ripple: expected a share from 0 to below 1, got {ripple!r}")
     if open_phase is not None:

@@ -5,6 +5,7 @@ labelled arrays.
 from __future__ import annotations
 
 import math
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from html import escape
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
 
 _MOST_ROWS = 40
 _MOST_LINES, _WIDEST = 9, 100
+
+# Cells of columns that are set to the right.
+_NUMERIC = re.compile(r"-|-?[\d.]+(e[-+]?\d+)?")
 
 # Units by the end of a key, the longer ends first; docs/reference/json.md says how keys are named.
 _UNITS = {
@@ -80,8 +84,15 @@ class Result(ABC):
         assert isinstance(found, dict)
         return found
 
+    def shown(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]] | None:
+        """Headings and rows of the table that is printed; None for names and values."""
+        return None
+
     def __repr__(self) -> str:
         """At most ten lines; `to_dict` has everything."""
+        table = self.shown()
+        if table is not None:
+            return "\n  ".join([type(self).__name__, *_aligned(*table)])
         rows = _rows(self.plain(), "")
         lines = [" ".join(f"  {name}: {text} {unit}".split()) for name, text, unit in rows]
         if len(lines) > _MOST_LINES:
@@ -90,6 +101,24 @@ class Result(ABC):
 
     def _repr_html_(self) -> str:
         return html_table(type(self).__name__, self.plain())
+
+
+def _aligned(headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+    """A table in columns, in at most as many lines as a result has."""
+    most = _MOST_LINES - 1
+    left = rows[: most if len(rows) <= most else most - 1]
+    cells = [headings, *left]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(headings))]
+    lines = [
+        "  ".join(
+            text.rjust(width)
+            if _NUMERIC.fullmatch(left[0][k] if left else "")
+            else text.ljust(width)
+            for k, (text, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in cells
+    ]
+    return lines + [f"{len(rows) - len(left)} more: to_dict() has them"] * (len(left) < len(rows))
 
 
 class DrawnResult(Result):

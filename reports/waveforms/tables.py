@@ -12,6 +12,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.phase_machines.phase_machine import SalientPhaseMachine
 from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.machines.transforms import Reals, in_rpm
+from dqforge.machines.units.quantities import signed_hundredths
 from dqforge.optimizer.solution import Solution
 from dqforge.optimizer.steps.step_arithmetic import Abc, Arithmetic
 from dqforge.optimizer.waveforms.comparison import RuleCurrents, WaveformComparison
@@ -68,7 +69,7 @@ def _row(found: RuleCurrents, base: float) -> tuple[str, ...]:
     return (
         RULE_TEXT[found.rule],
         f"{copper:.4g}",
-        f"{100.0 * (copper / base - 1.0):+.2f}",
+        signed_hundredths(100.0 * (copper / base - 1.0)),
         f"{100.0 * float(values.ripple[0]) / abs(torque):.3g}"
         if values.ripple[0] > 1e-9 * abs(torque)
         else "0",
@@ -78,7 +79,7 @@ def _row(found: RuleCurrents, base: float) -> tuple[str, ...]:
         if values.neutral_rms[0] > 1e-9 * values.rms[0]
         else "0",
         f"{float(values.bus[0]):.4g}",
-        ", ".join(found.obstacles) or "nothing",
+        ", ".join(found.obstacles) or "none",
     )
 
 
@@ -116,44 +117,8 @@ def _front_table(comparison: WaveformComparison) -> Table:
         )
         for ripple, loss in comparison.front
     )
-    columns = ("permitted deviation of the torque %", "least copper loss W", "above the last %")
+    columns = ("permitted deviation of the torque %", "least copper loss W", "vs unrestricted %")
     return Table("The cost of smooth torque within all limits", columns, rows)
-
-
-def _residual(value: float) -> str:
-    return f"{value:.1e}" if math.isfinite(value) else "none"
-
-
-def _confirmation_table(comparison: WaveformComparison) -> Table:
-    """Every quadratic programme with the residuals of both solvers."""
-    rows = tuple(
-        (
-            f"{100.0 * entry.ripple / abs(entry.torque):g}" if entry.torque else "0",
-            entry.verdict,
-            _residual(entry.ours.largest),
-            _residual(entry.theirs.largest),
-            f"{100.0 * entry.loss_difference:+.0e}"
-            if math.isfinite(entry.loss_difference)
-            else "none",
-            _residual(entry.current_difference),
-            f"{entry.iterations}",
-        )
-        for entry in comparison.confirmations
-    )
-    columns = (
-        "permitted deviation %",
-        "by OSQP",
-        "residual here",
-        "residual of OSQP",
-        "loss difference %",
-        "current difference A",
-        "iterations",
-    )
-    return Table(
-        "The same programmes solved by OSQP: largest residual of the optimality conditions",
-        columns,
-        rows,
-    )
 
 
 def optimality_note(comparison: WaveformComparison) -> str:
@@ -185,13 +150,13 @@ def waveform_tables(design: Design, comparison: WaveformComparison) -> list[Tabl
     columns = (
         "",
         "copper W",
-        "against the first %",
+        "vs sinusoidal %",
         "ripple p-p %",
         "rms A",
         "peak A",
         "neutral rms A",
         "bus V",
-        "breaks",
+        "limit exceeded",
     )
     held = f"held by {', '.join(comparison.binding)}" if comparison.binding else "nothing binds"
     where = f"{comparison.torque:.4g} N m at {in_rpm(comparison.omega_m):.4g} rpm"
@@ -211,8 +176,6 @@ def waveform_tables(design: Design, comparison: WaveformComparison) -> list[Tabl
         tables.append(
             Table("Harmonics of the current of phase a, in % of its fundamental", names, harmonics)
         )
-    if comparison.confirmations:
-        tables.append(_confirmation_table(comparison))
     return tables
 
 
@@ -519,13 +482,13 @@ def _cells(found: RuleCurrents) -> tuple[str, ...]:
         quantity(float(values.peak[0]), "A"),
         quantity(neutral, "A", 3) if neutral > _ROUNDING * float(values.rms[0]) else "0",
         quantity(float(values.bus[0]), "V"),
-        ", ".join(found.obstacles) or "nothing",
+        ", ".join(found.obstacles) or "none",
     )
 
 
 def rules_table(comparison: WaveformComparison) -> HtmlTable:
     """One row per rule."""
-    columns = ("", "copper", "ripple p-p", "r.m.s.", "peak", "neutral", "dc link", "breaks")
+    columns = ("", "copper", "ripple p-p", "r.m.s.", "peak", "neutral", "dc link", "limit exceeded")
     rows = tuple(
         Row(
             _cells(found),

@@ -351,7 +351,7 @@ def _remark_on_the_region(machine: SaturatedMachine, reading: Reading) -> None:
     meant = (
         "results beyond are extrapolated along its tangents (extrapolate: true)"
         if flux_map.extrapolate
-        else "operating points stay inside and say where they are held by the data"
+        else "operating points stay inside the map"
     )
     reading.remarks.append(
         f"the flux map {where}, the current limit is {format_quantity(i_max, 'A')}: {meant}"

@@ -9,7 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dqforge.machines.errors import InputError, close_matches, shown
-from dqforge.machines.units.quantities import format_quantity, parse_quantity, read_quantity
+from dqforge.machines.units.quantities import (
+    format_quantity,
+    parse_quantity,
+    read_quantity,
+    signed_hundredths,
+    signed_percent,
+)
 from dqforge.machines.units.registry import DIMENSIONS, SYMBOLS
 
 # Expected values follow from the definitions of the units: 1 rpm = 2 pi/60 rad/s, 1 Hz of
@@ -287,3 +293,18 @@ def test_close_matches_prefers_a_difference_of_case() -> None:
     assert close_matches("MH", ["mH", "MHz", "H"]) == ["mH"]
     assert close_matches("resistence", ["resistance", "inertia"]) == ["resistance"]
     assert close_matches("zzz", ["resistance"]) == []
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(7.11e-15, "0 %"), (-0.0, "0 %"), (0.1, "+10 %"), (-0.2, "-20 %"), (1e-4, "+0.01 %")],
+)
+def test_changes_of_rounding_alone_are_nought(value: float, text: str) -> None:
+    assert signed_percent(value) == text
+
+
+@pytest.mark.parametrize(
+    ("percent", "text"), [(-1e-9, "0"), (0.001, "0"), (-0.02, "-0.02"), (12.3, "+12.30")]
+)
+def test_hundredths_of_a_percent_have_no_signed_nought(percent: float, text: str) -> None:
+    assert signed_hundredths(percent) == text

@@ -26,10 +26,10 @@ from dqforge.optimizer.losses.phase_comparison import LossComparison, compare_po
 from dqforge.optimizer.losses.solve import solve_losses
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_currents
 from dqforge.reports.answers.mtpa import Request, answer
-from dqforge.reports.losses.map_figures import loss_tables, plot_losses
-from dqforge.reports.losses.map_tables import losses_tables, plain_losses
+from dqforge.reports.losses.map_figures import best_loss, loss_tables, plot_losses
+from dqforge.reports.losses.map_tables import losses_tables, plain_losses, winner_reason
 from dqforge.reports.pages.figures_style import to_svg
-from dqforge.reports.pages.html_text import WITHOUT_BRIDGE, part_label, shown_parts
+from dqforge.reports.pages.html_text import NOT_COMPARED, WITHOUT_BRIDGE, part_label, shown_parts
 
 IRON = MachineLoss.measured(
     frequency=400.0,
@@ -251,7 +251,48 @@ def test_without_a_device_the_rest_is_compared_and_said_to_be_the_rest() -> None
     plain = plain_losses(found)
     assert plain is not None
     assert plain["scope"] == "without-bridge"
+    assert NOT_COMPARED in table.notes
+    assert all(row[-1] != "best" for row in table.rows)
+    assert NOT_COMPARED in loss_tables(found)[0].caption
+    assert best_loss(found) is None
+    assert (plain["best"], plain["compared"]) == ([None] * len(POINTS), False)
+    assert known.best_labels[0] is not None
+    assert np.isnan(found.saving[:, 1:]).all()
     assert "nan" not in to_svg(plot_losses(bare, found))
+
+
+def test_the_reason_of_the_winner_is_made_of_its_numbers() -> None:
+    """Of equal conduction and unequal switching loss; half, or the share in percent."""
+    settings = LossSettings(POINTS, ("mtpa",), ("svpwm", "ddt-gdpwm"))
+    found = solve_losses(replace(make_design(), losses=settings))
+    assert found is not None
+    budget, (point, best) = found.budget, (0, int(found.best_modulation[0]))
+    assert found.modulations[best] == "ddt-gdpwm"
+    text = winner_reason(found, point)
+    ratio = float(budget.switching[0, 1, 0] / budget.switching[0, 0, 0])
+    assert 0.4 < ratio < 0.6
+    share = "half the" if 0.47 <= ratio <= 0.53 else f"{100.0 * ratio:.0f} % of the"
+    assert text.startswith(f"ddt-gdpwm: {share} switching loss of svpwm")
+    assert f"{budget.conduction[0, 1, 0]:.3g}" == f"{budget.conduction[0, 0, 0]:.3g}"
+    assert "at equal copper and conduction loss" in text
+    higher = budget.ripple_current[0, 1, 0] > budget.ripple_current[0, 0, 0]
+    assert ("higher" in text) == bool(higher)
+    assert text in losses_tables(make_design(), found)[0].notes
+    assert text in str(loss_tables(found)[0].caption)
+    bare = replace(make_design(), losses=settings)
+    bare = replace(bare, inverter=replace(bare.inverter, device=None))
+    unknown = solve_losses(bare)
+    assert unknown is not None
+    assert winner_reason(unknown, point) == ""
+
+
+def test_without_a_device_strategies_with_one_modulator_are_compared() -> None:
+    settings = LossSettings(POINTS, ("id0", "mtpa"), ("svpwm",))
+    design = replace(make_design(), losses=settings)
+    found = solve_losses(replace(design, inverter=replace(design.inverter, device=None)))
+    assert found is not None
+    assert found.compared
+    assert found.best_labels[0] == ("mtpa", "svpwm")
 
 
 def test_every_part_is_that_of_the_drive_budget_and_they_make_up_the_total() -> None:

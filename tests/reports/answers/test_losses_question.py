@@ -19,7 +19,7 @@ from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import solve_map
 from dqforge.reports.losses.map_figures import plot_loss_map
 from dqforge.reports.losses.map_tables import map_tables
-from dqforge.reports.pages.html_text import part_label
+from dqforge.reports.pages.html_text import NOT_COMPARED, part_label
 
 IPM = "paper000-ipmsm-100kw"
 MISSION = (
@@ -222,6 +222,13 @@ def test_a_design_without_a_switch_is_compared_without_the_bridge(run: Run, miss
         out.split()
     )
     assert "conduction" not in out.split("the design has")[0]
+    assert NOT_COMPARED in out
+    assert " best" not in out
+    assert "Alternative of least loss" not in out
+    found = json.loads(run("abb-ipmsm-2k2", *arguments, "--json")[1])
+    part = found["mission" if mission else "loss_map"]
+    assert not part["compared"]
+    assert part["best"] is None if mission else {-1} == set(np.ravel(part["best"]).tolist())
     assert "nan" not in Path("losses.svg").read_text(encoding="utf-8")
 
 

@@ -65,7 +65,7 @@ def test_tune_header_and_json_say_the_same() -> None:
     notes = stability_notes(gains, pole_pairs)
     assert len(notes) == 2
     assert "proven stable for every drive in the box at every constant speed" in notes[0]
-    assert "ball arithmetic" in notes[0]
+    assert "interval arithmetic" in notes[0]
     assert "without voltage limit and without rounding" in notes[0]
     assert "proven below" in notes[1]
     tables = gains_tables(solution().design, gains)
@@ -149,7 +149,7 @@ def test_a_folder_is_checked_and_forgeries_in_it_are_refused(tmp_path: Path) -> 
     found = check_stored_proof(place, solution())
     assert found is not None
     assert found.proven
-    assert "confirmed in ball arithmetic" in stored_proof_text(found)
+    assert "confirmed in interval arithmetic" in stored_proof_text(found)
     path = next(place.glob("*_stability.json"))
     good = json.loads(path.read_bytes())
     first = next(k for k, verdict in enumerate(good["tree"]) if len(verdict) == 21)

@@ -114,7 +114,9 @@ LOSS_REFUSALS: list[tuple[dict[str, Any], str]] = [
     ({"modulations": ["svm"]}, "modulations: expected some of spwm"),
     ({"strategies": []}, "strategies: name at least one"),
     ({"f_sw": -1.0}, "f_sw: expected each frequency once"),
+    ({"f_sw": [20e3, 50e3]}, "f_sw: expected one number in Hz, got 2; .*loss_map at several"),
     ({"margin": 1.0}, "margin: expected a share"),
+    ({"margin": [0.1, 0.2]}, "margin: expected one number in 1, got 2"),
     ({"torque": [1.0, 2.0], "omega_m": [1.0, 2.0, 3.0]}, "have no common shape"),
 ]
 
@@ -123,6 +125,24 @@ LOSS_REFUSALS: list[tuple[dict[str, Any], str]] = [
 def test_refusals_of_losses(given: dict[str, Any], message: str) -> None:
     with pytest.raises(dqforge.InputError, match=message):
         dqforge.losses(dqforge.load_design("paper000-ipmsm-100kw"), **given)
+
+
+def test_a_single_frequency_may_be_an_array() -> None:
+    design = dqforge.load_design("paper000-ipmsm-100kw")
+    given = {"strategies": "mtpa", "modulations": "svpwm"}
+    slow, fast = (dqforge.losses(design, 130, 300, f_sw=f, **given).total for f in ([2e4], 5e4))  # type: ignore[arg-type]
+    assert slow.shape == (1, 1, 1)
+    assert slow < fast
+
+
+def test_alternatives_that_a_phase_machine_does_not_have_are_refused() -> None:
+    """Its rules take the place of strategies, the centring of four legs that of modulators."""
+    design = dqforge.load_design("paper002-phase-waveforms")
+    for ask in (dqforge.losses, dqforge.loss_map):
+        with pytest.raises(dqforge.InputError, match="compared by the rules dq, dqx, dqy and limi"):
+            ask(design, strategies=["mtpa"])
+        with pytest.raises(dqforge.InputError, match="has one modulator, svpwm; omit modulations"):
+            ask(design, modulations=["dpwm1"])
 
 
 def test_a_design_without_points_says_what_to_give() -> None:
@@ -139,6 +159,8 @@ def test_waveforms_are_those_of_the_command(capsys: pytest.CaptureFixture[str]) 
     assert found.rules["dqy"].currents.shape == (3, found.theta_e.size)
     with pytest.raises(dqforge.InputError, match="ripple: expected a share"):
         dqforge.waveforms(design, ripple=1.5)
+    with pytest.raises(dqforge.InputError, match="torque: expected one number in N m, got 2"):
+        dqforge.waveforms(design, torque=[1.0, 2.0])  # type: ignore[arg-type]
     with pytest.raises(dqforge.InputError, match="open_phase: expected"):
         dqforge.waveforms(design, open_phase="d")
 
@@ -178,6 +200,8 @@ def test_a_machine_of_a_capture_has_its_back_emf(tmp_path: Path) -> None:
 
 BEMF_REFUSALS: list[tuple[dict[str, Any], str]] = [
     ({"interval": 0.0}, "interval: expected a time above 0"),
+    ({"interval": [1e-6, 2e-6]}, "interval: expected one number in s, got 2"),
+    ({"omega_m": [1.0, 2.0]}, "omega_m: expected one number in rad/s, got 2"),
     ({"scale": (1.0, 2.0)}, "scale: expected three factors"),
     ({"pole_pairs": 0}, "pole_pairs: expected a whole number"),
     ({"harmonics": 500}, "harmonics: expected a whole number"),

@@ -72,6 +72,66 @@ def test_every_result_shows_itself() -> None:
         assert "rad/s" in shown
 
 
+def test_points_are_printed_as_a_table() -> None:
+    found = dqforge.operating_points(MACHINE, [10.0, 60.0], 100.0, v_dc=400.0)
+    title, headings, *rows = repr(found).splitlines()
+    assert title == "OperatingPoints"
+    assert headings.split()[:6] == ["torque", "N", "m", "speed", "rad/s", "i_d"]
+    assert len(rows) == 2
+    for k, row in enumerate(rows):
+        cells = row.split()
+        assert float(cells[0]) == (10.0, 60.0)[k]
+        assert float(cells[2]) == pytest.approx(found.i_d[k], rel=1e-4)
+        assert float(cells[3]) == pytest.approx(found.i_q[k], rel=1e-4)
+        assert float(cells[5]) == pytest.approx(found.copper_loss[k], rel=1e-4)
+    many = dqforge.operating_points(MACHINE, np.linspace(0.0, 100.0, 30), 100.0, v_dc=400.0)
+    assert len(repr(many).splitlines()) == 10
+    assert repr(many).endswith("23 more: to_dict() has them")
+
+
+def test_losses_are_printed_as_a_table() -> None:
+    design = dqforge.load_design("paper000-ipmsm-100kw")
+    names = {"strategies": ["mtpa", "id0"], "modulations": ["svpwm", "ddt-gdpwm"]}
+    found = dqforge.losses(design, [130.0], [300.0], **names)
+    rows = [line.split() for line in repr(found).splitlines()[2:]]
+    assert len(rows) == 4
+    (best,) = [row for row in rows if row[-1] == "best"]
+    assert tuple(best[2:4]) == found.best[0]
+    assert float(best[4]) == pytest.approx(np.nanmin(found.total), rel=1e-3)
+    assert [(point.torque, point.omega_m) for point in found.points] == [(130.0, 300.0)]
+    chart = repr(dqforge.loss_map(design, 2, 3, **names)).splitlines()
+    assert chart[1].split()[:2] == ["strategy", "modulator"]
+    assert len(chart) == 6
+
+
+def test_points_have_a_figure() -> None:
+    (axes,) = points().figure().axes
+    lines = [line for line in axes.lines if len(line.get_xdata()) == TORQUE.size]
+    assert [line.get_label() for line in lines] == ["954.93 rpm", "8594.4 rpm"]
+    np.testing.assert_allclose(lines[0].get_ydata(), points().i_q[:, 0])
+
+
+def test_messages_of_changes_name_no_option_of_the_command_line() -> None:
+    given: list[Any] = [
+        {"machine.max_currnt": 8.0},
+        {"machine.max_current": "8 foo"},
+        {"fit..degree": 3},
+        {"nowhere": 3},
+    ]
+    for changes in given:
+        with pytest.raises(dqforge.InputError, match=r"^changes: ") as error:
+            dqforge.load_design("abb-ipmsm-2k2", changes)
+        assert "--set" not in str(error.value)
+
+
+def test_a_printed_design_names_the_keys_of_its_constants() -> None:
+    shown = repr(dqforge.load_design("paper000-ipmsm-100kw"))
+    assert "r_s: resistance 2 mOhm (phase)" in shown
+    assert "pole_pairs: poles 8" in shown
+    bench = dqforge.make_design(MACHINE, v_dc=400.0, f_sw=1e4)
+    assert "psi_pm: magnet_flux 0.1049 Wb (peak)" in repr(bench)
+
+
 def test_labelled_arrays_need_xarray(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "xarray", None)
     with pytest.raises(

@@ -169,7 +169,7 @@ def test_report_shows_the_map_the_prices_and_the_rule(output: RunOutput) -> None
     assert page.count('href="#modulation"') == 1
     for phrase in (
         "Modulator with the least loss",
-        "design of today",
+        "this design",
         "ipm100_modulation_choice(float torque_Nm",
     ):
         assert phrase in page
@@ -184,7 +184,7 @@ def test_tables_and_text_say_the_same_as_the_rule(output: RunOutput) -> None:
     prices, rule, chart = choice_tables(output.solution.design, choice)
     assert [row[0] for row in prices.rows][:2] == [
         "best at every point",
-        "rule of two questions (in the header)",
+        "rule with two questions (in the header)",
     ]
     assert float(prices.rows[0][2]) == pytest.approx(choice.best_mean, rel=1e-3)
     assert any("current ripple at" in note for note in prices.notes)
