@@ -224,11 +224,22 @@ def _add_capture(
     ]
     more = (
         f"{source}: the back-EMF has {', '.join(loud)}: torque ripple with sinusoidal currents; "
-        "model: waveform takes it"
+        "for currents without it, write in the design 'model: waveform', self_inductance in place "
+        f"of inductance, and back_emf: {{{_as_back_emf(capture)}}} in place of magnet_flux, with "
+        "the file beside the design"
     )
     first = f"magnet flux {1e3 * result.psi_pm:.4g} mWb, the fundamental of the capture"
     said = (f"{source}: {sentence}" for sentence in (first, *reading.findings))
     return (*said, *([more] * bool(loud))), {_FLUX: f"fundamental of the capture {shown(source)}"}
+
+
+def _as_back_emf(capture: CapturedFlux) -> str:
+    """What the section ``machine.back_emf`` says of a capture."""
+    names = [shown(file.name) for file in capture.files]
+    files = f"file: {names[0]}" if len(names) == 1 else f"files: [{', '.join(names)}]"
+    connection = ", connection: line-to-line" if capture.line_to_line else ""
+    scale = "" if capture.scale is None else f", scale: [{capture.scale}]"
+    return f"{files}{connection}{scale}"
 
 
 # What a refusal of a capture or a flux map asks for and `dqforge new` has not: options of `dqforge

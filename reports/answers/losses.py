@@ -137,6 +137,7 @@ def _answered(
             raise InputError("--plot draws one carrier frequency; name one in --frequencies")
         return plot_losses(design, found[0])
 
+    plain: dict[str, Any]
     if len(found) > 1:
         tables = losses_tables_over(design, found, frequencies)
         plain = {"losses": plain_losses_over(found, frequencies)}

@@ -433,11 +433,13 @@ def _share_text(ratio: float) -> str:
 # Loss comparisons as tables of the terminal.
 
 
-def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
+def losses_tables(
+    design: Design, comparison: LossComparison, kinds: Sequence[str] = ()
+) -> list[Table]:
     """One table per operating point: strategy and modulator against losses
-    and junction temperature.
+    and junction temperature; ``kinds`` are those that have a column, by default all that are there.
     """
-    kinds = shown_parts(comparison.budget)
+    kinds = kinds or shown_parts(comparison.budget)
     headings = [f"{part_label(kind)} W" for kind in kinds]
     columns = ("strategy", "modulator", *headings, "total W", "junction degC")
     columns = (*columns, "ripple current A", "saving %", "")
@@ -479,7 +481,10 @@ def losses_tables_over(
     whose best and saving are those of all its rows.
     """
     tables = []
-    for p, parts in enumerate(zip(*(losses_tables(design, one) for one in found), strict=True)):
+    there = {kind for one in found for kind in shown_parts(one.budget)}
+    kinds = [kind for kind in PARTS if kind in there]
+    each = [losses_tables(design, one, kinds) for one in found]
+    for p, parts in enumerate(zip(*each, strict=True)):
         best, base = best_over(found, p), float(found[0].budget.total[0, 0, p])
         rows = []
         for k, (part, one) in enumerate(zip(parts, found, strict=True)):

@@ -168,7 +168,15 @@ def _check_model(section: MachineSection, reading: Reading) -> None:
                 f"machine.{key} belongs to the model '{model}', this is '{section.model}'; write "
                 f"model: {model}"
             )
-            raise document.error(message + ", or remove the key", ("machine", key), key=True)
+            other = ", or remove the key"
+            if section.model == "waveform" and model == "linear":
+                value = getattr(section, key)
+                kind = f" {value.kind}" if value.kind_given else ""
+                other = (
+                    f", or in its place self_inductance: {value.text}{kind}, with "
+                    "mutual_inductance: ... where it was measured"
+                )
+            raise document.error(message + other, ("machine", key), key=True)
     if section.map_scale is not None and section.model not in ("flux-map", "saturation"):
         raise document.error(
             "machine.map_scale scales the flux map of a machine that saturates, this is model "

@@ -419,6 +419,15 @@ def read_phase_machine(
         )
     l_s = reading.per_phase(section.self_inductance, "machine.self_inductance")
     m_s = si_of(section.mutual_inductance) or 0.0
+    if section.self_inductance.kind == "line-to-line":
+        l_s += m_s  # between two terminals lie 2 (L_s - M_s)
+        done = "half of the line-to-line value, and the mutual inductance"
+        reading.converted["machine.self_inductance"] = (l_s, done)
+    if section.mutual_inductance is None:
+        reading.remarks.append(
+            "machine.mutual_inductance is 0: the phases do not act on each other, and a "
+            "self_inductance between two terminals holds what does"
+        )
     orders, amplitudes, phases = (
         _written(given, common["pole_pairs"], reading)
         if given.harmonics is not None

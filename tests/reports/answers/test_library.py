@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -84,7 +85,16 @@ def test_a_capture_gives_the_magnet_flux(tmp_path: Path, channels: int) -> None:
     assert b"# fundamental of the capture 'scope.csv'" in text
     psi_pm = load_text(text, "design.yaml").machine.psi_pm
     assert psi_pm == pytest.approx(0.01, rel=1e-3)
-    assert any("10.0% of order 5: torque ripple" in note for note in answer.notes)
+    (ripple,) = [note for note in answer.notes if "10.0% of order 5: torque ripple" in note]
+    # What it says to write makes the design with that ripple.
+    section = re.search(r"back_emf: (\{.*\}) in place", ripple)
+    assert section is not None
+    changed = re.sub(rb"  magnet_flux: .*", b"  back_emf: " + section[1].encode(), text)
+    changed = changed.replace(b"  inductance: 30", b"  model: waveform\n  self_inductance: 30")
+    if channels > 1:
+        shaped = load_text(changed, "design.yaml", tmp_path)
+        assert shaped.phase_machine is not None
+        assert shaped.machine.psi_pm == pytest.approx(psi_pm, rel=1e-3)
 
 
 def test_names_of_files_stay_text(tmp_path: Path) -> None:

@@ -248,11 +248,11 @@ def test_the_command_line_and_python_read_the_same() -> None:
     assert linear(made).i_max == pytest.approx(wanted.i_max)
 
 
-def test_a_value_from_outside_keeps_the_kind_of_the_text() -> None:
+def test_a_value_from_outside_replaces_the_kind_of_the_text() -> None:
     for setting, resistance in (
-        ("90 mOhm", 45e-3),
-        ("90 mOhm per phase", 90e-3),
-        ("0.09", 45e-3),
+        ("90 mOhm", 90e-3),
+        ("90 mOhm phase-to-phase", 45e-3),
+        ("0.09", 90e-3),
         ("{value: 90 mOhm}", 90e-3),
     ):
         design = changed(settings=(f"machine.resistance={setting}",))
@@ -260,7 +260,7 @@ def test_a_value_from_outside_keeps_the_kind_of_the_text() -> None:
     emf = "{value: 12 Vrms/krpm, kind: line-to-line}"
     of_line = changed(
         ("kv: 190 rpm/V", f"back_emf_constant: {emf}"),
-        settings=("machine.back_emf_constant=13 V/krpm",),
+        settings=("machine.back_emf_constant=13 Vrms/krpm line-to-line",),
     )
     assert linear(of_line).psi_pm == pytest.approx(13e-3 / RPM * SQRT2 / SQRT3 / PAIRS, rel=1e-12)
     renamed = changed(("Hobby motor", "3 phase"), settings=("name=Other",))
