@@ -196,7 +196,7 @@ def _regression(model: _Model, terms: Sequence[str]) -> Regression:
 def rows_fault(rows: SteadyRows) -> str:
     """Why rows say nothing, '' where they do."""
     if rows.u_q.size < _LEAST_ROWS:
-        return f"{rows.u_q.size} rows for up to {len(_TERMS)} terms; it needs {_LEAST_ROWS}"
+        return f"{rows.u_q.size} rows for up to {len(TERMS)} terms; it needs {_LEAST_ROWS}"
     if float(rows.current.max()) <= 0.0:
         return "no current flows in any row, which gives no resistance"
     if float(np.ptp(rows.omega_e)) == 0.0 and float(np.max(np.abs(rows.omega_e))) == 0.0:
