@@ -12,7 +12,6 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.optimizer.firmware.firmware_method import check_drivable
-from dqforge.optimizer.firmware.key_meanings import next_steps
 from dqforge.optimizer.firmware.solve import FirmwareFit, method_of
 from dqforge.reports.firmware.target import MOST_BYTES, TARGETS, decoded_file
 from dqforge.reports.firmware.written_files import (
@@ -22,6 +21,7 @@ from dqforge.reports.firmware.written_files import (
     read_files,
     target_named,
 )
+from dqforge.reports.firmware_keys import next_steps
 from dqforge.reports.output.folder import EXISTING, FIRMWARE, FIRMWARES
 from dqforge.reports.pages.answer import Answer, Files, stage
 from dqforge.reports.run import solved_files

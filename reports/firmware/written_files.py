@@ -14,11 +14,11 @@ from dqforge import __version__
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
-from dqforge.optimizer.firmware.key_meanings import conventions_here, meaning
 from dqforge.optimizer.firmware.solve import FirmwareFit
 from dqforge.reports.capability import Capability, Outcome, Passage, ReportPart, Rows
 from dqforge.reports.firmware.design_made import Targets, in_file, read_file, together
 from dqforge.reports.firmware.target import TARGETS, FileTitle, Target, TextFile, decoded_file
+from dqforge.reports.firmware_keys import conventions_here, meaning
 from dqforge.reports.loops.firmware_text import pole_text
 from dqforge.reports.pages.answer import Table, read_output
 from dqforge.reports.pages.html_text import HtmlTable, Row, symbols

@@ -8,7 +8,7 @@ import pytest
 
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues, Origin
-from dqforge.optimizer.firmware.key_meanings import conventions_here, meaning, next_steps
+from dqforge.reports.firmware_keys import conventions_here, meaning, next_steps
 
 SENTENCES = (
     "currents are peak values",
