@@ -93,7 +93,7 @@ def test_a_terminal_shows_the_line_and_colours(tmp_path: Path) -> None:
         "\x1b[1;31mdqforge: \x1b[0m\x1b[1md.yaml:6:15\x1b[0m: machine.inductance: "
     )
     first, line, mark, end = ESCAPE.sub("", shown).split("\n")
-    assert first.endswith("write e.g. '1.61 mH'")
+    assert first.endswith("expected an inductance such as '1.61 mH'")
     assert line == "    6 |   inductance: 60 uX terminal"
     assert mark == "      |               ^"
     assert end == ""
