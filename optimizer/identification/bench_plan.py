@@ -119,7 +119,7 @@ def plan_bench(design: Design) -> BenchPlan:
     rows = SteadyRows(("plan",), zeros, omega_e[kept], i_q[kept], u_q[kept], i_d[kept], u_d[kept])
     noise = _NOISE * design.v_max
     columns = voltage_columns(rows)
-    covariance = noise**2 * np.linalg.inv(_information(columns))
+    covariance = np.asarray(noise**2 * np.linalg.inv(_information(columns)), dtype=np.float64)
     values = _values(design)
     expected = tuple(
         Expected(key, *TERMS[key], values[key], _NORMAL * math.sqrt(covariance[place, place]))

@@ -314,13 +314,14 @@ def rotating_axes(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> RotatingAxes
     first = np.abs(omega_m) >= (top if limit is None else limit) * (1.0 + 1e-9)
     row = int(np.argmax(np.max(np.where(first | (limit is None), radius, 0.0), axis=1)))
     l_d, l_q = (part.reshape(radius.shape)[row, 0] for part in (drives.l_d, drives.l_q))
-    better = None
+    better: Literal["lower", "raise"] | None = None
     if limit is not None:
         halves = [
             _stable_to(largest_pole(drives, scaled).reshape(radius.shape), omega_m) or top
             for scaled in (_scaled(emitted, 0.5), _scaled(emitted, 2.0))
         ]
-        better = None if max(halves) <= limit else ("lower", "raise")[int(np.argmax(halves))]
+        if max(halves) > limit:
+            better = "lower" if halves[0] > halves[1] else "raise"
     return RotatingAxes(
         float(np.max(radius)),
         f"{in_rpm(abs(omega_m[int(np.argmax(np.max(radius, axis=0)))])):.5g} rpm",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dqforge.machines.design.catalogue import design_names
 from dqforge.machines.design.design import Design
+from dqforge.machines.files.library_files import design_names
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.control_design.observed_remedies import require_observed
 from dqforge.reports.loops.proven_text import gains_tables

@@ -556,11 +556,12 @@ def _summary(solution: Solution, _: Solution) -> Rows:
 def _watched(solution: Solution, _: Solution) -> list[str]:
     fit = solution.fit
     data = " ".join(data_lines(solution.data, fit.torque_max))
-    band = solution.torque_band
-    wide = band is not None and band.independent > WIDE_BAND
+    band, wide = solution.torque_band, []
+    if band is not None and band.independent > WIDE_BAND:
+        wide = [f"the torque may be {band_text(band)}, within control.tolerances"]
     return [
         *([_beyond_the_link(solution)] if _beyond_the_link(solution) else []),
-        *([f"the torque may be {band_text(band)}, within control.tolerances"] if wide else []),
+        *wide,
         *([data] if data else []),
         *([poor_fit_text(solution.design, fit)] if fit.errors.loss_relative > POOR_FIT else []),
     ]

@@ -534,7 +534,7 @@ def map_lines(found: LossMap) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     usable, least = np.mean(found.usable, axis=1), found.least_share
     compared = found.comparison.compared
     order = np.argsort(-least, kind="stable").tolist()
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for k in order:
         strategy, modulation, frequency = alternatives.label(k)
         shares = (f"{100.0 * usable[k]:.0f}", f"{100.0 * least[k]:.0f}" if compared else "-")

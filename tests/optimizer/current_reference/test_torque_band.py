@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from dqforge.optimizer.current_reference.torque_band import LEAST_TORQUE, torque
 from dqforge.optimizer.operating_points.current_choice import OperatingPoints
 from dqforge.optimizer.operating_points.solve import solve_curves
 
-SHARES = {"psi_pm": (-0.05, 0.03), "l_d": (-0.1, 0.2), "l_q": (-0.15, 0.1)}
+SHARES: dict[str, Any] = {"psi_pm": (-0.05, 0.03), "l_d": (-0.1, 0.2), "l_q": (-0.15, 0.1)}
 
 
 def _machine(like: LinearMachine, psi_pm: float, l_d: float, l_q: float) -> LinearMachine:

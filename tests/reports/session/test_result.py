@@ -91,7 +91,10 @@ def test_points_are_printed_as_a_table() -> None:
 
 def test_losses_are_printed_as_a_table() -> None:
     design = dqforge.load_design("paper000-ipmsm-100kw")
-    names = {"strategies": ["mtpa", "id0"], "modulations": ["svpwm", "ddt-gdpwm"]}
+    names: dict[str, Any] = {
+        "strategies": ["mtpa", "id0"],
+        "modulations": ["svpwm", "ddt-gdpwm"],
+    }
     found = dqforge.losses(design, [130.0], [300.0], **names)
     rows = [line.split() for line in repr(found).splitlines()[2:]]
     assert len(rows) == 4
@@ -106,9 +109,10 @@ def test_losses_are_printed_as_a_table() -> None:
 
 def test_points_have_a_figure() -> None:
     (axes,) = points().figure().axes
-    lines = [line for line in axes.lines if len(line.get_xdata()) == TORQUE.size]
+    lines = [line for line in axes.lines if np.size(line.get_xdata()) == TORQUE.size]
     assert [line.get_label() for line in lines] == ["954.93 rpm", "8594.4 rpm"]
-    np.testing.assert_allclose(lines[0].get_ydata(), points().i_q[:, 0])
+    drawn = np.asarray(lines[0].get_ydata(), dtype=float)
+    np.testing.assert_allclose(drawn, np.asarray(points().i_q[:, 0], dtype=float))
 
 
 def test_messages_of_changes_name_no_option_of_the_command_line() -> None:
