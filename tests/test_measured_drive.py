@@ -67,7 +67,7 @@ def test_the_commands_of_the_page_that_take_no_time_run(
     said = run_page(quick, tmp_path, shared_data, monkeypatch, capsys)
     assert "5.436 mWb" in said["bemf"]
     assert re.search(r"pole pairs differ by +1\.19 \+- 0\.31 %", said["bemf"])
-    assert re.search(r"dq: sinusoidal +\S+ +\+0\.00 +7\.1", said["dqy"])
+    assert re.search(r"dq: sinusoidal +\S+ +0 +7\.1", said["dqy"])
     assert re.search(r"dqx: constant torque, no neutral +\S+ +\+0\.10 +0 ", said["dqy"])
 
 

@@ -50,13 +50,19 @@ def _snippets(page: Path) -> list[Snippet]:
 
 
 def _found(page: Path, text: str) -> Iterator[Snippet]:
+    begun = ""
     for part in parts_of(text.splitlines(), 1, str(page)):
         if isinstance(part, Block):
             yield Snippet(f"{page}:{part.line}", part.language, part.text)
             continue
         number, line = part
         if line.startswith("    "):
-            yield Snippet(f"{page}:{number}", "console", line.strip())
+            begun += line.strip()
+            if begun.endswith("\\"):  # it goes on in the next line
+                begun = begun[:-1]
+                continue
+            yield Snippet(f"{page}:{number}", "console", begun)
+            begun = ""
         for code in re.findall(r"`([^`]+)`", line):
             yield Snippet(f"{page}:{number}", "console", code, inline=True)
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.identification.correlated_errors import (
     Regression,
@@ -467,7 +468,7 @@ def analyse_bursts(
     contradictions: list[str] = []
     if known_flux is not None:
         flux, origin = known_flux
-        text, against = compared(found, 1.5 * pole_pairs * flux, origin)
+        text, against = compared(found, torque_per_ampere(pole_pairs, flux), origin)
         (contradictions if against else remarks).append(f"{bursts.run}: {text}")
     values = bursts.torque[on]
     time = correlation_time(values - values.mean(), _one_series(values.size))

@@ -485,7 +485,14 @@ def compare_mission(
 def mission_comparison(
     mission: Mission, inverter: Inverter, alternatives: Alternatives, runs: Sequence[MissionRun]
 ) -> MissionComparison:
-    """Runs of all alternatives in their order, with the one that loses least."""
+    """Runs of all alternatives in their order, with the one that loses least.
+
+    Args:
+        mission: What was driven.
+        inverter: Whose bridge it was; where it is unknown no alternative is the best.
+        alternatives: Strategies, modulators and frequencies.
+        runs: One per alternative.
+    """
     compared = compares(inverter, alternatives)
     totals = np.array([run.total if run.usable and compared else np.inf for run in runs])
     best = int(least(totals.reshape(*alternatives.shape, 1))[0])

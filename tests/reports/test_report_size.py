@@ -59,6 +59,9 @@ SLOW: dict[str, tuple[str, tuple[str, ...]]] = {
     "control.firmware": (SERVO, ("control.firmware={name: vesc}",)),
     "control.six_step": (SIX_STEP, ("control.six_step={filter_time: 10 us}",)),
     "control.start_up": (THIRD, ()),
+    "control.online_estimation": (
+        "paper001-pmsm-bench", ("control.online_estimation={time_constant: 1 s}",),
+    ),
     "export.application": (
         SERVO,
         (FLUX, "control.start_up={method: i-f}", "export.control=float32",

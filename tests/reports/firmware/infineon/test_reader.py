@@ -78,7 +78,7 @@ def test_the_defaults_with_where_everything_stands() -> None:
     assert "params.obs.pll.kp" not in found.own  # builds on it
     assert found.origins["r_s"].key == "params.motor.r"
     assert (found.origins["r_s"].text, found.origins["r_s"].line) == ("11.0E-3f", 11)
-    assert "half" in found.origins["pole_pairs"].conversion
+    assert found.origins["pole_pairs"].conversion == "twice the pole pairs"
     # At 12 % above what 32 V give, and a filter as slow as the speed loop.
     assert any("field weakening" in words for words in found.contradictions)
     assert any("spd_ar_en" in words for words in found.contradictions)
