@@ -378,7 +378,8 @@ def _unknown(path: KeyPath, root: type[BaseModel], *, by_option: bool) -> str:
     allowed = tuple(_section(inside, root).model_fields)
     found = _homes(key, root)
     found = [home for home in found if len(home) == 1] or found
-    homes = [dotted(home) or "the top level" for home in found]
+    # Of another kind of this section the keys that it takes say more than where it is at home.
+    homes = [dotted(home) or "the top level" for home in found if dotted(home) != shown_path]
     if homes and SYNONYMS.get(key) not in allowed:
         advice = f"write --set {homes[0]}.{key}=..." if by_option else "check the indentation"
         return f"{where}unknown key '{key}'; it belongs in {' or '.join(homes[:3])}, {advice}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -65,8 +66,15 @@ def check_equal(change: Change) -> str:
     section = change.base.get(str(change.path[0]))
     for part in change.path[1:-1]:
         section = section.get(part) if isinstance(section, dict) else section
-    # Of a section that lacks other keys too, the first complaint is that on the key that was set.
-    assert section is None or hand.endswith(option), f"{change.what}: {hand!r} is not {option!r}"
+    # Of a section that lacks other keys too, the first complaint is that on the key that was set;
+    # an option has no line below it.
+    said = hand.replace("write its keys indented below", "write {key: value, ...}")
+    said = re.sub(
+        r"(unknown key '(\w+)'; it belongs in ([\w.]+).*), check the indentation",
+        r"\1, write --set \3.\2=...",
+        said,
+    )
+    assert section is None or said.endswith(option), f"{change.what}: {said!r} is not {option!r}"
     return "refused"
 
 
