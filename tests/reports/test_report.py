@@ -347,3 +347,10 @@ def test_what_to_flash_stands_before_its_evidence() -> None:
     assert any(f"kp {loop.kp:.5g} V/A" in row[1] for row in first.rows)
     assert any("not compiled" in row[1] for row in second.rows)
     assert last.title == "Evidence"
+
+
+@pytest.mark.parametrize(("name", "number"), [("q15", "int16_t"), ("q31", "int32_t")])
+def test_a_report_declares_an_integer_reference_with_its_type(name: str, number: str) -> None:
+    page = render_report(solve(catalogue.load("hoverboard-hub", [f"fit.format={name}"])), None)
+    declared = re.sub(r"<[^>]+>", "", page)
+    assert f"_current_reference_{name}({number} torque, {number} *i_d, {number} *i_q);" in declared
