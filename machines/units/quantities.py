@@ -302,11 +302,7 @@ _ROUNDING = 1e-9  # Percent that are nothing but rounding.
 
 
 def signed_percent(value: float) -> str:
-    """A relative change in percent with its sign and three digits; what is rounding alone is 0.
-
-    Args:
-        value: The change over what changes, dimensionless.
-    """
+    """A relative change in percent with its sign and three digits; what is rounding alone is 0."""
     percent = 100.0 * value
     return "0 %" if abs(percent) < _ROUNDING else f"{percent:+.3g} %"
 
@@ -419,13 +415,8 @@ def convert(number: float, powers: Powers, wanted: Dimension, text: str) -> Conv
             )
     except _RefusedError as refusal:
         raise InputError(f"{got}; {refusal}") from None
-    raise InputError(
-        got
-        + (
-            _turned_round(number, reciprocal, wanted)
-            or _what_it_is(tuple(powers.items()), wanted.name)
-        )
-    )
+    turned = _turned_round(number, reciprocal, wanted)
+    raise InputError(got + (turned or _what_it_is(tuple(powers.items()), wanted.name)))
 
 
 def _turned_round(number: float, reciprocal: Powers, wanted: Dimension) -> str:
