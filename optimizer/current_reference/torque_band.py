@@ -72,7 +72,7 @@ def torque_band(
     seen = requested >= LEAST_TORQUE * np.max(requested)
     i_d, i_q = points.i_d[seen], points.i_q[seen]
     parts, lows, highs = [], np.zeros(i_d.size), np.zeros(i_d.size)
-    for name, torque in _torques(machine, i_d, i_q).items():
+    for name, torque in torque_parts(machine, i_d, i_q).items():
         ends = np.multiply.outer(tolerances.limits(name), torque / requested[seen])
         low, high = np.min(ends, axis=0), np.max(ends, axis=0)
         lows, highs = lows + low, highs + high
@@ -90,8 +90,15 @@ def torque_band(
     )
 
 
-def _torques(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> dict[ToleranceName, FloatArray]:
-    """Parts of the torque in N m by what scales them, shape of the currents."""
+def torque_parts(
+    machine: Machine, i_d: FloatArray, i_q: FloatArray
+) -> dict[ToleranceName, FloatArray]:
+    """Parts of the torque in N m by what scales them, shape of the currents.
+
+    Args:
+        machine: As its data are.
+        i_d, i_q: Currents in A, shape (N,).
+    """
     psi_d, psi_q = machine.flux(i_d, i_q)
     factor = 1.5 * machine.pole_pairs
     return {

@@ -25,15 +25,17 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
+from dqforge.optimizer.current_reference.torque_band import torque_parts
 from dqforge.optimizer.identification.voltage_terms import (
     TERMS,
     SteadyRows,
     voltage_columns,
 )
 
-# Amplitudes of the current as shares of the limit, and its angles from the q axis in degrees.
-_AMPLITUDES = (0.25, 0.5, 0.75, 1.0)
-_ANGLES = (0.0, 35.0, 70.0)
+# Amplitudes of the current as shares of the limit, large and small ones in turn, and its angles
+# from the q axis in rad.
+_AMPLITUDES = (1.0, 0.25, 0.75, 0.5)
+_ANGLES = tuple(math.radians(degrees) for degrees in (0.0, 35.0, 70.0))
 # Speeds as shares of that at which the magnets alone take the voltage limit.
 _SPEEDS = (0.3, 0.6)
 # Points that need more of the voltage limit are left out.
@@ -42,6 +44,8 @@ _MOST_VOLTAGE = 0.95
 _NOISE = 0.003
 _SECONDS = 2.0
 _NORMAL = 1.959964
+# Terms by the tolerance that scales the same part of the torque.
+_SCALED_BY = {"psi_pm": "magnet_flux", "l_d": "inductance_d", "l_q": "inductance_q"}
 # Errors of the torque for which the number of points is told.
 _SHARES = (0.02, 0.01, 0.005)
 
@@ -103,10 +107,8 @@ def plan_bench(design: Design) -> BenchPlan:
         )
     base = design.v_max / (machine.pole_pairs * machine.psi_pm)
     wanted = _grid(design.i_max, base)
-    omega_e, i_d, i_q = (
-        column * scale
-        for column, scale in zip(wanted.T, (machine.pole_pairs, 1.0, 1.0), strict=True)
-    )
+    omega_m, i_d, i_q = wanted.T
+    omega_e = machine.pole_pairs * omega_m
     u_d = machine.r_s * i_d - omega_e * machine.l_q * i_q
     u_q = machine.r_s * i_q + omega_e * (machine.psi_pm + machine.l_d * i_d)
     kept = np.hypot(u_d, u_q) <= _MOST_VOLTAGE * design.v_max
@@ -119,7 +121,8 @@ def plan_bench(design: Design) -> BenchPlan:
     rows = SteadyRows(("plan",), zeros, omega_e[kept], i_q[kept], u_q[kept], i_d[kept], u_d[kept])
     noise = _NOISE * design.v_max
     columns = voltage_columns(rows)
-    covariance = np.asarray(noise**2 * np.linalg.inv(_information(columns)), dtype=np.float64)
+    whole = np.column_stack(list(columns.values()))
+    covariance = np.asarray(noise**2 * np.linalg.inv(whole.T @ whole), dtype=np.float64)
     values = _values(design)
     expected = tuple(
         Expected(key, *TERMS[key], values[key], _NORMAL * math.sqrt(covariance[place, place]))
@@ -127,15 +130,14 @@ def plan_bench(design: Design) -> BenchPlan:
         if key in values
     )
     torque = _torque(design, list(columns), covariance)
-    count = int(np.count_nonzero(kept))
+    count = len(rows.i_q)
     least = {
         share: max(2 * len(columns), math.ceil(count * (torque / share) ** 2)) for share in _SHARES
     }
     points = tuple(
         PlannedPoint(float(speed), float(d), float(q), _SECONDS) for speed, d, q in wanted[kept]
     )
-    left_out = int(np.count_nonzero(~kept))
-    return BenchPlan(points, left_out, noise, expected, torque, least)
+    return BenchPlan(points, kept.size - count, noise, expected, torque, least)
 
 
 def _grid(i_max: float, base: float) -> FloatArray:
@@ -144,26 +146,19 @@ def _grid(i_max: float, base: float) -> FloatArray:
     Large and small amplitudes follow each other, and each point its mirror image in i_q, so that
     the winding is as warm in one quadrant as in the other.
     """
-    sizes = [share for pair in zip(_AMPLITUDES[::-1], _AMPLITUDES, strict=True) for share in pair]
     rows = [
         (
             way * speed * base,
             -amplitude * i_max * math.sin(angle),
             sign * amplitude * i_max * math.cos(angle),
         )
-        for amplitude in sizes[: len(_AMPLITUDES)]
-        for degrees in _ANGLES
+        for amplitude in _AMPLITUDES
+        for angle in _ANGLES
         for speed in _SPEEDS
         for way in (1.0, -1.0)
         for sign in (1.0, -1.0)
-        for angle in (math.radians(degrees),)
     ]
     return np.array(rows)
-
-
-def _information(columns: Mapping[str, FloatArray]) -> FloatArray:
-    whole = np.column_stack(list(columns.values()))
-    return np.asarray(whole.T @ whole)
 
 
 def _values(design: Design) -> dict[str, float]:
@@ -182,12 +177,11 @@ def _torque(design: Design, terms: list[str], covariance: FloatArray) -> float:
     """Half width of the 95 % interval of the largest torque as a share, by linearisation."""
     from dqforge.optimizer.operating_points.solve import solve_curves
 
-    machine, chosen = design.machine, solve_curves(design).chosen
-    i_d, i_q = float(chosen.i_d[-1]), float(chosen.i_q[-1])
-    torque = float(machine.torque(chosen.i_d[-1:], chosen.i_q[-1:])[0])
-    factor = 1.5 * machine.pole_pairs / torque
+    chosen, values = solve_curves(design).chosen, _values(design)
+    i_d, i_q = chosen.i_d[-1:], chosen.i_q[-1:]
+    torque = float(design.machine.torque(i_d, i_q)[0])
     gradient = np.zeros(len(terms))
-    slopes = {"magnet_flux": i_q, "inductance_d": i_d * i_q, "inductance_q": -i_d * i_q}
-    for key, slope in slopes.items():
-        gradient[terms.index(key)] = factor * slope
+    for name, part in torque_parts(linearised(design.machine), i_d, i_q).items():
+        key = _SCALED_BY[name]
+        gradient[terms.index(key)] = float(part[0]) / (values[key] * torque)
     return float(_NORMAL * math.sqrt(gradient @ covariance @ gradient))

@@ -52,7 +52,7 @@ FloatArray = NDArray[np.float64]
 _SPEEDS = 9
 
 # The same on the data alone, where the speed is told from which on they are unstable.
-_FINE_SPEEDS = 81
+_FINE_SPEEDS = 41
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,25 +306,27 @@ def rotating_axes(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> RotatingAxes
     machine, control = box.design.machine, box.design.control
     alone = replace(box, tolerances=Tolerances())
     top = machine.omega_m_max or control.bases.speed
-    omega_m = np.linspace(-top, top, _FINE_SPEEDS)
+    # Backwards the poles are the same: i_q changes its sign, and the gains do not.
+    omega_m = np.linspace(0.0, top, _FINE_SPEEDS)
     drives = alone.turning_machines(alone.turning_points(), machine.pole_pairs * omega_m)
     emitted = _emitted(box, i_d, i_q)
     radius = largest_pole(drives, emitted).reshape(-1, _FINE_SPEEDS)
     limit = _stable_to(radius, omega_m)
-    first = np.abs(omega_m) >= (top if limit is None else limit) * (1.0 + 1e-9)
-    row = int(np.argmax(np.max(np.where(first | (limit is None), radius, 0.0), axis=1)))
+    beyond = radius if limit is None else radius[:, omega_m > limit]
+    row = int(np.argmax(np.max(beyond, axis=1)))
     l_d, l_q = (part.reshape(radius.shape)[row, 0] for part in (drives.l_d, drives.l_q))
     better: Literal["lower", "raise"] | None = None
     if limit is not None:
-        halves = [
-            _stable_to(largest_pole(drives, scaled).reshape(radius.shape), omega_m) or top
+        slower, faster = (
+            _stable_to(largest_pole(drives, scaled).reshape(radius.shape), omega_m)
             for scaled in (_scaled(emitted, 0.5), _scaled(emitted, 2.0))
-        ]
-        if max(halves) > limit:
-            better = "lower" if halves[0] > halves[1] else "raise"
+        )
+        slower, faster = (top if end is None else end for end in (slower, faster))
+        if max(slower, faster) > limit:
+            better = "lower" if slower > faster else "raise"
     return RotatingAxes(
         float(np.max(radius)),
-        f"{in_rpm(abs(omega_m[int(np.argmax(np.max(radius, axis=0)))])):.5g} rpm",
+        f"{in_rpm(omega_m[int(np.argmax(np.max(radius, axis=0)))]):.5g} rpm",
         limit,
         (float(l_d), float(l_q)),
         (machine.l_d, machine.l_q),
@@ -333,12 +335,11 @@ def rotating_axes(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> RotatingAxes
 
 
 def _stable_to(radius: FloatArray, omega_m: FloatArray) -> float | None:
-    """Speed in rad/s up to which all poles lie within the unit circle, None where all do."""
-    unstable = np.any(radius >= 1.0, axis=0)
-    if not np.any(unstable):
-        return None
-    below = np.abs(omega_m) < np.min(np.abs(omega_m)[unstable]) * (1.0 - 1e-9)
-    return float(np.max(np.abs(omega_m)[below])) if np.any(below) else 0.0
+    """Speed in rad/s (of those that ascend from 0) up to which all poles lie within the unit
+    circle, None where all do.
+    """
+    unstable = np.flatnonzero(np.any(radius >= 1.0, axis=0))
+    return float(omega_m[max(unstable[0] - 1, 0)]) if unstable.size else None
 
 
 def _scaled(control: CurrentControl, factor: float) -> CurrentControl:

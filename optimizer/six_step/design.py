@@ -149,13 +149,13 @@ def freewheeling_angle(design: Design, shape: BlockShape, omega: np.ndarray) -> 
     return np.asarray(omega * 0.5 * (machine.l_d + machine.l_q) * i / against)
 
 
-def _by_diode(design: Design) -> bool:
-    observer = design.control.observer
-    return observer is not None and observer.method == "diode-conduction"
-
-
 def _disturbed(
-    design: Design, settings: SixStepSettings, phases: AnyPhaseMachine, shape: BlockShape
+    design: Design,
+    settings: SixStepSettings,
+    phases: AnyPhaseMachine,
+    shape: BlockShape,
+    *,
+    by_diode: bool,
 ) -> Disturbed:
     v_dc = design.inverter.v_dc
     step = _FULL_SCALE * v_dc / 2.0**settings.voltage_bits
@@ -163,7 +163,7 @@ def _disturbed(
     noise = settings.voltage_noise
     l_d, l_q = dq_inductances(phases)
     away = abs(l_q - l_d)
-    if _by_diode(design):
+    if by_diode:
         rate = -(l_q - l_d) / (math.sqrt(3.0) * 0.5 * (l_d + l_q))
         return Disturbed(
             offset=(_THRESHOLD if offset is None else offset) / STAR,
@@ -282,8 +282,8 @@ def solve_six_step(design: Design) -> SixStepDesign | None:
             f"{math.degrees(shape.spread):.3g} deg off those that even blocks need, "
             f"{math.degrees(ANGLE_LIMIT):.3g} deg are permitted; choose another observer"
         )
-    known = _disturbed(design, settings, phases, shape)
-    by_diode = _by_diode(design)
+    by_diode = observer.method == "diode-conduction"
+    known = _disturbed(design, settings, phases, shape, by_diode=by_diode)
     duty = max(_LEAST_DUTY, (2.0 * design.inverter.dead_time) / t_s + 0.5 * _LEAST_DUTY)
     limits = _limits(design, shape, known, duty, by_integral=by_integral)
     l_d, l_q = dq_inductances(phases)

@@ -560,18 +560,19 @@ def _watched(solution: Solution, _: Solution) -> list[str]:
     if band is not None and band.independent > WIDE_BAND:
         wide = [f"the torque may be {band_text(band)}, within control.tolerances"]
     return [
-        *([_beyond_the_link(solution)] if _beyond_the_link(solution) else []),
+        *_beyond_the_link(solution),
         *wide,
         *([data] if data else []),
         *([poor_fit_text(solution.design, fit)] if fit.errors.loss_relative > POOR_FIT else []),
     ]
 
 
-def _beyond_the_link(solution: Solution) -> str:
+def _beyond_the_link(solution: Solution) -> list[str]:
     """That the largest speed needs field weakening which the design does not have, or nothing."""
     design, machine = solution.design, solution.design.machine
-    if machine.omega_m_max is None or solution.weakening is not None:
-        return ""
+    without = solution.weakening is None and design.phase_machine is None
+    if machine.omega_m_max is None or not without:
+        return []
     text = back_emf_warning(
         machine.pole_pairs,
         machine.psi_pm,
@@ -579,14 +580,14 @@ def _beyond_the_link(solution: Solution) -> str:
         design.inverter.v_dc,
         design.inverter.topology,
     )
-    if not text or design.phase_machine is not None:
-        return ""
+    if not text:
+        return []
     speed = f"{in_rpm(machine.omega_m_max):.5g} rpm"
-    return (
-        f"{text}. The references of this design weaken no field: write field_weakening: "
-        f"{{speed: {speed}}}, or a smaller machine.max_speed; 'dqforge mtpa --speed' shows what "
-        "the link permits"
+    advice = (
+        f"write field_weakening: {{speed: {speed}}}, or a smaller machine.max_speed; 'dqforge mtpa "
+        "--speed' shows what the link permits"
     )
+    return [f"{text}. The references of this design weaken no field: {advice}"]
 
 
 def _flashed(solution: Solution, _: Solution) -> list[Flashed]:

@@ -434,7 +434,7 @@ def _share_text(ratio: float) -> str:
 
 
 def losses_tables(
-    design: Design, comparison: LossComparison, kinds: Sequence[str] = ()
+    design: Design, comparison: LossComparison, kinds: Sequence[str] = (), *, reasons: bool = True
 ) -> list[Table]:
     """One table per operating point: strategy and modulator against losses
     and junction temperature; ``kinds`` are those that have a column, by default all that are there.
@@ -464,7 +464,7 @@ def losses_tables(
         title = f"{design.name}: losses at {point.torque:.4g} N m, {in_rpm(point.omega_m):.5g} rpm"
         notes = [
             friction_text(comparison, p),
-            winner_reason(comparison, p),
+            winner_reason(comparison, p) if reasons else "",
             "saving: of the total of the first row; ripple current: r.m.s. of a phase",
             "" if comparison.compared else NOT_COMPARED,
             WITHOUT_BRIDGE if comparison.scope != "drive" else "",
@@ -483,7 +483,7 @@ def losses_tables_over(
     tables = []
     there = {kind for one in found for kind in shown_parts(one.budget)}
     kinds = [kind for kind in PARTS if kind in there]
-    each = [losses_tables(design, one, kinds) for one in found]
+    each = [losses_tables(design, one, kinds, reasons=False) for one in found]
     for p, parts in enumerate(zip(*each, strict=True)):
         best, base = best_over(found, p), float(found[0].budget.total[0, 0, p])
         rows = []
@@ -494,9 +494,7 @@ def losses_tables_over(
                 saving = three_decimals(round(100.0 * (1.0 - total / base), 6)) if base else ""
                 rows.append((f"{frequencies[k]:g}", *row[:-2], saving, mark))
         columns = ("f_sw Hz", *parts[0].columns)
-        reason = winner_reason(found[0], p)  # of one frequency
-        notes = tuple(note for note in parts[0].notes if note != reason)
-        tables.append(Table(parts[0].title, columns, tuple(rows), notes))
+        tables.append(Table(parts[0].title, columns, tuple(rows), parts[0].notes))
     return tables
 
 
