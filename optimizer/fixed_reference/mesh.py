@@ -177,7 +177,7 @@ class CurrentMesh:
 
     def reference_end(self, o: Arithmetic[N, Any], row: Counted[N], square: N, along: N) -> N:
         """The same on a node of the last column, with that."""
-        first = o.product("node", row, o.const(self.columns))
+        first = o.multiple("node", row, self.columns)
         node = o.total("node", first, o.const(self.columns - 1))
         (own,) = o.entries(("a",), (self.flux, self.heat), node, (0,))
         taken = self._taken(o, square, *own)
@@ -288,7 +288,7 @@ class CurrentMesh:
         torque itself where some currents of its row keep that, else of the largest that can be
         had, where the voltage of the last column crosses it.
         """
-        first = o.let("first", o.product("node", row, o.const(self.columns)))
+        first = o.let("first", o.multiple("node", row, self.columns))
         last = o.total("node", first, o.const(self.columns - 1))
         within = o.let("within", share)
 
@@ -308,7 +308,7 @@ class CurrentMesh:
             beyond = o.entry(self.torque, o.total("row", low, o.const(1)))
             held = o.call(self.reference_above, "torque", start, beyond, part)
             held = o.known(held, 0, self.end)
-            return o.product("node", low, o.const(self.columns)), part, left_by(held)
+            return o.multiple("node", low, self.columns), part, left_by(held)
 
         return o.cases(
             ("node", "share", "left"),

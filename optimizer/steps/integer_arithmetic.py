@@ -136,6 +136,9 @@ class Arithmetic(Protocol[N, C]):
     def product(self, name: str, a: N, b: N) -> N:
         """The product a b."""
 
+    def multiple(self, name: str, count: N, times: int) -> N:
+        """A count so many times, kept in a word of a count by the firmware, unlike a product."""
+
     def total(self, name: str, *terms: N) -> N:
         """Sum of terms, added from the left."""
 
@@ -273,6 +276,11 @@ class _Unnamed:
     ) -> _V:
         """The vector that the function makes."""
         return kind(*function(self, *args))
+
+    def multiple(self, name: str, count: Any, times: int) -> Any:
+        """The product."""
+        own: Any = self
+        return own.product(name, count, own.const(times))
 
     def widened(self, a: _T) -> _T:
         """The number."""

@@ -501,11 +501,15 @@ class CodeReader(StepReader):
             a, b = b, a
         if b.value == 1:
             return a
-        if a.kind == self.words.of(COUNT) and b.value is not None:
-            return _made(f"{a.operand()} * {b.value}U", a.kind, a)
         x, y = a.minus or a, b.minus or b
         found = _made(" * ".join(self._wide((x, y))), self.words.wide, x, y)
         return found if (a.minus is None) == (b.minus is None) else found.negative()
+
+    def multiple(self, name: str, count: Any, times: int) -> Any:  # noqa: ARG002
+        """A count so many times: in Q31 a product of the same types is one of an angle."""
+        if count.value is not None or times == 1:
+            return count if times == 1 else constant(count.value * times, count.kind)
+        return _made(f"{count.operand()} * {times}U", count.kind, count)
 
     def total(self, name: str, *terms: Any) -> Any:  # noqa: ARG002
         """A sum, from the left; a negative is subtracted."""

@@ -77,7 +77,8 @@ def _cases() -> list[Any]:
             marks = () if quick else (pytest.mark.slow,)
             found.append(pytest.param(topology, frame, "references", 16, marks=marks))
             if frame == "table":
-                found.append(pytest.param(topology, frame, "emf", 32, marks=pytest.mark.slow))
+                marks = () if topology == "three-wire" else (pytest.mark.slow,)
+                found.append(pytest.param(topology, frame, "emf", 32, marks=marks))
     found.append(pytest.param("six-leg", "table", "none", 16, marks=pytest.mark.slow))
     return found
 
