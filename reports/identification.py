@@ -273,9 +273,6 @@ _LARGEST_SHARE = 0.9
 # What a fitted value takes the place of.
 _REPLACED = {
     "magnet_flux": ("magnet_flux", "back_emf_constant", "torque_constant", "kv"),
-    "inductance_d": ("inductance_d",),
-    "inductance_q": ("inductance_q",),
-    "resistance": ("resistance",),
 }
 
 
@@ -313,7 +310,7 @@ def _design(found: Identification) -> dict[str, Any]:
         taken = {key: one for key, one in taken.items() if key not in dropped}
     for key, one in taken.items():
         machine[key] = _entry(one, bench.source)
-    replaced = dropped | {name for key in taken for name in _REPLACED[key]}
+    replaced = dropped | {name for key in taken for name in _REPLACED.get(key, (key,))}
     if "inductance_d" in taken or "inductance_q" in taken:
         replaced.add("inductance")
     for key, raw in bench.entries["machine"].items():

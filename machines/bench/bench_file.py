@@ -45,7 +45,10 @@ RunKindName = Literal[
     "offset-sweep",
     "voltage-speed",
     "locked-torque",
+    "locked-voltage",
+    "spin-up",
     "spin-down",
+    "back-emf",
     "inverter-table",
 ]
 LogFormat = Literal[

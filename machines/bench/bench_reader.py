@@ -327,14 +327,6 @@ class _Reading:
                     "columns",
                     key=True,
                 )
-        for key in self.kind.known:
-            machine = self.document.data.get("machine")
-            if not isinstance(machine, dict) or key not in machine:
-                yield self.fault(
-                    f"a run of kind {self.section.kind} needs machine.{key}, which no coasting "
-                    "shows; write it under machine",
-                    "kind",
-                )
 
 
 def _rising(name: str, parts: list[LogPart]) -> tuple[list[LogPart], tuple[str, ...]]:

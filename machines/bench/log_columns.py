@@ -25,6 +25,7 @@ QUANTITIES: Mapping[str, str] = {
     "u_q": "voltage",
     "u_q_less_drop": "voltage",
     "voltage": "voltage",
+    "line_voltage": "voltage",
     "v_dc": "voltage",
     "speed": "speed",
     "torque": "torque",
@@ -50,14 +51,12 @@ class RunKind:
         needs: Quantities; of a tuple one is enough.
         may: Further ones that are used.
         currents: Whether its currents must be those that flowed.
-        known: Keys of the machine that it needs.
     """
 
     about: str
     needs: tuple[tuple[str, ...], ...]
     may: tuple[str, ...] = ()
     currents: bool = True
-    known: tuple[str, ...] = ()
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -95,8 +94,17 @@ KINDS: Mapping[RunKindName, RunKind] = {
         "torque bursts of a locked shaft", (("time",), ("current", "i_q"), ("torque",)),
         ("temperature",),
     ),
-    "spin-down": RunKind(
-        "coasting without current", (("time",), ("speed",)), currents=False, known=("inertia",)
+    "locked-voltage": RunKind(
+        "steps, pulses or sines of a voltage on a locked shaft",
+        (("time",), ("i_d", "i_q"), ("u_d", "u_q")), ("temperature",),
+    ),
+    "spin-up": RunKind(
+        "shaft accelerated by a current, without load", (("time",), ("i_q",), ("speed",))
+    ),
+    "spin-down": RunKind("coasting without current", (("time",), ("speed",)), currents=False),
+    "back-emf": RunKind(
+        "capture of the open terminals while the shaft is driven",
+        (("time",), ("line_voltage",)), ("speed",), currents=False,
     ),
     "inverter-table": RunKind(
         "voltage error of the inverter over current", (("current",), ("voltage",)), ("v_dc",)

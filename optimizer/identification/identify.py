@@ -11,8 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.back_emf.capture import analyse as analyse_capture
+from dqforge.machines.back_emf.columns import BemfCapture
 from dqforge.machines.bench.bench_file import Bench, LoggedRun
-from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.dq_machines.synchronous import torque_per_ampere
+from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.identification.correlated_errors import Groups
 from dqforge.optimizer.identification.flux_points import (
@@ -26,20 +29,30 @@ from dqforge.optimizer.identification.inverter_curve import (
     analyse_table,
     table_fault,
 )
+from dqforge.optimizer.identification.locked_axes import (
+    AXES,
+    LockedAxes,
+    analyse_locked,
+    locked_fault,
+)
 from dqforge.optimizer.identification.parameters import Analysis, Parameter
 from dqforge.optimizer.identification.shaft_tests import (
     Bursts,
     OffsetCurve,
     OffsetSweep,
     SpinDown,
+    SpinUp,
     VoltageSteps,
     analyse_bursts,
     analyse_offsets,
     analyse_spin,
+    analyse_spin_up,
     analyse_steps,
     bursts_fault,
+    captured,
     offset_fault,
     spin_fault,
+    spin_up_fault,
     steps_fault,
 )
 from dqforge.optimizer.identification.speed_sweep import Sweep, analyse_sweep, sweep_fault
@@ -51,6 +64,8 @@ DESIGN_PARAMETERS = (
     ("inductance_d", "d-axis inductance", "H"),
     ("inductance_q", "q-axis inductance", "H"),
     ("magnet_flux", "magnet flux linkage", "Wb"),
+    ("inertia", "moment of inertia", "kg m^2"),
+    ("friction", "viscous friction", "N m s/rad"),
 )
 
 
@@ -85,6 +100,7 @@ def identify(bench: Bench) -> Identification:
     analyses: list[Analysis] = []
     flux: FluxFit | None = None
     for runs in _together(bench.runs):
+        fed = _fed(bench, runs[0].kind, analyses)
         try:
             # What divides by nothing, or has no inverse, is a matter of the rows.
             with np.errstate(divide="raise", invalid="raise", over="raise"):
@@ -92,7 +108,7 @@ def identify(bench: Bench) -> Identification:
                     flux = _flux(bench, runs)
                     analyses.append(flux.analysis)
                 else:
-                    analyses.append(_believed(_ANALYSES[runs[0].kind](bench, runs)))
+                    analyses.append(_believed(_ANALYSES[runs[0].kind](fed, runs)))
         except NoSolutionError as fault:
             faults.append(fault)
         except (ArithmeticError, np.linalg.LinAlgError):
@@ -148,7 +164,25 @@ def _together(runs: Sequence[LoggedRun]) -> list[list[LoggedRun]]:
         voltage = None if run.kind == "flux-points" else run.voltage
         key = (run.kind, columns, voltage) if joint else (run.kind, run.index)
         found.setdefault(key, []).append(run)
-    return list(found.values())
+    return sorted(found.values(), key=lambda group: _LAST.get(group[0].kind, 0))
+
+
+# Kinds that need what others hold: the torque of a current, and the inertia that it shows.
+_LAST = {"spin-up": 1, "spin-down": 2}
+_FLUX_SHARE = "share of the magnet flux linkage"
+
+
+def _fed(bench: Bench, kind: str, analyses: Sequence[Analysis]) -> Bench:
+    """The bench for a kind of run, with what the runs before it hold where that kind needs it."""
+    if kind not in _LAST:
+        return bench
+    held = {one.key: one for one in _combined(analyses)[0] if one.status == "identified"}
+    known = dict(bench.known) | {
+        key: held[key].value for key in ("magnet_flux", "inertia") if key in held
+    }
+    if "magnet_flux" in held:
+        known[_FLUX_SHARE] = held["magnet_flux"].sigma / held["magnet_flux"].value
+    return replace(bench, known=known)
 
 
 def refused(run: LoggedRun, why: str) -> NoSolutionError:
@@ -301,7 +335,71 @@ def _spin(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
     why = spin_fault(spin)
     if why:
         raise refused(run, why)
+    if "inertia" not in bench.known:
+        raise refused(
+            run,
+            "no coasting shows the inertia; write inertia under machine, or add a run of kind "
+            "spin-up",
+        )
     return analyse_spin(spin, bench.known["inertia"])
+
+
+def _spin_up(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+    (run,) = runs
+    spin = SpinUp(run.name, run.need("time"), run.need("i_q"), run.need("speed"))
+    flux = bench.known.get("magnet_flux")
+    why = spin_up_fault(spin)
+    if flux is None and not why:
+        why = (
+            "its torque needs the magnet flux linkage; write magnet_flux, or a constant of the "
+            "data sheet, under machine, or add a run that holds it"
+        )
+    if why or flux is None:
+        raise refused(run, why)
+    constant = torque_per_ampere(bench.pole_pairs, flux)
+    return analyse_spin_up(spin, constant, bench.known.get(_FLUX_SHARE, 0.0))
+
+
+def _locked(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+    (run,) = runs
+    columns = {name: run.column(name) for name in ("i_d", "i_q", "u_d", "u_q")}
+    pairs = {
+        axis: (current, voltage)
+        for axis in AXES
+        if (current := columns[f"i_{axis}"]) is not None
+        and (voltage := columns[f"u_{axis}"]) is not None
+    }
+    temperature = run.column("temperature")
+    rows = LockedAxes(
+        run.name,
+        run.need("time"),
+        {axis: pair[0] for axis, pair in pairs.items()},
+        {axis: pair[1] for axis, pair in pairs.items()},
+        None if temperature is None else float(np.mean(temperature)),
+    )
+    why = locked_fault(rows)
+    if why:
+        raise refused(run, why)
+    return analyse_locked(rows, _known_values(bench, runs), reference=run.voltage == "reference")
+
+
+def _back_emf(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+    (run,) = runs
+    part = run.parts[0]
+    capture = BemfCapture(
+        part.file, run.need("time"), None, run.need("line_voltage")[None, :], part.rows,
+        "line-to-line",
+    )  # fmt: skip
+    speed = run.column("speed")
+    try:
+        found = analyse_capture(
+            capture,
+            pole_pairs=bench.pole_pairs,
+            speed=None if speed is None else float(np.mean(speed)),
+        )
+    except InputError as error:
+        raise refused(run, error.message) from None
+    return captured(run.name, found, _known_values(bench, runs).get("magnet_flux"))
 
 
 def _inverter(_bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
@@ -319,7 +417,10 @@ _ANALYSES: dict[str, Callable[[Bench, Sequence[LoggedRun]], Analysis]] = {
     "offset-sweep": _offsets,
     "voltage-speed": _voltage_steps,
     "locked-torque": _bursts,
+    "locked-voltage": _locked,
+    "spin-up": _spin_up,
     "spin-down": _spin,
+    "back-emf": _back_emf,
     "inverter-table": _inverter,
 }
 

@@ -11,10 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.back_emf.columns import BemfResult
 from dqforge.machines.dq_machines.synchronous import torque_per_ampere
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.identification.correlated_errors import (
+    SUPPORTED,
     Regression,
+    averaged,
     correlation_time,
     mean_of,
     regress,
@@ -488,6 +491,122 @@ def analyse_bursts(
         (left,),
         tuple(remarks),
         tuple(contradictions),
+    )
+
+
+# Magnet flux linkage, from a capture of the open terminals.
+
+
+def captured(run: str, capture: BemfResult, known_flux: tuple[float, str] | None) -> Analysis:
+    """What a capture of the back-EMF holds, with its own interval."""
+    value = capture.psi_pm
+    half = float(np.max(capture.amplitude_uncertainty[:, 0]))
+    flux = Parameter(
+        "magnet_flux",
+        "magnet flux linkage",
+        "Wb",
+        value,
+        value - half,
+        value + half,
+        half / student_95(math.inf),
+        "identified",
+        "",
+        (),
+        (run,),
+    )
+    remarks = [f"{run}: {text}" for text in capture.findings]
+    contradictions: list[str] = []
+    if known_flux is not None:
+        text, against = compared(flux, *known_flux)
+        (contradictions if against else remarks).append(f"{run}: {text}")
+    return Analysis(
+        "back-emf",
+        (flux,),
+        np.array([[flux.sigma**2]]),
+        (),
+        tuple(remarks),
+        tuple(contradictions),
+        (f"{capture.orders.size} harmonics",),
+    )
+
+
+# Inertia, from a current that accelerates the shaft.
+
+
+@dataclass(frozen=True, slots=True)
+class SpinUp:
+    """Rows of a run: time (s), i_q (A) and speed of the shaft (rad/s), shape (N,)."""
+
+    run: str
+    time: FloatArray
+    i_q: FloatArray
+    omega_m: FloatArray
+
+
+_INERTIA = ("inertia", "moment of inertia", "kg m^2")
+
+
+def spin_up_fault(spin: SpinUp) -> str:
+    """Why an acceleration says nothing, '' where it does."""
+    if (np.diff(spin.time) <= 0.0).any():
+        return "the times do not rise"
+    if np.ptp(spin.omega_m) <= 0.1 * float(np.max(np.abs(spin.omega_m))):
+        return "the speed does not change; log the acceleration"
+    if not np.any(spin.i_q):
+        return "i_q is 0 throughout; coasting is a run of kind spin-down"
+    return ""
+
+
+def analyse_spin_up(spin: SpinUp, torque_constant: float, share: float) -> Analysis:
+    """Moment of inertia and friction of an acceleration that `spin_up_fault` has nothing against.
+
+    J dw/dt = k_t i_q - T_c sgn w - b w is fitted in its integral, as of a spin-down.
+
+    Args:
+        spin: The rows.
+        torque_constant: k_t at i_d = 0 in N m/A.
+        share: Its standard deviation as a share.
+    """
+    step = np.diff(spin.time)
+
+    def integral(values: FloatArray) -> FloatArray:
+        return np.concatenate([[0.0], np.cumsum(0.5 * step * (values[1:] + values[:-1]))])
+
+    whole = np.column_stack(
+        [
+            np.ones_like(spin.time),
+            spin.omega_m,
+            integral(np.sign(spin.omega_m)),
+            integral(spin.omega_m),
+        ]
+    )
+    fit = averaged(
+        whole, range(2), torque_constant * integral(spin.i_q), _one_series(spin.time.size)
+    )
+    found, covariance = fit.coefficients[1:], fit.covariance[1:, 1:].copy()
+    covariance += share**2 * np.outer(found, found)  # of the torque constant, all alike
+    parameters = [
+        judged(
+            named,
+            float(found[place]),
+            math.sqrt(covariance[place, place]),
+            fit.best.freedom,
+            runs=(spin.run,),
+        )
+        if place == 0 or fit.included[place + 1] > SUPPORTED
+        else unknown(named, "the rows of one acceleration do not tell it from the inertia")
+        for place, named in enumerate((_INERTIA, _COULOMB, _VISCOUS))
+    ]
+    remark = (
+        f"{spin.run}: with {torque_constant:.4g} N m/A at i_d = 0; whatever else the current turns "
+        "is in the inertia"
+    )
+    return Analysis(
+        "spin-up",
+        tuple(with_partners(parameters, covariance)),
+        covariance,
+        (_left(spin.run, "angular momentum", "N m s", fit.best),),
+        (remark,),
     )
 
 
