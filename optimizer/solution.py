@@ -31,6 +31,7 @@ from dqforge.optimizer.operating_points.solve import Curves, current_choice, sol
 
 if TYPE_CHECKING:
     from dqforge.optimizer.application import ApplicationPlan
+    from dqforge.optimizer.commissioning import CommissioningFit
     from dqforge.optimizer.current_feedback.regulator_runs import CurrentFeedback
     from dqforge.optimizer.current_reference.forms import Emitted
     from dqforge.optimizer.current_reference.solve import Trial
@@ -85,7 +86,8 @@ class Solution:
     encoder, None where it does not. ``six_step`` is None where the design is no six-step drive.
     ``application`` are the settings of the program around the functions, None without one.
     ``torque_band`` is what the tolerances make of the torque, None without any that changes it.
-    ``online_estimation`` is None where no parameter is estimated while the drive runs.
+    ``online_estimation`` is None where no parameter is estimated while the drive runs,
+    ``commissioning`` where no tests are asked for.
     """
 
     design: Design
@@ -118,6 +120,7 @@ class Solution:
     application: ApplicationPlan | None = None
     torque_band: TorqueBand | None = None
     online_estimation: OnlineEstimationFit | None = None
+    commissioning: CommissioningFit | None = None
 
     @property
     def positive(self) -> Design:
@@ -266,6 +269,14 @@ def _application(design: Design) -> ApplicationPlan | None:
     return application_plan(design)
 
 
+def _commissioning(design: Design) -> CommissioningFit | None:
+    if design.control.commissioning is None:
+        return None
+    from dqforge.optimizer.commissioning import solve_commissioning
+
+    return solve_commissioning(design)
+
+
 def _online_estimation(design: Design) -> OnlineEstimationFit | None:
     if design.control.online_estimation is None:
         return None
@@ -338,6 +349,7 @@ def solve_control(design: Design, *, proofs: bool = False) -> Solution:
         start_up=_start_up(design),
         application=_application(design),
         online_estimation=_online_estimation(design),
+        commissioning=_commissioning(design),
     )
 
 

@@ -26,6 +26,7 @@ from dqforge.reports.operating_points.figures import OPERATING_POINTS
 from dqforge.reports.phase_control.emitted_integers import FIXED_CONTROL, FLOAT32_CONTROL
 from dqforge.reports.simulation.tables import FORMATS_NOT_SIMULATED, SIMULATION
 from dqforge.reports.single_headers.application import APPLICATION
+from dqforge.reports.single_headers.commissioning import COMMISSIONING
 from dqforge.reports.single_headers.current_feedback import CURRENT_FEEDBACK
 from dqforge.reports.single_headers.field_weakening import WEAKENING
 from dqforge.reports.single_headers.fixed_reference import FIXED_REFERENCE
@@ -66,6 +67,7 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     START_UP,
     SPEED_MEASUREMENT,
     ONLINE_ESTIMATION,
+    COMMISSIONING,
     APPLICATION,
     FIRMWARE,
     FORMATS_NOT_SIMULATED,

@@ -22,7 +22,7 @@ LARGEST_ROOM = 15
 # Kept small by numbers; contributing.md says what each is for.
 MOST_LINES = 800
 MOST_DISTRICTS = 10
-MOST_SERVANTS = 63
+MOST_SERVANTS = 64
 MOST_FILES_OF_A_GAIN = 25
 LEAST_CODE = 0.625
 # What several rooms may call a part of theirs: the room says of what.

@@ -47,7 +47,7 @@ from dqforge.machines.design.sections.losses import (
 )
 from dqforge.machines.design.sections.machine import check_halves, check_machine, read_machine
 from dqforge.machines.design.sections.modulation_choice import read_choice
-from dqforge.machines.design.sections.observer import check_online_estimation
+from dqforge.machines.design.sections.observer import check_on_line
 from dqforge.machines.design.sections.operation import (
     check_operation,
     check_overmodulation,
@@ -240,13 +240,17 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
         document,
         any_back_emf=found.phases is not None,
     )
-    check_online_estimation(
+    left_out = (
+        found.phases is not None
+        or blocks
+        or file.control.current_loop.method in get_args(FeedbackMethod)
+    )
+    check_on_line(
         file.control.online_estimation,
+        file.control.commissioning,
         machine,
         document,
-        left_out=found.phases is not None
-        or blocks
-        or file.control.current_loop.method in get_args(FeedbackMethod),
+        left_out=left_out,
     )
     check_start_up(
         file.control,

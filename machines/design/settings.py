@@ -417,6 +417,19 @@ class OnlineEstimationSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class CommissioningSettings:
+    """Tests that the drive runs on its own machine: current in A (peak) and mechanical speed in
+    rad/s at which coasting begins, None for what is usual; rows of the log; and the longest time in
+    s of acceleration and of coasting.
+    """
+
+    current: float | None = None
+    speed: float | None = None
+    rows: int = 512
+    shaft_time: float = 5.0
+
+
+@dataclass(frozen=True, slots=True)
 class ControlSettings:
     """Sampling and controllers; ``t_s`` is the current-control sampling period in s.
 
@@ -425,7 +438,8 @@ class ControlSettings:
     them still has its current references. ``firmware`` is that of others whose loops are evaluated
     beside those of the emitted code, None without one. ``start_up`` is how the drive starts without
     an encoder, None where it does not. ``six_step`` is that of a six-step drive, None for drives in
-    rotor coordinates. ``online_estimation`` is None where no parameter is estimated.
+    rotor coordinates. ``online_estimation`` is None where no parameter is estimated,
+    ``commissioning`` where no header of its tests is wanted.
     """
 
     t_s: float
@@ -440,6 +454,7 @@ class ControlSettings:
     start_up: StartUpSettings | None = None
     six_step: SixStepSettings | None = None
     online_estimation: OnlineEstimationSettings | None = None
+    commissioning: CommissioningSettings | None = None
 
 
 @dataclass(frozen=True, slots=True)

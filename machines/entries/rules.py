@@ -551,6 +551,7 @@ SUFFIXES = tuple(
         "_speed_observer",
         "_speed_measurement",
         "_online_estimation",
+        "_commissioning",
         "_start_observer",
         "_startup",
         "_six_step",

@@ -158,31 +158,35 @@ _JOINT = ("constant-speed", "flux-points", "offset-sweep", "voltage-speed")
 def _together(runs: Sequence[LoggedRun]) -> list[list[LoggedRun]]:
     """Runs that are analysed together, in the order of the bench file."""
     found: dict[tuple[object, ...], list[LoggedRun]] = {}
+    accelerated = any(run.kind == "spin-up" for run in runs)
     for run in runs:
         joint = run.kind in _JOINT
         columns = tuple(sorted(run.parts[0].columns)) if run.kind == "constant-speed" else ()
         voltage = None if run.kind == "flux-points" else run.voltage
-        key = (run.kind, columns, voltage) if joint else (run.kind, run.index)
+        key: tuple[object, ...] = (run.kind, run.index)
+        if joint:
+            key = (run.kind, columns, voltage)
+        if run.kind in _SHAFT and accelerated:
+            key = (_SHAFT,)
         found.setdefault(key, []).append(run)
-    return sorted(found.values(), key=lambda group: _LAST.get(group[0].kind, 0))
+    return sorted(found.values(), key=lambda group: group[0].kind in _SHAFT)
 
 
-# Kinds that need what others hold: the torque of a current, and the inertia that it shows.
-_LAST = {"spin-up": 1, "spin-down": 2}
+# Kinds that need what others hold: the torque of a current.
+_SHAFT = ("spin-up", "spin-down")
 _FLUX_SHARE = "share of the magnet flux linkage"
 
 
 def _fed(bench: Bench, kind: str, analyses: Sequence[Analysis]) -> Bench:
     """The bench for a kind of run, with what the runs before it hold where that kind needs it."""
-    if kind not in _LAST:
+    if kind not in _SHAFT:
         return bench
     held = {one.key: one for one in _combined(analyses)[0] if one.status == "identified"}
-    known = dict(bench.known) | {
-        key: held[key].value for key in ("magnet_flux", "inertia") if key in held
-    }
-    if "magnet_flux" in held:
-        known[_FLUX_SHARE] = held["magnet_flux"].sigma / held["magnet_flux"].value
-    return replace(bench, known=known)
+    flux = held.get("magnet_flux")
+    if flux is None:
+        return bench
+    fed = {"magnet_flux": flux.value, _FLUX_SHARE: flux.sigma / flux.value}
+    return replace(bench, known=dict(bench.known) | fed)
 
 
 def refused(run: LoggedRun, why: str) -> NoSolutionError:
@@ -344,20 +348,29 @@ def _spin(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
     return analyse_spin(spin, bench.known["inertia"])
 
 
-def _spin_up(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
-    (run,) = runs
-    spin = SpinUp(run.name, run.need("time"), run.need("i_q"), run.need("speed"))
-    flux = bench.known.get("magnet_flux")
-    why = spin_up_fault(spin)
-    if flux is None and not why:
-        why = (
-            "its torque needs the magnet flux linkage; write magnet_flux, or a constant of the "
-            "data sheet, under machine, or add a run that holds it"
+def _shaft(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+    """Accelerations with coasting, or coasting alone with a known inertia."""
+    up = [run for run in runs if run.kind == "spin-up"]
+    if not up:
+        return _spin(bench, runs)
+    flux, spins = bench.known.get("magnet_flux"), []
+    for run in runs:
+        time, speed = run.need("time"), run.need("speed")
+        coasting = run.kind == "spin-down"
+        spins.append(
+            SpinUp(run.name, time, np.zeros_like(time) if coasting else run.need("i_q"), speed)
         )
-    if why or flux is None:
-        raise refused(run, why)
+        why = spin_fault(SpinDown(run.name, time, speed)) if coasting else spin_up_fault(spins[-1])
+        if why:
+            raise refused(run, why)
+    if flux is None:
+        raise refused(
+            up[0],
+            "its torque needs the magnet flux linkage; write magnet_flux, or a constant of the "
+            "data sheet, under machine, or add a run that holds it",
+        )
     constant = torque_per_ampere(bench.pole_pairs, flux)
-    return analyse_spin_up(spin, constant, bench.known.get(_FLUX_SHARE, 0.0))
+    return analyse_spin_up(spins, constant, bench.known.get(_FLUX_SHARE, 0.0))
 
 
 def _locked(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
@@ -418,8 +431,8 @@ _ANALYSES: dict[str, Callable[[Bench, Sequence[LoggedRun]], Analysis]] = {
     "voltage-speed": _voltage_steps,
     "locked-torque": _bursts,
     "locked-voltage": _locked,
-    "spin-up": _spin_up,
-    "spin-down": _spin,
+    "spin-up": _shaft,
+    "spin-down": _shaft,
     "back-emf": _back_emf,
     "inverter-table": _inverter,
 }

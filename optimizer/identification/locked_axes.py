@@ -177,7 +177,7 @@ def _regressed(
         }
         for term, column in own.items():
             if reference or term != "inverter_voltage":
-                columns.setdefault(term, [none] * len(rows.currents))[place] = column
+                columns.setdefault(term, [none] * len(rows.currents))[place] = np.asarray(column)
     whole_rows = np.column_stack([np.concatenate(parts) for parts in columns.values()])
     aim = np.concatenate(values)
     left = left_by(whole_rows, aim)

@@ -557,56 +557,69 @@ def spin_up_fault(spin: SpinUp) -> str:
     return ""
 
 
-def analyse_spin_up(spin: SpinUp, torque_constant: float, share: float) -> Analysis:
-    """Moment of inertia and friction of an acceleration that `spin_up_fault` has nothing against.
+def analyse_spin_up(spins: Sequence[SpinUp], torque_constant: float, share: float) -> Analysis:
+    """Moment of inertia and friction of accelerations that `spin_up_fault` has nothing against, and
+    of coasting, whose i_q is 0.
 
-    J dw/dt = k_t i_q - T_c sgn w - b w is fitted in its integral, as of a spin-down.
+    J dw/dt = k_t i_q - T_c sgn w - b w is fitted in its integral, as of a spin-down. A constant
+    acceleration alone does not tell J from T_c: coasting does.
 
     Args:
-        spin: The rows.
+        spins: The runs, in any order.
         torque_constant: k_t at i_d = 0 in N m/A.
         share: Its standard deviation as a share.
     """
-    step = np.diff(spin.time)
+    parts, values = [], []
+    for place, spin in enumerate(spins):
+        step = np.diff(spin.time)
 
-    def integral(values: FloatArray) -> FloatArray:
-        return np.concatenate([[0.0], np.cumsum(0.5 * step * (values[1:] + values[:-1]))])
+        def integral(of: FloatArray, step: FloatArray = step) -> FloatArray:
+            return np.concatenate([[0.0], np.cumsum(0.5 * step * (of[1:] + of[:-1]))])
 
-    whole = np.column_stack(
-        [
-            np.ones_like(spin.time),
-            spin.omega_m,
-            integral(np.sign(spin.omega_m)),
-            integral(spin.omega_m),
-        ]
-    )
-    fit = averaged(
-        whole, range(2), torque_constant * integral(spin.i_q), _one_series(spin.time.size)
-    )
-    found, covariance = fit.coefficients[1:], fit.covariance[1:, 1:].copy()
+        begin = np.zeros((spin.time.size, len(spins)))
+        begin[:, place] = 1.0
+        turned = integral(np.sign(spin.omega_m)), integral(spin.omega_m)
+        parts.append(np.column_stack([begin, spin.omega_m, *turned]))
+        values.append(torque_constant * integral(spin.i_q))
+    coasts = any(not np.any(spin.i_q) for spin in spins)
+    whole, series = np.concatenate(parts), np.repeat(range(len(spins)), [x.size for x in values])
+    count = len(spins)
+    base = range(count + (3 if coasts else 1))
+    fit = averaged(whole, base, np.concatenate(values), series)
+    found, covariance = fit.coefficients[count:], fit.covariance[count:, count:].copy()
     covariance += share**2 * np.outer(found, found)  # of the torque constant, all alike
+    runs = tuple(spin.run for spin in spins)
     parameters = [
         judged(
             named,
             float(found[place]),
             math.sqrt(covariance[place, place]),
             fit.best.freedom,
-            runs=(spin.run,),
+            runs=runs,
         )
-        if place == 0 or fit.included[place + 1] > SUPPORTED
-        else unknown(named, "the rows of one acceleration do not tell it from the inertia")
+        if coasts or place == 0 or fit.included[count + place] > SUPPORTED
+        else unknown(named, "an acceleration alone does not tell it from the inertia; let it coast")
         for place, named in enumerate((_INERTIA, _COULOMB, _VISCOUS))
     ]
     remark = (
-        f"{spin.run}: with {torque_constant:.4g} N m/A at i_d = 0; whatever else the current turns "
-        "is in the inertia"
+        f"{spins[0].run}: with {torque_constant:.4g} N m/A at i_d = 0; whatever else the current "
+        "turns is in the inertia"
+    )
+    left = tuple(
+        RunResiduals(
+            spin.run,
+            "angular momentum",
+            "N m s",
+            float(np.sqrt(np.mean(own**2))),
+            own.size,
+            fit.best.effective * own.size / series.size,
+            own,
+        )
+        for place, spin in enumerate(spins)
+        for own in (fit.best.residuals[series == place],)
     )
     return Analysis(
-        "spin-up",
-        tuple(with_partners(parameters, covariance)),
-        covariance,
-        (_left(spin.run, "angular momentum", "N m s", fit.best),),
-        (remark,),
+        "spin-up", tuple(with_partners(parameters, covariance)), covariance, left, (remark,)
     )
 
 

@@ -27,6 +27,7 @@ from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import solve_map
 from dqforge.optimizer.losses.phase_comparison import LossComparison
 from dqforge.optimizer.losses.solve import mission_comparison, require_losses
+from dqforge.optimizer.modulation_choice.solve import solve_choice
 from dqforge.reports.answers.current_feedback import with_regulators
 from dqforge.reports.losses.map_tables import (
     losses_tables,
@@ -38,7 +39,7 @@ from dqforge.reports.losses.map_tables import (
     plain_map,
     plain_mission,
 )
-from dqforge.reports.modulation_choice.question import answer_choice
+from dqforge.reports.modulation_choice.text import choice_tables, plain_choice
 from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.pages.html_text import map_size
 
@@ -278,3 +279,32 @@ def _mission(design: Design, path: Path, alternatives: Alternatives, margin: flo
 
     plain = {"mission": plain_mission(found)}
     return Answer(design.name, mission_tables(design, found), plain, figure)
+
+
+@on_design("modulation_choice")
+def answer_choice(design: Design) -> Answer:
+    """Choose modulator and switching frequency as the design asks.
+
+    Raises:
+        InputError: The design has no section ``modulation_choice``.
+        NoSolutionError: Nothing keeps the limits anywhere.
+    """
+    found = solve_choice(design)
+    if found is None:
+        message = (
+            "the design requests no choice; add a section 'modulation_choice' with min_frequency, "
+            "max_frequency"
+        )
+        raise InputError(message)
+
+    def figure() -> Any:
+        from dqforge.reports.modulation_choice.figures import plot_choice
+
+        return plot_choice(found)
+
+    return Answer(
+        design.name,
+        choice_tables(design, found),
+        {"modulation_choice": plain_choice(found)},
+        figure,
+    )

@@ -90,12 +90,15 @@ def observer_outputs(method: ObserverMethod, gains: Any, inputs: SingleArray) ->
 
 
 def plain_gains_of(gains: Any) -> dict[str, Any]:
-    """Gains as plain data of float32 values, which `gains_from` reads back."""
+    """Gains as plain data of float32 values and whole numbers, which `gains_from` reads back."""
     plain: dict[str, Any] = {}
+    hints = get_type_hints(type(gains))
     for field in fields(gains):
         value = getattr(gains, field.name)
         if is_dataclass(value):
             plain[field.name] = plain_gains_of(value)
+        elif hints[field.name] is int:
+            plain[field.name] = value
         elif isinstance(value, tuple):
             plain[field.name] = [shortest(np.float32(item)) for item in value]
         else:
@@ -126,11 +129,19 @@ def _gains_from(kind: type[Any], plain: Mapping[str, Any]) -> Any:
             values[field.name] = _gains_from(hint, value)  # type: ignore[arg-type]
         elif hint is float:
             values[field.name] = _finite(value)
+        elif hint is int:
+            values[field.name] = _whole(value)
         else:
             if Ellipsis not in hint.__args__ and len(value) != len(hint.__args__):
                 raise ValueError
             values[field.name] = tuple(_finite(item) for item in value)
     return kind(**values)
+
+
+def _whole(value: Any) -> int:
+    if type(value) is not int or not 0 <= value < 1 << 32:
+        raise ValueError
+    return value
 
 
 def _finite(value: Any) -> float:

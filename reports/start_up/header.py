@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, fields, is_dataclass, make_dataclass
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar
@@ -48,7 +48,7 @@ from dqforge.reports.start_up.float32_reading import MEMBERS
 from dqforge.reports.steps.blocks import Block, Functions
 from dqforge.reports.steps.record_text import (
     c_name,
-    comment,
+    enumeration,
     record_structs,
     record_values,
     said,
@@ -296,7 +296,8 @@ def startup_text(form: StartupForm, settings: StartupSettings, prefix: str, macr
     known = {c_name(type(record)) for record, _ in leaves(drive)} - {"startup"}
     known |= {"control", "references"}
     parts = [
-        *_enumerations(prefix, macro),
+        enumeration(StartupState, STATES, prefix),
+        enumeration(StartupFault, FAULTS, prefix),
         *record_structs(settings, prefix),
         *record_structs(sample, prefix),
         *record_structs(output, prefix),
@@ -409,28 +410,6 @@ def _places(record: Any, before: str = "") -> Iterator[str]:
             yield from _places(value, f"{before}{member.name}.")
         elif value is not None:
             yield f"{before}{member.name}"
-
-
-def _enumerations(prefix: str, macro: str) -> Iterator[list[str]]:
-    kinds: list[tuple[type[Any], Mapping[Any, str]]] = [
-        (StartupState, STATES),
-        (StartupFault, FAULTS),
-    ]
-    for kind, texts in kinds:
-        names = [f"{macro}_STARTUP_{one.name}" for one in kind]
-        names[0] += " = 0"
-        names = [f"{name}," for name in names[:-1]] + names[-1:]
-        most = max(map(len, names))
-        lines = [
-            f"    {name:{most}} /* {text} */" if text else f"    {name}"
-            for name, text in zip(names, texts.values(), strict=True)
-        ]
-        yield [
-            *comment(sentence(kind)),
-            "typedef enum {",
-            *lines,
-            f"}} {prefix}_{c_name(kind)}_t;",
-        ]
 
 
 def _constants(settings: StartupSettings, prefix: str, macro: str) -> list[str]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from enum import IntEnum
 from textwrap import wrap
 from typing import Any, get_type_hints
 
@@ -93,6 +94,21 @@ def is_pointed(kind: type[Any], name: str) -> bool:
     """Whether a record has the address of another one."""
     member = _member(kind, name)
     return member is not None and member.pointed
+
+
+def enumeration(kind: type[IntEnum], texts: Mapping[Any, str], prefix: str) -> list[str]:
+    """A type whose constants have the name of what has the states: STARTUP of StartupState."""
+    name = c_name(kind)
+    before = f"{prefix}_{name.rpartition('_')[0]}".upper()
+    names = [f"{before}_{one.name}" for one in kind]
+    names[0] += " = 0"
+    names = [f"{one}," for one in names[:-1]] + names[-1:]
+    most = max(map(len, names))
+    lines = [
+        f"    {one:{most}} /* {text} */" if text else f"    {one}"
+        for one, text in zip(names, texts.values(), strict=True)
+    ]
+    return [*comment(sentence(kind)), "typedef enum {", *lines, f"}} {prefix}_{name}_t;"]
 
 
 def sentence(item: Any) -> str:

@@ -173,6 +173,7 @@ ELSEWHERE = {
     "current_feedback",
     "speed_measurement",
     "online_estimation",
+    "commissioning",
     "start_up",
 }
 

@@ -62,6 +62,7 @@ SLOW: dict[str, tuple[str, tuple[str, ...]]] = {
     "control.online_estimation": (
         "paper001-pmsm-bench", ("control.online_estimation={time_constant: 1 s}",),
     ),
+    "control.commissioning": ("paper001-pmsm-bench", ("control.commissioning={rows: 256}",)),
     "export.application": (
         SERVO,
         (FLUX, "control.start_up={method: i-f}", "export.control=float32",

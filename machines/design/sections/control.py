@@ -13,6 +13,7 @@ from dqforge.machines.design.design import ROUNDING_OF_DATA, Reading
 from dqforge.machines.design.sections.export import ExportSection
 from dqforge.machines.design.sections.firmware import AnyFirmware, read_firmware
 from dqforge.machines.design.sections.observer import (
+    CommissioningSection,
     ObserverSection,
     OnlineEstimationSection,
     SixStepSection,
@@ -27,6 +28,7 @@ from dqforge.machines.design.sections.references import ReferencesSection, read_
 from dqforge.machines.design.sections.start_up import StartUpSection, read_start_up
 from dqforge.machines.design.sections.tolerances import TolerancesSection, read_tolerances
 from dqforge.machines.design.settings import (
+    CommissioningSettings,
     ControlSettings,
     CurrentLoopSettings,
     GainWish,
@@ -308,6 +310,9 @@ class ControlSection(Section):
     online_estimation: OnlineEstimationSection | None = Field(
         default=None, description="resistance and magnet flux estimated while the drive runs"
     )
+    commissioning: CommissioningSection | None = Field(
+        default=None, description="tests of the drive on its own machine, for dqforge identify"
+    )
     gains: bool = Field(
         default=True, description="false: no loops are tuned, the header holds the references alone"
     )
@@ -464,6 +469,9 @@ def read_control(
         online_estimation=None
         if section.online_estimation is None
         else settings_from(OnlineEstimationSettings, section.online_estimation),
+        commissioning=None
+        if section.commissioning is None
+        else settings_from(CommissioningSettings, section.commissioning),
     )
 
 

@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field, ValidatorFunctionWrapHandler, WrapV
 from dqforge.machines.design.design import Reading
 from dqforge.machines.design.settings import (
     SPEED_ERROR,
+    CommissioningSettings,
     ObserverSettings,
     OnlineEstimationSettings,
     SixStepSettings,
@@ -390,18 +391,77 @@ class OnlineEstimationSection(Section):
     )
 
 
-def check_online_estimation(
+# The section ``control.commissioning``: tests of the drive on its own machine.
+
+_TESTS = CommissioningSettings()
+
+
+class CommissioningSection(Section):
+    """Tests that the firmware runs on its own machine, with the log that dqforge identify reads."""
+
+    current: PhaseCurrent | None = Field(
+        default=None,
+        description="current of the tests (A); default half of the current limit",
+    )
+    speed: PointSpeed | None = Field(
+        default=None,
+        description="mechanical speed at which coasting begins (rad/s); default: half of the "
+        "voltage limit as back-EMF",
+    )
+    rows: Annotated[int, Field(ge=64, le=16384)] = Field(
+        default=_TESTS.rows, description="rows of five floats that the log holds (20 bytes each)"
+    )
+    shaft_time: EstimationTime | None = Field(
+        default=None, description="longest acceleration, and longest coasting (s); default 5 s"
+    )
+
+
+def check_on_line(
+    estimation: OnlineEstimationSection | None,
+    tests: CommissioningSection | None,
+    machine: Machine,
+    document: YamlDocument,
+    *,
+    left_out: bool,
+) -> None:
+    """Check what the sections need that learn of the machine in the drive.
+
+    ``left_out`` says that nothing is controlled in rotor coordinates by a modulator. Raises
+    `InputError` with a position.
+    """
+    _check_online_estimation(estimation, machine, document, left_out=left_out)
+    if tests is not None:
+        _check_commissioning(tests, machine.i_max, document, left_out=left_out)
+
+
+def _check_commissioning(
+    section: CommissioningSection, i_max: float, document: YamlDocument, *, left_out: bool
+) -> None:
+    path = ("control", "commissioning")
+    if left_out:
+        raise document.error(
+            "control.commissioning: its tests are of a control in rotor coordinates of a machine "
+            "with a sinusoidal back-EMF; remove it, or the waveform, six_step or switching current "
+            "loop",
+            path,
+            key=True,
+        )
+    current = si_of(section.current)
+    if current is not None and current > i_max:
+        raise document.error(
+            f"control.commissioning.current: {current:g} A is above the current limit of {i_max:g} "
+            "A; write less",
+            (*path, "current"),
+        )
+
+
+def _check_online_estimation(
     section: OnlineEstimationSection | None,
     machine: Machine,
     document: YamlDocument,
     *,
     left_out: bool,
 ) -> None:
-    """Check what the estimation needs of the machine.
-
-    ``left_out`` says that nothing is controlled in rotor coordinates by a modulator. Raises
-    `InputError` with a position.
-    """
     if section is None:
         return
     path = ("control", "online_estimation")

@@ -48,7 +48,7 @@ def locked(
 
     Each part of a row is solved exactly but for the inverter's error, taken in its middle.
     """
-    u = steps(rows) if voltage is None else voltage
+    u = np.asarray(steps(rows) if voltage is None else voltage, dtype=np.float64)
     rng = np.random.default_rng(seed)
     h, r = STEP / parts, TRUTH["resistance"]
     current = {axis: np.zeros(u.size) for axis in axes}
@@ -70,8 +70,8 @@ def locked(
                 middle = after
             now = middle
     noisy = {axis: values + rng.normal(0.0, 0.02, u.size) for axis, values in current.items()}
-    fed = {axis: u + rng.normal(0.0, measured, u.size) for axis in axes}
-    return LockedAxes("steps", STEP * np.arange(u.size), noisy, fed)
+    said = {axis: np.asarray(u + rng.normal(0.0, measured, u.size)) for axis in axes}
+    return LockedAxes("steps", np.asarray(STEP * np.arange(u.size)), noisy, said)
 
 
 def of(analysis: Analysis | Identification, key: str) -> Parameter:
