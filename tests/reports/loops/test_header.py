@@ -148,7 +148,7 @@ def test_the_header_says_what_its_gains_keep() -> None:
         "Not-a-number",
         "_SCHEDULE_END_A",
     ):
-        assert phrase in text
+        assert phrase in text.replace("\n *", "")
     assert "math.h" not in text
     assert all(line == line.rstrip() for line in text.splitlines())
 
