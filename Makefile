@@ -7,7 +7,7 @@ DEMO_DESIGN ?= paper000-ipmsm-100kw
 # Modules are compiled once, when they are installed and when they change, not by each process.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo demo-run demo-currents demo-salient-currents test importers campaign drawn-campaign coverage costs times drawn-times check lint types contracts format figures mutants sessions numbers docs page-checks page-drives wheel sbom schemas site-checks lock clean
+.PHONY: demo demo-run demo-currents demo-salient-currents test importers campaign drawn-campaign coverage costs times drawn-times check lint types contracts format figures fuzz mutants sessions numbers docs page-checks page-drives wheel sbom schemas site-checks lock clean
 
 demo: $(VENV)/runtime.stamp
 	@mkdir -p out
@@ -58,6 +58,11 @@ coverage: $(VENV)/dev.stamp
 # What the costly files of tests take, for the draw; on a quiet machine.
 costs: $(VENV)/dev.stamp
 	$(PYTEST) --keep-costs $(DEFAULT)
+
+# Inputs that no one would write, for every reader, guided by coverage; what is not answered is kept in tests/corpus.
+MINUTES ?= 10
+fuzz: $(VENV)/fuzz.stamp
+	$(BIN)/python tests/fuzz.py --minutes $(MINUTES)
 
 # How many planted changes the nearest tests notice, drawn by the commit.
 MUTANTS ?= 30
@@ -171,6 +176,10 @@ $(VENV)/runtime.stamp: requirements.lock pyproject.toml | $(BIN)/pip
 
 $(VENV)/dev.stamp: requirements-dev.lock $(VENV)/runtime.stamp
 	$(BIN)/pip install -q --disable-pip-version-check --no-deps --require-hashes -r requirements-dev.lock
+	@touch $@
+
+$(VENV)/fuzz.stamp: requirements-fuzz.lock $(VENV)/dev.stamp
+	$(BIN)/pip install -q --disable-pip-version-check --no-deps --require-hashes -r requirements-fuzz.lock
 	@touch $@
 
 $(VENV)/importers.stamp: requirements-importers.lock $(VENV)/dev.stamp
