@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import field
 from pathlib import PurePath
 from typing import Any
@@ -24,7 +24,7 @@ from dqforge.machines.files.text_formats import (
     arrays_of_npz,
     reading,
 )
-from dqforge.machines.files.text_table import read_table
+from dqforge.machines.files.text_table import Progress, read_table
 from dqforge.machines.records import dataclass
 
 # What a controller's own columns are and their units, by our names.
@@ -37,7 +37,8 @@ class LogTable:
 
     ``units`` are '' where the file gives none; ``lines`` are the one-based lines, or rows, of the
     values; ``preset`` names columns that the format itself knows; ``said`` are values of the
-    machine that stand in the log, in SI units, with their key there.
+    machine that stand in the log, in SI units, with their key there; ``others`` names of columns
+    that were not asked for.
     """
 
     source: str
@@ -47,6 +48,7 @@ class LogTable:
     lines: NDArray[np.intp]
     preset: Preset = field(default_factory=dict)
     said: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    others: tuple[str, ...] = ()
 
 
 # A number as NumPy 2 prints it in a list, and rows that end with the delimiter of other files.
@@ -77,18 +79,35 @@ _LD: Preset = {
 }
 
 
-def read_log(content: bytes, source: str, form: LogFormat) -> LogTable:
+# Names of columns, with or without their unit, that a reader may leave the others out for.
+Asked = Collection[str]
+MOST_BYTES = 640_000_000  # A ride of a million rows of all that VESC Tool writes.
+
+
+def read_log(
+    content: bytes,
+    source: str,
+    form: LogFormat,
+    asked: Asked = (),
+    progress: Progress | None = None,
+) -> LogTable:
     """Columns of a log.
 
     Args:
         content: Bytes of the file.
         source: Its name, for messages and, by its ending, for the format ``auto``.
         form: What it is.
+        asked: Columns that a large file is read for, beside those that its format knows; all
+            where it has none of them.
+        progress: Told the share of a large text that is read.
 
     Raises:
         InputError: It is not what it claims to be, or the library that reads it is not installed.
     """
-    return _READERS[by_ending(source) if form == "auto" else form](content, source)
+    form = by_ending(source) if form == "auto" else form
+    if form in ("text", "vesc-tool"):
+        return _text(content, source, asked, _VESC if form == "vesc-tool" else {}, progress)
+    return _READERS[form](content, source)
 
 
 def by_ending(source: str) -> LogFormat:
@@ -96,25 +115,34 @@ def by_ending(source: str) -> LogFormat:
     return _ENDINGS.get(PurePath(source).suffix.lower(), "text")
 
 
-def _text(content: bytes, source: str) -> LogTable:
+def _text(
+    content: bytes, source: str, asked: Asked, preset: Preset, progress: Progress | None
+) -> LogTable:
     content = _NUMPY_CELL.sub(rb"\1", content)
-    ended = _ROW_END.findall(content)
+    head = content[:_HEAD]
     # Where the semicolon parts columns a row has more than the last one.
-    if ended and content.count(b";") == len(ended):
-        content = _ROW_END.sub(b"", content)
-    table = read_table(content, source)
-    return LogTable(source, table.names, table.units, table.values, table.lines)
+    if b";" in head and head.count(b";") <= head.count(b"\n") + 1:
+        ended = _ROW_END.findall(content)
+        if content.count(b";") == len(ended):
+            content = _ROW_END.sub(b"", content)
+    names = {*asked, *(name for name, _ in preset.values())}
 
+    def wanted(name: str, unit: str) -> bool:
+        return name in names or f"{name} [{unit}]" in names
 
-def _vesc(content: bytes, source: str) -> LogTable:
-    table = _text(content, source)
-    if "erpm" not in table.names:
+    table = read_table(content, source, progress, wanted=wanted, most_bytes=MOST_BYTES)
+    if preset and "erpm" not in table.names:
         raise InputError(
             "this is no log of VESC Tool: it has no column erpm; write format: text",
             source=source,
             line=1,
         )
-    return LogTable(source, table.names, table.units, table.values, table.lines, _VESC)
+    return LogTable(
+        source, table.names, table.units, table.values, table.lines, preset, others=table.others
+    )
+
+
+_HEAD = 1 << 16
 
 
 def _arrays(
@@ -238,8 +266,6 @@ def _motortest(content: bytes, source: str) -> LogTable:
 
 
 _READERS: dict[LogFormat, Callable[[bytes, str], LogTable]] = {
-    "text": _text,
-    "vesc-tool": _vesc,
     "npz": lambda content, source: _arrays(arrays_of_npz, content, source),
     "hdf5": lambda content, source: _arrays(arrays_of_hdf5, content, source),
     "mat": _mat,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from dqforge.machines.bench.log_files import read_log
 from dqforge.machines.errors import InputError
+from dqforge.machines.files import text_table
 
 
 def test_cells_as_numpy_prints_them(shared_data: Path) -> None:
@@ -68,3 +70,54 @@ def test_parquet(tmp_path: Path) -> None:
     table = read_log((tmp_path / "log.parquet").read_bytes(), "log.parquet", "auto")
     assert table.names == ("i", "u")
     assert table.values.tolist() == [[1.0, 3.0], [2.0, 4.0]]
+
+
+@pytest.fixture
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks of a tenth, so that a short log is read as a long one."""
+    for name, size in (("LARGE", 800_000), ("_HEAD", 1 << 15), ("_BLOCK", 1 << 17)):
+        monkeypatch.setattr(text_table, name, size)
+
+
+def _ride(rows: int, *, short: int | None = None) -> bytes:
+    """A log of 57 columns parted by semicolons, each of one digit and a sign; ``short`` is a row
+    with one cell less.
+    """
+    head = ";".join(["i_q", "erpm", *(f"c{place}" for place in range(55))])
+    cells = [";".join([str(row % 97), str(row % 89), *["-1"] * 55]) for row in range(89 * 97)]
+    lines = (cells * (rows // len(cells) + 1))[:rows]
+    if short is not None:
+        lines[short] = lines[short].rpartition(";")[0]
+    return "\n".join([head, *lines, ""]).encode()
+
+
+def test_a_long_ride_takes_the_memory_of_the_columns_asked_for(
+    small_blocks: None,
+) -> None:
+    rows = 10_000
+    content = _ride(rows)
+    tracemalloc.start()
+    table = read_log(content, "ride.csv", "text", {"i_q", "erpm [rpm]", "erpm"})
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert table.names == ("i_q", "erpm")
+    assert table.others[-1] == "c54"
+    count = np.arange(rows)
+    assert np.array_equal(table.values, np.column_stack([count, count]) % [97, 89])
+    assert table.lines[-1] == rows + 1
+    # All columns would be 4.6 MB; two are 0.2 MB beside the first lines and blocks of text.
+    assert peak < 4e6
+
+
+def test_a_cell_that_lacks_in_a_long_ride_is_named_whatever_is_asked_for(
+    small_blocks: None,
+) -> None:
+    rows = 10_000
+    with pytest.raises(InputError, match="56 columns") as caught:
+        read_log(_ride(rows, short=8_000), "ride.csv", "text", {"i_q"})
+    assert caught.value.line == 8_002
+
+
+def test_a_log_without_the_columns_asked_for_names_those_it_has() -> None:
+    table = read_log(b"a,b\n1,2\n3,4\n", "log.csv", "text", {"c"})
+    assert table.names == ("a", "b")
