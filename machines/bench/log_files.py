@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
+import io
 import json
 import re
-from collections.abc import Callable, Collection, Mapping
+import sys
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import field
 from pathlib import PurePath
 from typing import Any
@@ -107,6 +110,8 @@ def read_log(
     form = by_ending(source) if form == "auto" else form
     if form in ("text", "vesc-tool"):
         return _text(content, source, asked, _VESC if form == "vesc-tool" else {}, progress)
+    if form in _SAMPLED:
+        return _one_base(_SAMPLED[form](content, source), source, asked)
     return _READERS[form](content, source)
 
 
@@ -204,6 +209,122 @@ def _parquet(content: bytes, source: str) -> LogTable:
     )
 
 
+# Channels of recorders, which may be sampled at several rates.
+
+
+@dataclass(frozen=True, slots=True)
+class _Channel:
+    """A channel with its values, shape (N,), the times of these in s, shape (N,), where it is
+    known when they were sampled, and what else tells it from one of the same name.
+    """
+
+    name: str
+    unit: str
+    values: FloatArray
+    times: FloatArray | None
+    group: str
+
+
+def _library(module: str, form: str, source: str) -> Any:
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        message = f"reading {form} needs {module}; install it with: pip install dqforge[logs]"
+        raise InputError(message, source=source) from error
+
+
+def _mdf(content: bytes, source: str) -> list[_Channel]:
+    library = _library("asammdf", "MDF", source)
+    found = []
+    with reading("MDF", source), _opened(library, content) as log:
+        for group, held in enumerate(log.groups):
+            for index, channel in enumerate(held.channels):
+                if index == log.masters_db.get(group):
+                    continue
+                signal = log.get(group=group, index=index, ignore_invalidation_bits=False)
+                if signal.samples.ndim == 1 and signal.samples.dtype.kind in "iuf":
+                    values = signal.samples.astype(float)
+                    times = np.asarray(signal.timestamps, dtype=float)
+                    unit = signal.unit or ""
+                    found.append(_Channel(channel.name, unit, values, times, str(group)))
+    return found
+
+
+def _opened(library: Any, content: bytes) -> Any:
+    """An MDF file; one that cannot be read leaves half an object, whose end is a message too."""
+    hook = sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        try:
+            return library.MDF(io.BytesIO(content))
+        except Exception as error:
+            reason = str(error)
+        gc.collect()
+    finally:
+        sys.unraisablehook = hook
+    raise ValueError(reason)
+
+
+def _tdms(content: bytes, source: str) -> list[_Channel]:
+    library = _library("nptdms", "TDMS", source)
+    found = []
+    with reading("TDMS", source):
+        for group in library.TdmsFile.read(io.BytesIO(content)).groups():
+            for channel in group.channels():
+                values = np.asarray(channel[:])
+                if values.ndim != 1 or values.dtype.kind not in "iuf":
+                    continue
+                clocked = "wf_increment" in channel.properties
+                times = np.asarray(channel.time_track(), dtype=float) if clocked else None
+                unit = str(channel.properties.get("unit_string", ""))
+                kept = values.astype(float)
+                found.append(_Channel(channel.name, unit, kept, times, group.name))
+    return found
+
+
+def _one_base(channels: Sequence[_Channel], source: str, asked: Asked) -> LogTable:
+    """Those channels that were sampled together: with the asked ones, else most of all.
+
+    Raises:
+        InputError: There are none, or asked ones were sampled at different times.
+    """
+    names = [one.name for one in channels]
+    labels = [
+        one.name if names.count(one.name) == 1 else f"{one.group}/{one.name}" for one in channels
+    ]
+    bases: dict[tuple[int, bytes], list[int]] = {}
+    for place, one in enumerate(channels):
+        key = one.values.size, b"" if one.times is None else one.times.tobytes()
+        bases.setdefault(key, []).append(place)
+    if not bases:
+        raise InputError("no channels of numbers; save them as numbers", source=source)
+    wanted = [
+        [label for label in (labels[place] for place in places) if label in asked]
+        for places in bases.values()
+    ]
+    apart = [found[0] for found in wanted if found]
+    if len(apart) > 1:
+        raise InputError(
+            f"{apart[0]} and {apart[1]} were not sampled at the same times; save them resampled "
+            "to one time axis",
+            source=source,
+        )
+    chosen = max(zip(wanted, bases.values(), strict=True), key=lambda pair: list(map(len, pair)))[1]
+    columns = [(labels[place], channels[place].unit, channels[place].values) for place in chosen]
+    times = channels[chosen[0]].times
+    if times is not None and "time" not in labels:
+        columns.insert(0, ("time", "s", times))
+    rows = columns[0][2].size
+    return LogTable(
+        source,
+        tuple(name for name, _, _ in columns),
+        tuple(unit for _, unit, _ in columns),
+        np.column_stack([values for _, _, values in columns]),
+        np.arange(1, rows + 1),
+        others=tuple(label for place, label in enumerate(labels) if place not in chosen),
+    )
+
+
 def _json(content: bytes, source: str, what: str) -> dict[str, Any]:
     try:
         found = json.loads(content)
@@ -273,10 +394,14 @@ _READERS: dict[LogFormat, Callable[[bytes, str], LogTable]] = {
     "moteus-ld": _moteus,
     "motortest": _motortest,
 }
+_SAMPLED: dict[LogFormat, Callable[[bytes, str], list[_Channel]]] = {"mdf": _mdf, "tdms": _tdms}
 _ENDINGS: dict[str, LogFormat] = {
     ".npz": "npz",
     ".h5": "hdf5",
     ".hdf5": "hdf5",
     ".mat": "mat",
     ".parquet": "parquet",
+    ".mf4": "mdf",
+    ".mdf": "mdf",
+    ".tdms": "tdms",
 }

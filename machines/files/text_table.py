@@ -514,7 +514,7 @@ class _Dialect:
                 delimiter=self.mark,
                 ndmin=2,
                 comments=None,
-                usecols=kept if some else None,
+                usecols=kept.tolist() if some and kept is not None else None,
             )
         except ValueError:
             return None

@@ -81,7 +81,7 @@ def _condensed(rows: FloatArray) -> FloatArray:
         for part in (rows[place] for place in _parts(rows.shape[0])):
             whole = part.shape[0] // _BLOCK * _BLOCK
             blocks = part[:whole].reshape(-1, _BLOCK, columns)
-            found += [np.linalg.qr(blocks, mode="r").reshape(-1, columns), part[whole:]]
+            found += [np.asarray(np.linalg.qr(blocks, mode="r")).reshape(-1, columns), part[whole:]]
         rows = np.concatenate(found)
     return rows
 
@@ -349,7 +349,7 @@ def _scores(
     rows: FloatArray, values: FloatArray, models: Sequence[tuple[int, ...]], effective: float
 ) -> FloatArray:
     """BIC of each model by the triangular factor of all columns and the values."""
-    factor = np.linalg.qr(_with_values(rows, values), mode="r")
+    factor = np.asarray(np.linalg.qr(_with_values(rows, values), mode="r"))
     target = factor[:, -1]
     found = []
     for model in models:
