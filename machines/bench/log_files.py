@@ -8,7 +8,8 @@ import io
 import json
 import re
 import sys
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import field
 from pathlib import PurePath
 from typing import Any
@@ -225,16 +226,18 @@ class _Channel:
     group: str
 
 
-def _library(module: str, form: str, source: str) -> Any:
+@contextmanager
+def _asking(module: str, form: str, source: str) -> Iterator[None]:
     try:
-        return importlib.import_module(module)
+        yield
     except ImportError as error:
         message = f"reading {form} needs {module}; install it with: pip install dqforge[logs]"
         raise InputError(message, source=source) from error
 
 
 def _mdf(content: bytes, source: str) -> list[_Channel]:
-    library = _library("asammdf", "MDF", source)
+    with _asking("asammdf", "MDF", source):
+        library: Any = importlib.import_module("asammdf")
     found = []
     with reading("MDF", source), _opened(library, content) as log:
         for group, held in enumerate(log.groups):
@@ -266,7 +269,8 @@ def _opened(library: Any, content: bytes) -> Any:
 
 
 def _tdms(content: bytes, source: str) -> list[_Channel]:
-    library = _library("nptdms", "TDMS", source)
+    with _asking("nptdms", "TDMS", source):
+        library: Any = importlib.import_module("nptdms")
     found = []
     with reading("TDMS", source):
         for group in library.TdmsFile.read(io.BytesIO(content)).groups():
@@ -309,7 +313,9 @@ def _one_base(channels: Sequence[_Channel], source: str, asked: Asked) -> LogTab
             "to one time axis",
             source=source,
         )
-    chosen = max(zip(wanted, bases.values(), strict=True), key=lambda pair: list(map(len, pair)))[1]
+    chosen = max(
+        zip(wanted, bases.values(), strict=True), key=lambda pair: (len(pair[0]), len(pair[1]))
+    )[1]
     columns = [(labels[place], channels[place].unit, channels[place].values) for place in chosen]
     times = channels[chosen[0]].times
     if times is not None and "time" not in labels:

@@ -61,7 +61,7 @@ PACKAGES = {
 }
 
 # Optional parts that a user installs; the others are for work on dqforge itself.
-EXTRAS = ("h5", "explore", "serve", "cc")
+EXTRAS = ("h5", "logs", "explore", "serve", "cc")
 
 
 @dataclass(frozen=True, slots=True)

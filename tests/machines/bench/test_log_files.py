@@ -158,7 +158,7 @@ def test_channels_of_tdms() -> None:
     currents, voltages = np.array([1.0, 2.0, 4.0]), np.array([3, 2, 1], dtype=np.int16)
     table = read_log(_tdms({"i_q": currents, "u_q": voltages}, 0.5), "log.tdms", "auto")
     assert (table.names, table.units) == (("time", "i_q", "u_q"), ("s", "A", "V"))
-    assert np.array_equal(table.values.T, [[0.0, 0.5, 1.0], currents, voltages])
+    assert np.array_equal(table.values.T, np.stack([np.arange(3) / 2, currents, voltages]))
     plain = read_log(_tdms({"a/i_q": currents, "b/i_q": voltages}), "log.tdms", "auto")
     assert plain.names == ("a/i_q", "b/i_q")
 
@@ -170,7 +170,7 @@ def test_channels_of_mdf(tmp_path: Path) -> None:
     content = _mdf(tmp_path, [(times, columns), slow])
     table = read_log(content, "log.mf4", "auto")
     assert (table.names, table.units) == (("time", "i_q", "u_q"), ("s", "A", "V"))
-    assert np.array_equal(table.values.T, [times, [1.5, 2.5, 3.5], [7.0, 8.0, 9.0]])
+    assert np.array_equal(table.values.T, np.stack([times, columns["i_q"], columns["u_q"]]))
     assert table.others == ("temperature",)
     assert read_log(content, "log.mf4", "mdf", {"temperature"}).names == ("time", "temperature")
     with pytest.raises(InputError, match="i_q and temperature were not sampled at the same times"):
