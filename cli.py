@@ -360,13 +360,13 @@ def machines(name: given.Drive = None, search: given.Find = None, json: given.Js
 
 @app.command()
 def schema(
-    study: given.OfStudy = False, out: given.OutOfSchema = None, json: given.Json = False
+    study: given.OfStudy = False,
+    bench: given.OfBench = False,
+    out: given.OutOfSchema = None,
+    json: given.Json = False,
 ) -> None:
-    """Print the JSON Schema of a design or study.
-
-    For editors; it can be written into a file.
-    """
-    ask = partial(answers.library.answer_schema, study=study, out=out)
+    """Print the JSON Schema of a design, study or bench file, for editors; or write it."""
+    ask = partial(answers.library.answer_schema, study=study, bench=bench, out=out)
     respond("schema", ask, json, out=None if out is None else out.parent)
 
 

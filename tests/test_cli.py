@@ -330,6 +330,10 @@ def test_machines_schema_and_reproduce(
     assert {"machine", "inverter", "control", "fit", "losses", "export"} <= set(
         schema["properties"]
     )
+    assert {"machine", "inverter", "runs"} <= set(
+        json.loads(run("schema", "--bench").out)["properties"]
+    )
+    assert "name one of them" in one_line(run("schema", "--bench", "--study"), 2)
     # without compilers: what is computed here, and what is left out with its reason
     monkeypatch.setenv("PATH", str(tmp_path))
     assert json.loads(run("reproduce", "000", "--json").out)["table_4"][0]["printed_loss"] == 1064.0

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field, WithJsonSchema
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.schema import named_schema
 from dqforge.machines.entries.kinds import (
     About,
     BackEmfConstant,
@@ -52,7 +53,17 @@ RunKindName = Literal[
     "inverter-table",
 ]
 LogFormat = Literal[
-    "auto", "text", "npz", "hdf5", "mat", "parquet", "vesc-tool", "moteus-ld", "motortest"
+    "auto",
+    "text",
+    "npz",
+    "hdf5",
+    "mat",
+    "parquet",
+    "mdf",
+    "tdms",
+    "vesc-tool",
+    "moteus-ld",
+    "motortest",
 ]
 CurrentSource = Literal["measured", "requested"]
 VoltageSource = Literal["measured", "reference"]
@@ -163,6 +174,14 @@ class BenchFile(Section):
     runs: Annotated[Listing[RunSection], Field(min_length=1, max_length=200)] = Field(
         description="the runs"
     )
+
+
+BENCH_SCHEMA_ID = "urn:dqforge:schema:bench:1"
+
+
+def bench_json_schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of the bench file, for editors and for documentation."""
+    return named_schema(BenchFile, BENCH_SCHEMA_ID, "dqforge bench file")
 
 
 # A bench as it was read: every column in SI units.

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.back_emf.columns import MOST_BYTES
 from dqforge.machines.bench.bench_file import (
     Bench,
     BenchFile,
@@ -32,7 +31,7 @@ from dqforge.machines.bench.log_columns import (
     value_of,
     wanted,
 )
-from dqforge.machines.bench.log_files import LogTable, read_log
+from dqforge.machines.bench.log_files import MOST_BYTES, LogTable, read_log
 from dqforge.machines.design.design import (
     flux_from_back_emf,
     flux_from_kv,
@@ -44,14 +43,19 @@ from dqforge.machines.entries.kinds import quantities
 from dqforge.machines.errors import InputError, KeyPath, Places, dotted
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.files.positioned_yaml import YamlDocument, parse_yaml, read_bytes
+from dqforge.machines.files.text_table import Progress
 
 # Rows from which something can be said; fewer are refused before any fit.
 _LEAST_ROWS = 3
 _FLUX_KEYS = ("magnet_flux", "back_emf_constant", "torque_constant", "kv")
 
 
-def read_bench(path: Path) -> Bench:
+def read_bench(path: Path, progress: Progress | None = None) -> Bench:
     """A bench file with the logs that it names.
+
+    Args:
+        path: The file.
+        progress: Told the share of a large log that is read.
 
     Raises:
         InputError: The file or a log cannot be read or is wrong, with the position in the bench
@@ -64,7 +68,8 @@ def read_bench(path: Path) -> Bench:
     runs, faults = [], []
     for index, section in enumerate(file.runs):
         try:
-            runs.append(_Reading(document, path.parent, pole_pairs, index, section).run())
+            reading = _Reading(document, path.parent, pole_pairs, index, section, progress)
+            runs.append(reading.run())
         except InputError as fault:
             faults += [fault, *fault.others]
     faults += _same_names(document, file)
@@ -166,6 +171,7 @@ class _Reading:
         pole_pairs: int,
         index: int,
         section: RunSection,
+        progress: Progress | None,
     ) -> None:
         self.document = document
         self.folder = folder
@@ -173,6 +179,7 @@ class _Reading:
         self.path: KeyPath = ("runs", index)
         self.index = index
         self.section = section
+        self.progress = progress
         self.kind = KINDS[section.kind]
 
     def fault(self, message: str, *path: str, key: bool = False) -> InputError:
@@ -246,11 +253,16 @@ class _Reading:
 
     def _tables(self) -> tuple[list[LogTable], list[bytes]]:
         tables, contents = [], []
+        entries = (
+            {"column": raw} if isinstance(raw, str) else raw
+            for raw in self.section.columns.values()
+        )
+        asked = {str(entry.get("column")) for entry in entries if isinstance(entry, dict)}
         names = self.section.files or ((self.section.file,) if self.section.file else ())
         for name in names:
             try:
                 content = read_regular_file(self.folder / name, MOST_BYTES, shown=name)
-                tables.append(read_log(content, name, self.section.format))
+                tables.append(read_log(content, name, self.section.format, asked, self.progress))
                 contents.append(content)
             except InputError as error:
                 if error.line is not None:

@@ -226,7 +226,7 @@ def in_si(table: LogTable, asked: Wanted, pole_pairs: int) -> FloatArray | None:
 
 def not_found(tables: Sequence[LogTable], asked: Wanted) -> ColumnFault:
     """What is said of a column that no log of the run has."""
-    names = [name for table in tables for name in table.names]
+    names = [name for table in tables for name in (*table.names, *table.others)]
     close = close_matches(asked.column, names)
     hint = f"did you mean {shown(close[0])}?" if close else f"it has {', '.join(_listed(names))}"
     sources = " or ".join(table.source for table in tables)

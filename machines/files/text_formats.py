@@ -150,12 +150,11 @@ class Layout:
         return [self.form.number(cell) for cell in self.form.split(self.lines[line])]
 
 
-def check_size(content: bytes, source: str) -> None:
-    """Refuse a text of more than `MOST_BYTES`; raises `InputError`."""
-    if len(content) > MOST_BYTES:
+def check_size(content: bytes, source: str, most: int = MOST_BYTES) -> None:
+    """Refuse a text of more than ``most`` bytes; raises `InputError`."""
+    if len(content) > most:
         message = (
-            f"the file has {len(content) / 1e6:.4g} MB, at most {MOST_BYTES / 1e6:.0f} MB can be "
-            "read"
+            f"the file has {len(content) / 1e6:.4g} MB, at most {most / 1e6:.0f} MB can be read"
         )
         raise InputError(f"{message}; save fewer columns or samples", source=source)
 

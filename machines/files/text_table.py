@@ -19,6 +19,7 @@ from dqforge.machines.files.text_formats import (
     COMMAS,
     GARBLED,
     HIDDEN_COMMA,
+    MOST_BYTES,
     NUMBER,
     SAMPLE,
     SHOW,
@@ -49,6 +50,7 @@ class TextTable:
         lines: One-based line number of each row, shape (rows,).
         preamble: Lines of text before the header, and the texts that an oscilloscope writes beside
             the first rows.
+        others: Names of columns that were not asked for.
     """
 
     source: str
@@ -57,6 +59,7 @@ class TextTable:
     values: FloatArray
     lines: NDArray[np.intp]
     preamble: tuple[str, ...]
+    others: tuple[str, ...] = ()
 
 
 # Names, units and settings that stand above or beside the rows of a text table.
@@ -64,19 +67,11 @@ class TextTable:
 _UNDERSCORE_UNITS = frozenset(
     {"A", "mA", "kA", "V", "mV", "kV", "s", "ms", "us", "ns", "rad", "deg", "rpm", "Hz"}
 )
-
-
 _UNDERSCORE_UNITS |= {"Wb", "mWb", "Vs", "mVs", "Nm", "W"}
-
-
 _PHASES = ("ABC", "UVW")
-
-
 _UNIT_WORDS = frozenset(
     {"volt", "volts", "ampere", "amperes", "amp", "amps", "second", "seconds", "sec", "weber"}
 )
-
-
 _UNIT_WORDS |= {
     "degree",
     "degrees",
@@ -89,29 +84,13 @@ _UNIT_WORDS |= {
     "sequence",
     "u/min",
 }
-
-
 _OTHERWISE = ("U", "r", "tr", "F")
-
-
 _UNIT_PARTS = re.compile(r"[\s/*·^().-]+|\d+")
-
-
 _BRACKETED = re.compile(r"(.*?)(?:\[([^\[\]]*)\]|\(([^()]*)\))")
-
-
 _SEPARATED = re.compile(r"(.+?)\s*(?:/|,|\sin\s)\s*(.+)")
-
-
 _WRAPPED = re.compile(r"[\[(](.*)[\])]")
-
-
 _OPENING = re.compile(r" (?=[\[(])")
-
-
 _CHANNEL_UNIT = re.compile(r"\b[A-Za-z]+\d+:([^\s,;:]+)")
-
-
 _SCOPE_UNITS = re.compile(r"(horizontal|vertical) units?\W*[,;:=\t ]\s*(.*)", re.IGNORECASE)
 
 
@@ -293,7 +272,14 @@ def scope_units(preamble: Sequence[str], count: int) -> tuple[str, ...]:
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+,\d+")
 
 
-def read_table(content: bytes, source: str, progress: Progress | None = None) -> TextTable:
+def read_table(
+    content: bytes,
+    source: str,
+    progress: Progress | None = None,
+    *,
+    wanted: Wanted | None = None,
+    most_bytes: int = MOST_BYTES,
+) -> TextTable:
     """Numbers, names and units of a text table.
 
     Delimiter, decimal sign, encoding and header are found out.
@@ -307,16 +293,19 @@ def read_table(content: bytes, source: str, progress: Progress | None = None) ->
         content: Bytes of the file: UTF-8, UTF-16 with a byte order mark, or Latin-1.
         source: Name of the file, for messages.
         progress: Told the share of a large table that is read.
+        wanted: Says of the name and the unit of a column whether it is kept; where it keeps none
+            all are, for whoever names them.
+        most_bytes: The largest size.
 
     Raises:
-        InputError: The file is empty, too large (256 MB, 40 million numbers) or no text, has fewer
-            than two rows of numbers, a row with another number of columns, or text where numbers
-            belong; thousands separators are refused.
+        InputError: The file is empty, too large (``most_bytes``, 40 million numbers kept) or no
+            text, has fewer than two rows of numbers, a row with another number of columns, or text
+            where numbers belong; thousands separators are refused.
     """
     if len(content) > LARGE:
-        check_size(content, source)
-        return read_in_blocks(content, source, _read_whole, progress)
-    return _read_whole(content, source)
+        check_size(content, source, most_bytes)
+        return read_in_blocks(content, source, _read_whole, progress, wanted)
+    return _with_columns(_read_whole(content, source), wanted)
 
 
 def _read_whole(content: bytes, source: str) -> TextTable:
@@ -487,7 +476,9 @@ _BLOCK = 1 << 21
 _FIRST_ROWS = 100
 _PLAIN = re.compile(rb"[0-9+\-.eE,;\t \r\nnNaA]*")
 _ENDS = re.compile(rb"[,;\t ]+(?=\r?\n|\r?$)")
+_MARKS = np.frombuffer(b",;\t ", np.uint8)
 Progress = Callable[[float], None]
+Wanted = Callable[[str, str], bool]
 _Whole = Callable[[bytes, str], "TextTable"]
 
 
@@ -498,8 +489,10 @@ class _Dialect:
     mark: str | None
     decimal: bytes
 
-    def parsed(self, block: bytes, columns: int) -> FloatArray | None:
-        """Numbers of a block of whole lines, shape (rows, columns).
+    def parsed(
+        self, block: bytes, columns: int, kept: IndexArray | None = None
+    ) -> FloatArray | None:
+        """Numbers of a block of whole lines, shape (rows, columns), or those of columns ``kept``.
 
         None where it is not as plain as that.
         """
@@ -508,13 +501,36 @@ class _Dialect:
         text = block.replace(b",", b".") if self.decimal == b"," else block
         rows = text.count(b"\n") + (not text.endswith(b"\n"))
         try:
+            data = np.frombuffer(text, np.uint8)
+            ends = np.flatnonzero(data == ord("\n"))
+            before = data[ends - 1 - (data[ends - 1] == ord("\r"))]
+            # A mark at the end of a line parts nothing; rarely is there one.
+            if rows > ends.size or np.isin(before, _MARKS).any():
+                text = _ENDS.sub(b"", text)
+            # Where columns are left out nobody counts the cells of a line.
+            some = kept is not None and self.mark is not None and self._fits(text, columns)
             values = np.loadtxt(
-                io.BytesIO(_ENDS.sub(b"", text)), delimiter=self.mark, ndmin=2, comments=None
+                io.BytesIO(text),
+                delimiter=self.mark,
+                ndmin=2,
+                comments=None,
+                usecols=kept.tolist() if some and kept is not None else None,
             )
         except ValueError:
             return None
         # An empty line would shift the numbers of all lines below.
-        return values if values.shape == (rows, columns) and not np.isinf(values).any() else None
+        if values.shape != (rows, kept.size if some and kept is not None else columns):
+            return None
+        found = values if some or kept is None else values[:, kept]
+        return None if np.isinf(found).any() else found
+
+    def _fits(self, text: bytes, columns: int) -> bool:
+        """Whether each line has as many cells as there are columns."""
+        data = np.frombuffer(text, np.uint8)
+        marks = np.cumsum(data == ord(self.mark or " "), dtype=np.int32)
+        ends = np.append(np.flatnonzero(data == ord("\n")), data.size - 1)
+        ends = ends[:-1] if text.endswith(b"\n") else ends
+        return bool(np.all(np.diff(marks[ends], prepend=0) == columns - 1))
 
 
 _DIALECTS = tuple(
@@ -538,16 +554,18 @@ class _Layout:
     dialect: _Dialect | None
 
     def rows(
-        self, block: bytes, above: int, source: str, read_whole: _Whole
+        self, block: bytes, above: int, source: str, read_whole: _Whole, kept: IndexArray
     ) -> tuple[FloatArray, np.ndarray]:
-        """Values and line numbers of a block with ``above`` lines above it in the file."""
+        """Values of columns ``kept`` and line numbers of a block with ``above`` lines above it in
+        the file.
+        """
         table = self.table
         if self.dialect is not None:
-            values = self.dialect.parsed(block, table.values.shape[1])
+            values = self.dialect.parsed(block, table.values.shape[1], kept)
             if values is not None:
                 return values, np.arange(above + 1, above + 1 + len(values), dtype=np.intp)
         if not block.strip():
-            return np.empty((0, table.values.shape[1])), np.empty(0, np.intp)
+            return np.empty((0, kept.size)), np.empty(0, np.intp)
         try:
             found = read_whole(self.first + block, source)
         except InputError as error:
@@ -562,11 +580,15 @@ class _Layout:
             )
             raise InputError(message, source=source, line=above + 1)
         new = found.lines > self.lines
-        return found.values[new], found.lines[new] - self.lines + above
+        return found.values[new][:, kept], found.lines[new] - self.lines + above
 
 
 def read_in_blocks(
-    content: bytes, source: str, read_whole: _Whole, progress: Progress | None = None
+    content: bytes,
+    source: str,
+    read_whole: _Whole,
+    progress: Progress | None = None,
+    wanted: Wanted | None = None,
 ) -> TextTable:
     """Table of a large text, as `read_whole` would read it, in little more
     memory than its numbers take.
@@ -576,6 +598,7 @@ def read_in_blocks(
         source: Its name, for messages.
         read_whole: What reads a small table.
         progress: Told the share that is done.
+        wanted: As of `read_table`.
 
     Raises:
         InputError: As `read_whole`, with the line in the file; or the table holds more than
@@ -584,8 +607,9 @@ def read_in_blocks(
     content = _with_line_feeds(content, source)
     layout = _layout(content, source, read_whole)
     if layout is None:
-        return read_whole(content, source)
-    place, above, columns = len(layout.first), layout.lines, layout.table.values.shape[1]
+        return _with_columns(read_whole(content, source), wanted)
+    kept = _kept(layout.table, wanted)
+    place, above, columns = len(layout.first), layout.lines, kept.size
     most = layout.table.lines.size + content.count(b"\n", place) + 1
     if most * columns > MOST_NUMBERS:
         message = f"the table has some {most / 1e6:.3g} million rows of {columns} columns"
@@ -596,7 +620,7 @@ def read_in_blocks(
         raise InputError(f"{message}, {advice}", source=source)
     values, lines = np.empty((most, columns)), np.empty(most, np.intp)
     count = 0
-    rows = layout.table.values, layout.table.lines
+    rows = layout.table.values[:, kept], layout.table.lines
     while True:
         values[count : count + rows[1].size], lines[count : count + rows[1].size] = rows
         count += rows[1].size
@@ -606,9 +630,28 @@ def read_in_blocks(
             break
         end = content.find(b"\n", place + _BLOCK) + 1 or len(content)
         block = content[place:end]
-        rows = layout.rows(block, above, source, read_whole)
+        rows = layout.rows(block, above, source, read_whole, kept)
         place, above = end, above + block.count(b"\n")
-    return replace(layout.table, values=values[:count], lines=lines[:count])
+    return replace(_with_columns(layout.table, wanted), values=values[:count], lines=lines[:count])
+
+
+def _kept(table: TextTable, wanted: Wanted | None) -> IndexArray:
+    """Places of the wanted columns; of all where none is."""
+    pairs = zip(table.names, table.units, strict=True)
+    found = [place for place, pair in enumerate(pairs) if wanted is not None and wanted(*pair)]
+    return np.array(found or range(len(table.names)), dtype=np.intp)
+
+
+def _with_columns(table: TextTable, wanted: Wanted | None) -> TextTable:
+    """A table with the wanted columns alone, the names of the others beside them."""
+    kept = _kept(table, wanted).tolist()
+    return replace(
+        table,
+        names=tuple(table.names[place] for place in kept),
+        units=tuple(table.units[place] for place in kept),
+        values=np.ascontiguousarray(table.values[:, kept]),
+        others=tuple(name for place, name in enumerate(table.names) if place not in kept),
+    )
 
 
 def _with_line_feeds(content: bytes, source: str) -> bytes:

@@ -13,6 +13,7 @@ the rows support is decided by BIC with the effective number of rows.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,7 +127,8 @@ class _Model:
             kept = self.axis == axis
             least = _LEAST_NOISE * float(np.sqrt(np.mean(self.values[kept] ** 2)))
             scale[kept] = max(float(np.sqrt(np.mean(left[kept] ** 2))), least, 1e-12)
-        columns = {term: column / scale for term, column in self.columns.items()}
+        whole /= scale[:, None]
+        columns = dict(zip(self.columns, whole.T, strict=True))
         values = self.values / scale
         return _Model(columns, values, self.series, self.axis, self.mean_temperature, scale)
 
@@ -224,6 +226,8 @@ def analyse_rows(
     base = _base(model, reference=reference)
     ordered = [*base, *(term for term in open_terms if term not in base)]
     columns = np.column_stack([model.columns[term] for term in ordered])
+    # Views: a long ride has no room for every column twice.
+    model = replace(model, columns=dict(zip(ordered, columns.T, strict=True)))
     mean = averaged(columns, range(len(base)), model.values, model.series)
     # A base may hold what only together with a term that was not taken can be told.
     places = [

@@ -22,7 +22,7 @@ from dqforge.reports.identification import (
     plan_sheet,
     plan_tables,
 )
-from dqforge.reports.pages.answer import Answer, Files, stage
+from dqforge.reports.pages.answer import Answer, Files, shares, stage
 from dqforge.reports.pages.templating import to_text
 
 RESULT, DESIGN = "result.json", "design.yaml"
@@ -57,7 +57,7 @@ def answer_identify(path: Path) -> Answer:
         NoSolutionError: A run says nothing of what it was made for.
     """
     stage("reading the logs")
-    bench = read_bench(path)
+    bench = read_bench(path, shares())
     stage("identifying")
     try:
         found = identify(bench)

@@ -317,17 +317,22 @@ def answer_new_from(
     return Answer(made.configuration.name, (), plain, files=contents, notes=tuple(notes))
 
 
-def answer_schema(*, study: bool = False, out: Path | None = None) -> Answer:
-    """The JSON Schema of the design file, or of the study file; printed, or written to ``out``."""
+def answer_schema(*, study: bool = False, bench: bool = False, out: Path | None = None) -> Answer:
+    """The JSON Schema of the design file, or of study or bench file; printed, or written to
+    ``out``.
+    """
+    from dqforge.machines.bench.bench_file import bench_json_schema
     from dqforge.machines.design.schema import json_schema
     from dqforge.machines.exploration.study import study_json_schema
 
-    schema = study_json_schema() if study else json_schema()
+    if study and bench:
+        raise InputError("--study and --bench: a schema is that of one file; name one of them")
+    kind = "study" if study else "bench file" if bench else "design"
+    schema = study_json_schema() if study else bench_json_schema() if bench else json_schema()
     text = json.dumps(schema, indent=1)
     if out is None:
         return Answer("", (), {"schema": schema}, notes=(text,))
     line = with_modeline(b"", out.name).decode("utf-8").removesuffix("\n")
-    kind = "study" if study else "design"
     note = f"first line of a {kind} beside it, for editors: {line}"
     return Answer(
         "",

@@ -461,6 +461,9 @@ SetOfB = Annotated[list[str] | None, _text("--set", "KEY=VALUE", f"{_SET}; of B.
 OfStudy = Annotated[bool, Option("--study", help="That of a study of many designs.")]
 
 
+OfBench = Annotated[bool, Option("--bench", help="That of the bench file of identify.")]
+
+
 OutOfSchema = Annotated[
     Path | None, Option("-o", "--out", metavar="FILE", help="File to write, for editors.")
 ]

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 # Packages of Python, and what they are for.
 PACKAGES = {
+    "asammdf": "MDF logs of a bench",
     "casadi": "phase currents of salient machines, Kalman filters of sensorless drives",
     "clarabel": "smoothing of flux maps, proofs of current loops over tolerances",
     "cvxpy": "the proof that position observers converge (with clarabel)",
@@ -41,6 +42,7 @@ PACKAGES = {
     "jinja2": "headers and reports",
     "matplotlib": "figures",
     "nlopt": "optimised gains of loops and observers, breakpoints of tables, searches of a study",
+    "nptdms": "TDMS logs of a bench",
     "numpy": "arrays",
     "osqp": "phase currents of machines with any back-EMF, a second opinion",
     "piqp": "phase currents of machines with any back-EMF, unlike phases",
@@ -59,7 +61,7 @@ PACKAGES = {
 }
 
 # Optional parts that a user installs; the others are for work on dqforge itself.
-EXTRAS = ("h5", "explore", "serve", "cc")
+EXTRAS = ("h5", "logs", "explore", "serve", "cc")
 
 
 @dataclass(frozen=True, slots=True)

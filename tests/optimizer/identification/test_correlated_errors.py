@@ -76,3 +76,24 @@ def test_mean_of_slow_rows() -> None:
     # The standard deviation of the mean is sqrt(19) times that of independent rows.
     assert sigma == pytest.approx(np.sqrt(19.0 / 2000.0), rel=0.3)
     assert abs(mean - 3.0) < 4.0 * sigma
+
+
+def test_tall_arrays_as_the_direct_sums() -> None:
+    rng = np.random.default_rng(5)
+    count = 43_217
+    rows = np.column_stack([rng.normal(1.0, 1.0, (count, 3)), 1e-6 * rng.normal(size=count)])
+    series = np.repeat([0, 1], [30_000, count - 30_000])
+    values = rows @ [1.0, -2.0, 0.5, 3e6] + slow_noise(rng, count, 0.9, 0.1)
+    found = regress(rows, values, series, robust=False)
+    direct = np.linalg.lstsq(rows * [1.0, 1.0, 1.0, 1e6], values, rcond=None)[0]
+    assert np.allclose(found.coefficients, direct * [1.0, 1.0, 1.0, 1e6], rtol=1e-11)
+    left = found.residuals
+    parts = left[:30_000], left[30_000:]
+    products = [
+        sum(float(part[lag:] @ part[: part.size - lag]) for part in parts) for lag in range(400)
+    ]
+    pairs = [products[lag] + products[lag + 1] for lag in range(1, 399, 2)]
+    last = next(place for place, pair in enumerate(pairs) if pair <= 0.0)
+    assert correlation_time(left, series) == pytest.approx(
+        1.0 + 2.0 * sum(pairs[:last]) / products[0], rel=1e-9
+    )
