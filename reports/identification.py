@@ -21,7 +21,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.identification.bench_plan import BenchPlan
-from dqforge.optimizer.identification.flux_points import FluxTable
+from dqforge.optimizer.identification.flux_points import FluxFit, FluxTable
 from dqforge.optimizer.identification.identify import DESIGN_PARAMETERS, Identification
 from dqforge.optimizer.identification.parameters import Analysis, Parameter
 from dqforge.reports.pages.answer import Table
@@ -101,8 +101,19 @@ def plain_identification(found: Identification) -> PlainData:
         "logs": _logs(found.bench),
         "parameters": [plain_parameter(one) for one in found.parameters],
         "analyses": [_analysis(one) for one in found.analyses],
+        "flux_map": None if found.flux is None else _plain_flux(found.flux),
         "contradictions": list(found.contradictions),
         "remarks": list(found.remarks),
+    }
+
+
+def _plain_flux(flux: FluxFit) -> PlainData:
+    curl = flux.curl
+    return {
+        "points": int(flux.table.i_d.size),
+        "curl_H": None if curl is None else curl.rms,
+        "cross_inductance_H": None if curl is None else curl.cross,
+        "spline_one_out_Vs": flux.one_out,
     }
 
 

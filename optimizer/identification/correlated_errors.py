@@ -116,7 +116,7 @@ def regress(
     time = correlation_time(residuals, series)
     count = values.size
     effective = count / time
-    meat = _long_run(scores, series) * count / max(count - found.size, 1)
+    meat = long_run(scores, series) * count / max(count - found.size, 1)
     covariance = bread @ meat @ bread / np.outer(size, size)
     return Regression(found / size, covariance, residuals, weights, effective, own_shares(scaled))
 
@@ -136,8 +136,9 @@ def _curvature(rows: FloatArray, weights: FloatArray) -> FloatArray:
 _WORST_CONDITION = 1e12
 
 
-def _long_run(scores: FloatArray, series: Groups) -> FloatArray:
-    """Middle of the sandwich over lags with Bartlett's weights, within each series.
+def long_run(scores: FloatArray, series: Groups) -> FloatArray:
+    """Middle of the sandwich of scores, shape (N, K), over lags with Bartlett's weights, within
+    each series, shape (K, K).
 
     The scores are made white by an autoregression of first order each before, and the result is
     coloured again (Andrews and Monahan, Econometrica 60, 1992): without that, slow residuals make
