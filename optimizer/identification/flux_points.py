@@ -81,7 +81,8 @@ class FluxRows:
 @dataclass(frozen=True, slots=True)
 class FluxTable:
     """A map of points, each of shape (M,): currents (A), flux linkages and their standard
-    deviations (V s), and how many rows each is made from.
+    deviations (V s), and how many rows each is made from. ``shared`` is what one standard deviation
+    of each error that all points share makes of psi_d and psi_q, V s, shape (S, 2, M).
     """
 
     i_d: FloatArray
@@ -91,6 +92,7 @@ class FluxTable:
     sigma_d: FloatArray
     sigma_q: FloatArray
     count: NDArray[np.intp]
+    shared: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -542,9 +544,12 @@ def _table(model: _Model, state: _State, covariance: FloatArray) -> tuple[FluxTa
     by_error = (_folded(column, rows.current) for column in model.error_columns(state).T)
     slopes = np.column_stack([_parted(column, at)[0] for column in by_error])
     noise = _noise(apart, count[at])
+    # Independent causes of the covariance of the errors, and what each makes of the means.
+    values, vectors = np.linalg.eigh(covariance)
+    shared = slopes @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     sigma = [
-        np.sqrt(size**2 / count + np.sum((part @ covariance) * part, axis=1))
-        for size, part in zip(noise, (slopes.real, slopes.imag), strict=True)
+        np.sqrt(size**2 / count + np.sum(part**2, axis=1))
+        for size, part in zip(noise, (shared.real, shared.imag), strict=True)
     ]
     i_d = np.bincount(at, rows.current.real) / count
     i_q = np.bincount(at, np.abs(rows.current.imag)) / count
@@ -561,6 +566,7 @@ def _table(model: _Model, state: _State, covariance: FloatArray) -> tuple[FluxTa
         sigma[0][both],
         sigma[1][both],
         count[both],
+        np.stack([shared.real[both], turn[:, None] * shared.imag[both]]).transpose(2, 0, 1),
     )
     return table, model.energy.flux(table.i_d + 1j * table.i_q, state.energy)
 

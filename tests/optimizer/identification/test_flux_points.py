@@ -181,6 +181,7 @@ def test_the_measured_points(shared_data: Path) -> None:
         flux.imag,
         *np.zeros((2, current.size)),
         np.ones(current.size, dtype=np.intp),
+        np.zeros((0, 2, current.size)),
     )
     raw_curl = curl_of(each)
     assert raw_curl is not None
