@@ -482,7 +482,7 @@ def _folded(flux: ComplexArray, current: ComplexArray) -> ComplexArray:
 def _parted(values: ComplexArray, at: Groups) -> tuple[ComplexArray, ComplexArray]:
     """Means over the rows of each point, and what the rows differ from them by."""
     whole = np.bincount(at, values.real) + 1j * np.bincount(at, values.imag)
-    means = np.asarray(whole / np.bincount(at))
+    means = np.asarray(whole / np.bincount(at), np.complex128)
     return means, np.asarray(values - means[at])
 
 

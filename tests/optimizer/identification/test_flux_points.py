@@ -179,9 +179,10 @@ def test_the_measured_points(shared_data: Path) -> None:
         current.imag,
         flux.real,
         flux.imag,
-        *np.zeros((2, current.size)),
-        np.ones(current.size, dtype=np.intp),
-        np.zeros((0, 2, current.size)),
+        sigma_d=np.zeros(current.size),
+        sigma_q=np.zeros(current.size),
+        count=np.ones(current.size, dtype=np.intp),
+        shared=np.zeros((0, 2, current.size)),
     )
     raw_curl = curl_of(each)
     assert raw_curl is not None
