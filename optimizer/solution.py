@@ -307,7 +307,9 @@ def solve(design: Design) -> Solution:
         observer_proof=_observer_proof(gains),
         firmware=solve_firmware(design, gains),
         current_feedback=_current_feedback(design),
-        torque_band=torque_band(positive.machine, control.curves.chosen, design.control.tolerances),
+        torque_band=torque_band(
+            positive.machine, control.curves.chosen, design.control.tolerances, fit.reference
+        ),
     )
 
 

@@ -21,7 +21,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.identification.bench_plan import BenchPlan
-from dqforge.optimizer.identification.flux_points import FluxTable
+from dqforge.optimizer.identification.flux_points import FluxFit, FluxTable
 from dqforge.optimizer.identification.identify import DESIGN_PARAMETERS, Identification
 from dqforge.optimizer.identification.parameters import Analysis, Parameter
 from dqforge.reports.pages.answer import Table
@@ -101,8 +101,19 @@ def plain_identification(found: Identification) -> PlainData:
         "logs": _logs(found.bench),
         "parameters": [plain_parameter(one) for one in found.parameters],
         "analyses": [_analysis(one) for one in found.analyses],
+        "flux_map": None if found.flux is None else _plain_flux(found.flux),
         "contradictions": list(found.contradictions),
         "remarks": list(found.remarks),
+    }
+
+
+def _plain_flux(flux: FluxFit) -> PlainData:
+    curl = flux.curl
+    return {
+        "points": int(flux.table.i_d.size),
+        "curl_H": None if curl is None else curl.rms,
+        "cross_inductance_H": None if curl is None else curl.cross,
+        "spline_one_out_Vs": flux.one_out,
     }
 
 
@@ -159,12 +170,16 @@ _MAP_COLUMNS = ("i_d [A]", "i_q [A]", "psi_d [Wb]", "psi_q [Wb]", "sigma_d [Wb]"
 
 
 def map_csv(table: FluxTable) -> bytes:
-    """The map as CSV in UTF-8."""
-    columns = (table.i_d, table.i_q, table.psi_d, table.psi_q, table.sigma_d, table.sigma_q)
-    lines = [",".join((*_MAP_COLUMNS, "n"))]
-    for *values, count in zip(*columns, table.count, strict=True):
+    """The map as CSV in UTF-8: with parts of the deviations that all points share."""
+    columns = [table.i_d, table.i_q, table.psi_d, table.psi_q, table.sigma_d, table.sigma_q]
+    names = [*_MAP_COLUMNS, "n"]
+    for number, parts in enumerate(table.shared, 1):
+        names += [f"shared_{number}_{axis} [Wb]" for axis in "dq"]
+        columns += list(parts)
+    lines = [",".join(names)]
+    for values, count in zip(zip(*columns, strict=True), table.count, strict=True):
         cells = [f"{0.0 if abs(value) < 1e-12 else value:.7g}" for value in values]
-        lines.append(",".join((*cells, str(count))))
+        lines.append(",".join((*cells[:6], str(count), *cells[6:])))
     return ("\n".join(lines) + "\n").encode()
 
 

@@ -21,6 +21,7 @@ from dqforge.machines.arrays import (
     check_numbers,
     owned_numbers,
 )
+from dqforge.machines.dq_machines.map_deviations import MapDeviations
 from dqforge.machines.dq_machines.synchronous import (
     CurrentRegion,
     FluxFormulas,
@@ -173,6 +174,7 @@ class FluxMap:
             are.
         hull: Where the data are if not on the whole grid: the convex hull of the points it was made
             from.
+        deviations: What is not known of the points, where that is stated.
 
     Raises:
         InputError: Too few points, an axis that does not ascend, a shape that does not fit, or a
@@ -185,6 +187,7 @@ class FluxMap:
     psi_q: FloatArray
     extrapolate: bool = False
     hull: CurrentRegion | None = None
+    deviations: MapDeviations | None = None
     _axes: tuple[_Axis, _Axis] = field(init=False, repr=False)
     _table: FloatArray = field(init=False, repr=False)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.flux_map import complete_by_symmetry
+from dqforge.machines.dq_machines.map_deviations import MapDeviations
 from dqforge.machines.dq_machines.synchronous import CurrentRegion
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import FluxScaling, FluxSymmetry, FluxTorque
@@ -51,7 +52,7 @@ class FluxPoints:
     the scaling, ``findings`` are sentences on what the reader did, ``others`` the further arrays of
     numbers that nobody used. Points closer than ``blur`` times the largest current are one.
     ``pole_pairs`` is what the file says of them, 0 where it does not; ``ignored`` is the torque
-    that nobody wants compared.
+    that nobody wants compared; ``deviations`` are those that stand beside the points.
     """
 
     source: str
@@ -68,6 +69,7 @@ class FluxPoints:
     blur: float = field(default=0.0, kw_only=True)
     pole_pairs: int = field(default=0, kw_only=True)
     ignored: str = field(default="", kw_only=True)
+    deviations: MapDeviations | None = field(default=None, kw_only=True)
 
 
 # Planes through points without any order and through grids with gaps, by thin-plate splines.

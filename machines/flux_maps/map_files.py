@@ -271,7 +271,8 @@ def read_flux_points(
     i_d, i_q, psi_d, psi_q = (
         np.ascontiguousarray(parts[quantity]) for quantity in map_names.WANTED
     )
-    others = _others(arrays, used)
+    deviations, beside = map_names.deviations_beside(arrays, chosen, i_d, i_q)
+    others = _others([array for array in arrays if array.path not in beside], used)
     return FluxPoints(
         source,
         i_d,
@@ -287,6 +288,7 @@ def read_flux_points(
         blur=BLUR if voltages else 0.0,
         pole_pairs=map_names.stated_pole_pairs(arrays),
         ignored=used["torque"].path if torque == "ignore" and "torque" in used else "",
+        deviations=deviations,
     )
 
 

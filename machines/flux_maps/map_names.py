@@ -12,6 +12,8 @@ from typing import Literal
 
 import numpy as np
 
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.map_deviations import MapDeviations
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.text_formats import NamedArray, listed
 from dqforge.machines.names import FluxTorque
@@ -606,3 +608,44 @@ def per_length(text: str) -> bool:
 def whole_torque(text: str) -> str:
     """A name or unit of a torque without what it is a part of: a pole pair, a length."""
     return _PER_LENGTH.sub("", _PER_POLE_PAIR.sub("", text))
+
+
+# Columns of what is not known of the points: standard deviations, and their parts that all share.
+_SIGMA = re.compile(r"sigma_([dq])")
+_SHARED = re.compile(r"shared_(\d+)_([dq])")
+
+
+def deviations_beside(
+    arrays: Sequence[NamedArray],
+    chosen: Mapping[str, NamedArray],
+    i_d: FloatArray,
+    i_q: FloatArray,
+) -> tuple[MapDeviations | None, set[str]]:
+    """Standard deviations in columns beside the points, in the file's own axes, and their paths.
+
+    None where there are none, or the points were not taken over one by one.
+    """
+    size = i_d.size
+    fitting = {"i_d", "i_q", "psi_d", "psi_q"} <= chosen.keys() and all(
+        chosen[name].values.shape == (size,) for name in ("i_d", "i_q", "psi_d")
+    )
+    found: dict[str, FloatArray] = {}
+    paths = set()
+    for array in arrays:
+        named = _SIGMA.fullmatch(array.name) or _SHARED.fullmatch(array.name)
+        if named and array.numeric and array.values.shape == (size,) and is_unit("psi", array.unit):
+            found[array.name] = np.asarray(array.values, np.float64) * factor("psi", array.unit)
+            paths.add(array.path)
+    if not fitting or not {"sigma_d", "sigma_q"} <= found.keys():
+        return None, set()
+    numbers = sorted({int(one[1]) for name in found if (one := _SHARED.fullmatch(name))})
+    none = np.zeros(size)
+    shared = np.reshape(
+        [[found.get(f"shared_{number}_{axis}", none) for axis in "dq"] for number in numbers],
+        (-1, 2, size),
+    )
+    whole = np.stack([found["sigma_d"], found["sigma_q"]])
+    own = np.sqrt(np.maximum(whole**2 - np.sum(shared**2, axis=0), 0.0))
+    if not (np.isfinite(own).all() and np.isfinite(shared).all()):
+        return None, set()
+    return MapDeviations(i_d, i_q, own, shared), paths

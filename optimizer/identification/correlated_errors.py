@@ -160,7 +160,7 @@ def regress(
     time = correlation_time(residuals, series)
     count = values.size
     effective = count / time
-    meat = _long_run(rows, weights * residuals, size, series) * count / max(count - found.size, 1)
+    meat = long_run(rows, weights * residuals, size, series) * count / max(count - found.size, 1)
     covariance = bread @ meat @ bread / np.outer(size, size)
     return Regression(found, covariance, residuals, weights, effective, own_shares(rows))
 
@@ -190,11 +190,11 @@ def _products(rows: FloatArray, weights: NDArray[Any]) -> FloatArray:
 _WORST_CONDITION = 1e12
 
 
-def _long_run(
+def long_run(
     rows: FloatArray, residuals: FloatArray, size: FloatArray, series: Groups
 ) -> FloatArray:
-    """Middle of the sandwich of columns in units of ``size`` with weighted residuals, over lags
-    with Bartlett's weights, within each series.
+    """Middle of the sandwich of columns in units of ``size`` with weighted residuals, shape (K, K),
+    over lags with Bartlett's weights, within each series.
 
     The scores are made white by an autoregression of first order each before, and the result is
     coloured again (Andrews and Monahan, Econometrica 60, 1992): without that, slow residuals make

@@ -17,7 +17,7 @@ from scipy.interpolate import BSpline
 
 from dqforge.machines.arrays import ComplexArray, FloatArray
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.identification.correlated_errors import Groups, regress
+from dqforge.optimizer.identification.correlated_errors import Groups, correlation_time, long_run
 from dqforge.optimizer.identification.parameters import (
     Analysis,
     Parameter,
@@ -81,7 +81,8 @@ class FluxRows:
 @dataclass(frozen=True, slots=True)
 class FluxTable:
     """A map of points, each of shape (M,): currents (A), flux linkages and their standard
-    deviations (V s), and how many rows each is made from.
+    deviations (V s), and how many rows each is made from. ``shared`` is what one standard deviation
+    of each error that all points share makes of psi_d and psi_q, V s, shape (S, 2, M).
     """
 
     i_d: FloatArray
@@ -91,19 +92,31 @@ class FluxTable:
     sigma_d: FloatArray
     sigma_q: FloatArray
     count: NDArray[np.intp]
+    shared: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Curl:
+    """R.m.s. difference of d psi_d/d i_q and d psi_q/d i_d over the cells of a map, and r.m.s. mean
+    of both, the cross inductance; H.
+    """
+
+    rms: float
+    cross: float
 
 
 @dataclass(frozen=True, slots=True)
 class FluxFit:
     """Analysis of the points, the map of the points, and that of the spline at the same currents,
     complex, shape (M,). ``one_out`` is the r.m.s. error of the spline at a point it was not fitted
-    to, V s.
+    to, V s; ``curl`` that of the map against reciprocity, None where its points fill no grid.
     """
 
     analysis: Analysis
     table: FluxTable
     spline: ComplexArray
     one_out: float
+    curl: Curl | None
 
 
 class _Energy:
@@ -339,6 +352,11 @@ def _real(values: ComplexArray) -> FloatArray:
     return np.concatenate([values.real, values.imag])
 
 
+def _complex(values: FloatArray) -> ComplexArray:
+    half = values.size // 2
+    return np.asarray(values[:half] + 1j * values[half:])
+
+
 def mirrored_share(current: ComplexArray) -> float:
     """Share of the points with a q current that have a partner at the same i_d and -i_q."""
     width = _SAME * float(np.abs(current).max())
@@ -403,26 +421,70 @@ def analyse_points(rows: FluxRows) -> FluxFit:
     covariance, freedom = _error_covariance(model, residuals, errors, columns)
     parameters = _parameters(model, state, covariance, freedom)
     table, spline = _table(model, state, covariance)
-    analysis = _said(model, parameters, covariance, residuals, freedom, one_out, table)
-    return FluxFit(analysis, table, spline, one_out)
+    curl = curl_of(table)
+    analysis = _said(model, parameters, covariance, residuals, freedom, one_out, table, curl)
+    return FluxFit(analysis, table, spline, one_out, curl)
 
 
 def _error_covariance(
     model: _Model, residuals: FloatArray, errors: FloatArray, columns: sparse.csr_matrix
 ) -> tuple[FloatArray, float]:
-    """Covariance of the errors for residuals that are correlated from point to point: a regression
-    of the residuals on what the co-energy leaves of the columns.
+    """Covariance of the errors as a sandwich in two parts, and effective degrees of freedom.
+
+    What the spline cannot follow of the machine is the same in all rows of a point and mirrored at
+    -i_q; nearly all of the errors' columns lies in what those rows differ by, which holds noise
+    alone. Each part has its own scores, one of each point, correlated from point to point.
     """
+    rows = model.rows
     top = (columns.T @ columns).toarray()
     top[np.diag_indices_from(top)] += 1e-9 * np.trace(top) / top.shape[0]
     own = errors - columns @ np.linalg.solve(top, columns.T @ errors)
-    count = len(model.rows.runs)
-    series = np.concatenate([model.rows.series, model.rows.series + count])
-    fit = regress(own, residuals, series, robust=False)
+    size = np.linalg.norm(own, axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    label = _points(rows.current)
+    # In the order in which the points were run, those of a run together.
+    _, first, at = np.unique(label, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    left = _folded(_complex(residuals), rows.current)
+    each = [_folded(_complex(column), rows.current) for column in (own / size).T]
+    count = np.bincount(at)
+    mean_left, apart_left = _parted(left, at)
+    within, between = [], []
+    for column in each:
+        mean, apart = _parted(column, at)
+        within.append(np.bincount(at, (apart * apart_left.conj()).real)[order])
+        between.append((count * mean * mean_left.conj()).real[order])
+    series = rows.series[first][order]
     used = model.energy.size
+    free_apart = max(2 * (label.size - count.size) - errors.shape[1], 1)
+    share_apart = 2.0 * (label.size - count.size) / free_apart
+    share_mean = 2.0 * count.size / max(2 * count.size - used, 1)
+    one, scale = np.ones(series.size), np.ones(len(within))
+    meat = share_apart * long_run(np.column_stack(within), one, scale, series)
+    meat += share_mean * long_run(np.column_stack(between), one, scale, series)
+    bread = np.linalg.inv((own / size).T @ (own / size))
+    runs = np.concatenate([rows.series, rows.series + len(rows.runs)])
     free = max(residuals.size - used - errors.shape[1], 1)
-    freedom = max(fit.effective * free / residuals.size, 1.0)
-    return fit.covariance * residuals.size / free, freedom
+    freedom = max(free / correlation_time(residuals, runs), 1.0)
+    return bread @ meat @ bread / np.outer(size, size), freedom
+
+
+def _points(current: ComplexArray) -> Groups:
+    """Label of the point of the machine that each row is of, mirrored ones together, shape (N,)."""
+    level_q = levels_apart(np.abs(current.imag))
+    return np.asarray(levels_apart(current.real) * (level_q.max() + 1) + level_q)
+
+
+def _folded(flux: ComplexArray, current: ComplexArray) -> ComplexArray:
+    """Flux linkages at positive i_q: the q part at -i_q is that at i_q with another sign."""
+    return np.asarray(np.where(current.imag < 0.0, flux.conj(), flux))
+
+
+def _parted(values: ComplexArray, at: Groups) -> tuple[ComplexArray, ComplexArray]:
+    """Means over the rows of each point, and what the rows differ from them by."""
+    whole = np.bincount(at, values.real) + 1j * np.bincount(at, values.imag)
+    means = np.asarray(whole / np.bincount(at), np.complex128)
+    return means, np.asarray(values - means[at])
 
 
 def _parameters(
@@ -476,27 +538,19 @@ def _table(model: _Model, state: _State, covariance: FloatArray) -> tuple[FluxTa
     _, _, through = model.turned(state)
     moved = model.energy.flux(rows.current, state.energy) - model.energy.flux(through, state.energy)
     flux = model.flux(state) + moved
-    by_error = model.error_columns(state)
-    lower = rows.current.imag < 0.0
-    # At -i_q the q flux linkage is that at i_q with another sign.
-    folded = np.where(lower, flux.conj(), flux)
-    by_error = np.where(lower[:, None], by_error.conj(), by_error)
-    level_d = levels_apart(rows.current.real)
-    level_q = levels_apart(np.abs(rows.current.imag))
-    label = level_d * (level_q.max() + 1) + level_q
-    names, at = np.unique(label, return_inverse=True)
+    folded = _folded(flux, rows.current)
+    names, at = np.unique(_points(rows.current), return_inverse=True)
     count = np.bincount(at)
-
-    def mean(values: ComplexArray) -> ComplexArray:
-        whole = np.bincount(at, values.real) + 1j * np.bincount(at, values.imag)
-        return np.asarray(whole / count)
-
-    means = mean(folded)
-    slopes = np.column_stack([mean(column) for column in by_error.T])
-    noise = _noise(folded - means[at], count[at])
+    means, apart = _parted(folded, at)
+    by_error = (_folded(column, rows.current) for column in model.error_columns(state).T)
+    slopes = np.column_stack([_parted(column, at)[0] for column in by_error])
+    noise = _noise(apart, count[at])
+    # Independent causes of the covariance of the errors, and what each makes of the means.
+    values, vectors = np.linalg.eigh(covariance)
+    shared = slopes @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     sigma = [
-        np.sqrt(size**2 / count + np.sum((part @ covariance) * part, axis=1))
-        for size, part in zip(noise, (slopes.real, slopes.imag), strict=True)
+        np.sqrt(size**2 / count + np.sum(part**2, axis=1))
+        for size, part in zip(noise, (shared.real, shared.imag), strict=True)
     ]
     i_d = np.bincount(at, rows.current.real) / count
     i_q = np.bincount(at, np.abs(rows.current.imag)) / count
@@ -513,8 +567,30 @@ def _table(model: _Model, state: _State, covariance: FloatArray) -> tuple[FluxTa
         sigma[0][both],
         sigma[1][both],
         count[both],
+        np.stack([shared.real[both], turn[:, None] * shared.imag[both]]).transpose(2, 0, 1),
     )
     return table, model.energy.flux(table.i_d + 1j * table.i_q, state.energy)
+
+
+def curl_of(table: FluxTable) -> Curl | None:
+    """What a map errs against reciprocity, None where its points fill no grid."""
+    row, column = levels_apart(table.i_d), levels_apart(table.i_q)
+    shape = int(row.max()) + 1, int(column.max()) + 1
+    if min(shape) < 2 or table.i_d.size != shape[0] * shape[1]:
+        return None
+    if np.unique(row * shape[1] + column).size != table.i_d.size:
+        return None
+    psi = np.empty((2, *shape))
+    psi[:, row, column] = table.psi_d, table.psi_q
+    i_d = np.bincount(row, table.i_d) / shape[1]
+    i_q = np.bincount(column, table.i_q) / shape[0]
+    over_q = np.diff(psi[0], axis=1) / np.diff(i_q)
+    over_d = np.diff(psi[1], axis=0) / np.diff(i_d)[:, None]
+    # Both in the middle of a cell.
+    d_by_q = 0.5 * (over_q[1:] + over_q[:-1])
+    q_by_d = 0.5 * (over_d[:, 1:] + over_d[:, :-1])
+    apart, both = d_by_q - q_by_d, 0.5 * (d_by_q + q_by_d)
+    return Curl(float(np.sqrt(np.mean(apart**2))), float(np.sqrt(np.mean(both**2))))
 
 
 def _noise(apart: ComplexArray, count: NDArray[np.intp]) -> tuple[float, float]:
@@ -540,6 +616,7 @@ def _said(
     freedom: float,
     one_out: float,
     table: FluxTable,
+    curl: Curl | None,
 ) -> Analysis:
     rows = model.rows
     whole = np.full((len(parameters), len(parameters)), np.nan)
@@ -555,6 +632,11 @@ def _said(
             f"{1e3 * one_out:.2g} mV s at points it was not fitted to; the map keeps the points"
         ),
     ]
+    if curl is not None and curl.cross > 0.0:
+        remarks.append(
+            f"curl {1e3 * curl.rms:.2g} mH r.m.s. of {1e3 * curl.cross:.2g} mH cross inductance: "
+            f"{100.0 * curl.rms / curl.cross:.2g} %, which a lossless machine does not have"
+        )
     if "offset_q" not in model.keys:
         slowest = float(np.min(np.abs(rows.omega_e)))
         remarks.append(

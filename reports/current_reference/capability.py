@@ -39,6 +39,7 @@ from dqforge.reports.current_reference.plain import (
     plain_band,
     plain_fit,
     to_plain,
+    within_text,
 )
 from dqforge.reports.operating_points.figures import operating_table
 from dqforge.reports.operating_points.map_tables import plain_curves
@@ -154,7 +155,8 @@ def errors_passage(solution: Solution) -> Passage:
     texts = [text]
     if solution.torque_band is not None:
         within = band_text(solution.torque_band)
-        texts.append(symbols(f"On a machine within control.tolerances the torque is {within}."))
+        about = within_text(solution.torque_band)
+        texts.append(symbols(f"On a machine within {about} the torque is {within}."))
     bounds = "They are sampled, not proven bounds."
     if proof is not None:
         bounds = f"Bounds, {proof_title(proof)}: {proven_text(proof, 3)}."
@@ -558,7 +560,7 @@ def _watched(solution: Solution, _: Solution) -> list[str]:
     data = " ".join(data_lines(solution.data, fit.torque_max))
     band, wide = solution.torque_band, []
     if band is not None and band.independent > WIDE_BAND:
-        wide = [f"the torque may be {band_text(band)}, within control.tolerances"]
+        wide = [f"the torque may be {band_text(band)}, within {within_text(band)}"]
     return [
         *_beyond_the_link(solution),
         *wide,

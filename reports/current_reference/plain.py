@@ -346,8 +346,16 @@ def error_text(solution: Solution) -> list[str]:
         return lines
     return [
         *lines,
-        *wrap(f"On a machine within control.tolerances: torque {band_text(band)}.", 110),
+        *wrap(f"On a machine within {within_text(band)}: torque {band_text(band)}.", 110),
     ]
+
+
+def within_text(band: TorqueBand) -> str:
+    """What the machine is within where the torque is within the band."""
+    names = {part.name for part in band.parts}
+    of_map = ["the 95 % interval of its flux map"] if "flux_map" in names else []
+    others = ["control.tolerances"] if names - {"flux_map", "reference"} else []
+    return " and ".join(others + of_map)
 
 
 def band_text(band: TorqueBand) -> str:

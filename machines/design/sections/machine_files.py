@@ -215,8 +215,9 @@ def _one_map(
             torque=given.torque,
             declared=Declared(pole_pairs, of_phase, scaling),
         )
+        whole = at_the_terminals(points, given)
         found = build_flux_map(
-            at_the_terminals(points, given),
+            whole,
             axes=given.axes,
             scaling=scaling,
             extrapolate=given.extrapolate,
@@ -239,6 +240,16 @@ def _one_map(
         )
     _refuse_far_torque(found, name, path, pole_pairs, reading, i_max)
     reading.remarks.extend(f"{name}: {finding}" for finding in found.findings)
+    if points.deviations is not None:
+        plain = given.axes == "magnet-d" and (scaling or points.claimed or "peak") == "peak"
+        if plain and si_of(given.frame_angle) in (None, 0.0) and whole is points:
+            known = replace(found.flux_map, deviations=points.deviations)
+            found = replace(found, flux_map=known)
+        else:
+            reading.remarks.append(
+                f"{name}: its standard deviations are not used: they go with axes: magnet-d, "
+                "scaling: peak, currents of lines and no frame_angle"
+            )
     if found.torque is not None:
         reading.derived.extend(_torque_values(".".join(map(str, path[:-1])), found.torque))
     return found

@@ -142,7 +142,11 @@ def test_a_flux_map_that_the_design_reads(tmp_path: Path, shared_data: Path) -> 
     assert isinstance(design.machine, SaturatedMachine)
     assert design.machine.r_s == pytest.approx(0.63, abs=0.002)
     heading = (tmp_path / "out" / "map.csv").read_text().splitlines()[0]
-    assert heading == "i_d [A],i_q [A],psi_d [Wb],psi_q [Wb],sigma_d [Wb],sigma_q [Wb],n"
+    assert heading.startswith("i_d [A],i_q [A],psi_d [Wb],psi_q [Wb],sigma_d [Wb],sigma_q [Wb],n,")
+    assert heading.count("shared_") == 2 * 5
+    deviations = design.machine.flux_map.deviations
+    assert deviations is not None
+    assert deviations.shared.shape == (5, 2, rows.current.size)
 
 
 def test_a_planned_bench_that_is_filled_is_identified(tmp_path: Path) -> None:
