@@ -202,6 +202,7 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
     chart: given.Map = None,
     mission: given.Mission = None,
     points: given.Points = None,
+    measured: given.Measured = None,
     strategies: given.Strategies = None,
     modulations: given.Modulations = None,
     frequencies: given.Frequencies = None,
@@ -213,7 +214,7 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
     At points, over a map or a mission, over switching frequencies.
     """
     asked = answers.losses.LossRequest(
-        chart, mission, strategies, modulations, frequencies, margin, points
+        chart, mission, strategies, modulations, frequencies, margin, points, measured
     )
     ask = partial(answers.losses.answer_losses, request=asked, choice=choice)
     respond("losses", lambda: ask(load(design, sets)), json, plot)

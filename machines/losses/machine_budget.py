@@ -52,7 +52,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     ),
 }
 
-_SI = {"time": "s", "speed": "rad/s", "torque": "N m"}
+_SI = {"time": "s", "speed": "rad/s", "torque": "N m", "power": "W"}
 
 # Revolutions per minute as drives people write them, beyond the vocabulary of units.
 _PER_MINUTE = re.compile(
@@ -89,7 +89,7 @@ class Mission:
         return np.diff(self.time)
 
 
-def _kind_of(name: str) -> str | None:
+def kind_of_title(name: str) -> str | None:
     """Which quantity a title names."""
     word = " ".join(name.split())
     for kind, names in _NAMES.items():
@@ -104,7 +104,7 @@ def _columns(table: TextTable) -> dict[str, int]:
     """Column of each quantity: by its title, else by its unit, else the first three in order."""
     found: dict[str, int] = {}
     for column, (name, unit) in enumerate(zip(table.names, table.units, strict=True)):
-        kind = _kind_of(name) or _kind_of_unit(unit)
+        kind = kind_of_title(name) or _kind_of_unit(unit)
         if kind is None:
             continue
         if kind in found:
@@ -130,7 +130,7 @@ def _columns(table: TextTable) -> dict[str, int]:
 
 
 def _kind_of_unit(unit: str) -> str | None:
-    for kind in _SI:
+    for kind in _NAMES:
         if unit and _factor(kind, unit) is not None:
             return kind
     return None
@@ -155,7 +155,7 @@ def _factor(kind: str, unit: str) -> float | None:
         return None
 
 
-def _column(table: TextTable, kind: str, column: int, findings: list[str]) -> FloatArray:
+def column_in_si(table: TextTable, kind: str, column: int, findings: list[str]) -> FloatArray:
     """Values of a column in SI units; the first cell without a number is an error."""
     values, unit = table.values[:, column], table.units[column]
     (holes,) = np.nonzero(~np.isfinite(values))
@@ -210,7 +210,7 @@ def read_mission(content: bytes, source: str, *, omega_max: float | None = None)
         raise InputError(message, source=source)
     columns, findings = _columns(table), list[str]()
     time, omega_m, torque = (
-        _column(table, kind, columns[kind], findings) for kind in ("time", "speed", "torque")
+        column_in_si(table, kind, columns[kind], findings) for kind in ("time", "speed", "torque")
     )
     (stuck,) = np.nonzero(np.diff(time) <= 0.0)
     if stuck.size:

@@ -19,12 +19,14 @@ from dqforge.machines.entries.rules import EntryError, QuantityRule
 from dqforge.machines.errors import InputError, shown
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.losses.machine_budget import MOST_BYTES, Mission, read_mission
+from dqforge.machines.losses.measured_losses import read_measured
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity, parse_option, refuse_bare
 from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import solve_map
+from dqforge.optimizer.losses.measured_comparison import compare_measured
 from dqforge.optimizer.losses.phase_comparison import LossComparison
 from dqforge.optimizer.losses.solve import mission_comparison, require_losses
 from dqforge.optimizer.modulation_choice.solve import solve_choice
@@ -39,6 +41,7 @@ from dqforge.reports.losses.map_tables import (
     plain_map,
     plain_mission,
 )
+from dqforge.reports.losses.measured_text import measured_tables, plain_measured_losses
 from dqforge.reports.modulation_choice.text import choice_tables, plain_choice
 from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.pages.html_text import map_size
@@ -70,6 +73,13 @@ def answer_losses(design: Design, request: LossRequest, *, choice: bool) -> Answ
         stage("choosing modulator and frequency")
         return answer_choice(design)
     stage("comparing the losses")
+    if request.measured is not None:
+        if request != LossRequest(measured=request.measured):
+            raise InputError(
+                "--measured: the file has the points, and the design strategy, modulator and "
+                "carrier; omit the other options"
+            )
+        return _measured(design, request.measured)
     if request.chart is not None or request.mission is not None:
         return answer(design, request)
     return _points(design, request)
@@ -169,6 +179,7 @@ class LossRequest:
     frequencies: str | None = None
     margin: str = "0 %"
     points: str | None = None
+    measured: Path | None = None
 
 
 def _listed(text: str, option: str, known: tuple[str, ...]) -> tuple[str, ...]:
@@ -279,6 +290,14 @@ def _mission(design: Design, path: Path, alternatives: Alternatives, margin: flo
 
     plain = {"mission": plain_mission(found)}
     return Answer(design.name, mission_tables(design, found), plain, figure)
+
+
+def _measured(design: Design, path: Path) -> Answer:
+    """What was measured beside the budget of the design."""
+    measured = read_measured(read_regular_file(path, MOST_BYTES), str(path))
+    found = compare_measured(design, measured)
+    plain = {"measured_losses": plain_measured_losses(found)}
+    return Answer(design.name, measured_tables(found), plain)
 
 
 @on_design("modulation_choice")

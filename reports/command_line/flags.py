@@ -590,6 +590,12 @@ Mission = Annotated[
 ]
 
 
+Measured = Annotated[
+    Path | None,
+    _text("--measured", "FILE", "Measured losses or efficiencies, beside those of the design."),
+]
+
+
 Points = Annotated[
     str | None,
     _text("--points", "POINTS", "Torques and speeds: '130 N m 3000 rpm'; commas between."),
