@@ -115,12 +115,14 @@ def explain(
 
 
 @app.command()
-def verify(folder: given.Written, target: given.Core = None, json: given.Json = False) -> None:
-    """Check what was written, number by number.
-
-    Every value of a folder is computed again from its design, its C compiled and run.
-    """
-    respond("verify", lambda: answers.verify.answer_verify(folder, target), json)
+def verify(
+    folder: given.Written,
+    target: given.Core = None,
+    independent: given.Independent = False,
+    json: given.Json = False,
+) -> None:
+    """Check what was written, number by number."""
+    respond("verify", lambda: answers.verify.answer_verify(folder, target, independent), json)
 
 
 @app.command()

@@ -37,6 +37,7 @@ from dqforge.reports.plain_data import PlainData, plain_design
 from dqforge.reports.report import render_report
 from dqforge.reports.run_folder import REPORT, RESULT, listed_files
 from dqforge.reports.verification.host import Verification, stated_verification, verify_files
+from dqforge.reports.verification.independent import certificate_files
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +144,10 @@ def export_design(
     require_observed(design, solution.loops)
     stage("emitting the headers")
     files, told = _words(_emitted(solution, capabilities, dialect))
+    if dialect is NEUTRAL:
+        certified = certificate_files(solution, files)
+        files |= certified
+        told |= dict.fromkeys(certified, "what is proven, for the independent checker")
     plain = plain_solution(solution, capabilities)
     verification = _verified(solution, files, plain, capabilities) if verify else None
     files[RESULT], told[RESULT] = _result(design, plain), "every number of this run, as JSON"

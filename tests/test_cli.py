@@ -119,6 +119,7 @@ def test_run_writes_everything_and_verify_agrees(
         "ipm100_modulation.h",
         "ipm100_modulation_vectors.h",
         "ipm100_speed_observer.h",
+        "ipm100_certificate.json",
         "ipm100_vectors.h",
         "report.html",
         "result.json",
@@ -129,7 +130,7 @@ def test_run_writes_everything_and_verify_agrees(
     assert verified.code == 0
     assert "60608 results equal the model bit for bit" in verified.out
     assert re.search(
-        r"7 files equal what dqforge-input/design\.yaml .*: \d+ macros, \d+ literals", verified.out
+        r"8 files equal what dqforge-input/design\.yaml .*: \d+ macros, \d+ literals", verified.out
     )
 
 

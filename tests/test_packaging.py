@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-FLOORS = ("machines", "optimizer", "reports")
+FLOORS = ("checker", "machines", "optimizer", "reports")
 
 
 @pytest.fixture(scope="module")

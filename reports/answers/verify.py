@@ -23,11 +23,13 @@ from dqforge.reports.run import WrittenHeaders, read_folder, verify_written
 from dqforge.reports.verification.cortex_m import verify_on_target
 from dqforge.reports.verification.cross_tools import core_named, target_of
 from dqforge.reports.verification.host import Verification
+from dqforge.reports.verification.independent import check_independently
 from dqforge.reports.verification.text import plain_verification, target_text, verification_text
 
 
-def answer_verify(folder: Path, target: str | None) -> Answer:
-    """Verify a folder, on an emulated core as well where one is named.
+def answer_verify(folder: Path, target: str | None, independent: bool = False) -> Answer:
+    """Verify a folder, on an emulated core as well where one is named, and its certificate
+    by the independent checker where asked for.
 
     Raises:
         InputError: The folder is not what dqforge writes, or there is no such core.
@@ -46,6 +48,8 @@ def answer_verify(folder: Path, target: str | None) -> Answer:
     if solution is None:
         if target is not None:
             raise InputError(f"--target: there are no headers in {folder}; name a folder of a run")
+        if independent:
+            raise InputError(f"--independent: there are no headers in {folder}; name that of a run")
         return Answer(str(folder), (), plain, notes=tuple(notes))
     found = read_folder(folder)
     stage("compiling and comparing")
@@ -61,6 +65,10 @@ def answer_verify(folder: Path, target: str | None) -> Answer:
         plain["firmware"] = {name: list(files) for name, files in theirs.items()}
     if proof is not None:
         plain["stability"] = asdict(proof) | {"proven": proof.proven}
+    if independent:
+        stage("checking the certificate")
+        plain["independent"] = check_independently(folder).splitlines()
+        notes += plain["independent"]
     if target is not None:
         stage(f"running on {target}")
         outcome = verify_on_target(found.files, found.prefix, target, found.programmes)

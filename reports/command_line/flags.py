@@ -567,6 +567,11 @@ Yes = Annotated[bool, Option("--yes", help="Ask nothing: optional values are ass
 Core = Annotated[str | None, _text("--target", "CORE", _CORE)]
 
 
+Independent = Annotated[
+    bool, Option("--independent", help="Also confirm the certificate with the independent checker.")
+]
+
+
 Speed = Annotated[str | None, _text("--speed", "SPEED", "Mechanical speed, e.g. '3000 rpm'.")]
 
 

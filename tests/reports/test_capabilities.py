@@ -216,7 +216,7 @@ def test_every_header_is_named_read_back_and_gives_its_model(name: str) -> None:
     wanted |= {file for kind in kinds.values() for file in kind.file_names(prefix)}
     for capability, found in asked_for(CAPABILITIES, outcome_of(name)):
         wanted |= set(capability.emitted(output.solution, found))
-    assert set(output.files) == wanted
+    assert set(output.files) - {f"{prefix}_certificate.json"} == wanted
     rows = [replace(part, inputs=part.inputs[:500], model=part.model[:500]) for part in parts]
     checked = verify_files(output.files, prefix, solution.reference, 256, rows)
     assert checked.vectors + checked.sweep > 500 * len(rows)

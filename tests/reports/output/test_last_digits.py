@@ -72,3 +72,9 @@ def test_samples_are_held_against_the_largest_of_their_array() -> None:
     assert changed_sample(archive(t=times), have)
     assert changed_sample(archive(t=times, i=values[:4]), have)
     assert changed_sample(have[:-9], have)
+
+
+def test_a_certificate_may_have_other_boxes() -> None:
+    boxes = '["0", "1/2"],', '["0", "1/4"],\n["1/4", "1/2"],'
+    assert changed_value(*boxes, "a_certificate.json") is None
+    assert changed_value(*boxes, "a_stability.json") is not None

@@ -25,7 +25,9 @@ def emission() -> dqforge.Emission:
 
 
 def test_an_emission_holds_the_texts_and_proves_itself(emission: dqforge.Emission) -> None:
-    assert {"emitted.h", "emitted_vectors.h", "result.json"} == set(emission.files)
+    assert {"emitted.h", "emitted_certificate.json", "emitted_vectors.h", "result.json"} == set(
+        emission.files
+    )
     assert "static inline void emitted_current_reference(" in emission.header
     proof = dqforge.verify(emission)
     assert proof.languages[0] == "c99"

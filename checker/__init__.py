@@ -1,0 +1,1 @@
+"""The program that confirms what is stated as proven, apart from all that states it."""
