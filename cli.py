@@ -211,10 +211,7 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
     margin: given.Margin = "0 %",
     choice: given.Choice = False,
 ) -> None:
-    """Compare losses of strategies and modulators.
-
-    At points, over a map or a mission, over switching frequencies.
-    """
+    """Compare losses of strategies and modulators, or what was measured with the budget."""
     asked = answers.losses.LossRequest(
         chart, mission, strategies, modulations, frequencies, margin, points, measured
     )

@@ -80,10 +80,10 @@ def read_measured(content: bytes, source: str) -> MeasuredLosses:
         elif (kind := kind_of_title(title)) in ("torque", "speed"):
             found[kind] = column
     head = max(int(table.lines[0]) - 1, 1)
-    for kind in ("torque", "speed"):
+    for kind, unit in (("torque", "N m"), ("speed", "rpm")):
         if kind not in found:
             raise InputError(
-                f"no column for the {kind}; head one '{kind} [{'N m' if kind == 'torque' else 'rpm'}]'",
+                f"no column for the {kind}; head one '{kind} [{unit}]'",
                 source=source,
                 line=head,
             )

@@ -37,11 +37,12 @@ def measured_tables(found: MeasuredComparison) -> list[Table]:
 def _notes(found: MeasuredComparison) -> tuple[str, ...]:
     measured, reached = found.measured, found.reached
     share = found.rms / float(np.sqrt(np.mean(measured.loss[reached] ** 2)))
-    notes = [
-        f"{int(reached.sum())} of {reached.size} points are reached; left of them "
-        f"{found.rms:.3g} W r.m.s., {100.0 * share:.3g} % of what was measured, on average "
-        f"{float(np.mean(found.left[reached])):+.3g} W"
-    ]
+    mean = float(np.mean(found.left[reached]))
+    first = (
+        f"{int(reached.sum())} of {reached.size} points are reached; left of them {found.rms:.3g} "
+        f"W r.m.s., {100.0 * share:.3g} % of what was measured, on average {mean:+.3g} W"
+    )
+    notes = [first]
     if found.below.any():
         worst = int(np.nanargmin(np.where(found.below, found.left, np.nan)))
         notes.append(
@@ -49,12 +50,12 @@ def _notes(found: MeasuredComparison) -> tuple[str, ...]:
             f"({found.left[worst]:.3g} W): less was measured than the model loses there; check the "
             "resistance, the temperature of the winding, the losses of the design and the meters"
         )
-    for one in found.goes_with:
-        if not one.low <= 0.0 <= one.high:
-            notes.append(
-                f"what is left goes with {one.label}: {one.value:.3g} {one.unit} "
-                f"(95 %: {one.low:.3g} to {one.high:.3g})"
-            )
+    notes += [
+        f"what is left goes with a {one.label}: {one.value:.3g} {one.unit} "
+        f"(95 %: {one.low:.3g} to {one.high:.3g})"
+        for one in found.goes_with
+        if not one.low <= 0.0 <= one.high
+    ]
     return (*notes, *measured.findings)
 
 
