@@ -211,7 +211,7 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
     margin: given.Margin = "0 %",
     choice: given.Choice = False,
 ) -> None:
-    """Compare losses of strategies and modulators, or what was measured with the budget."""
+    """Compare losses of strategies and modulators."""
     asked = answers.losses.LossRequest(
         chart, mission, strategies, modulations, frequencies, margin, points, measured
     )
@@ -365,7 +365,7 @@ def schema(
     out: given.OutOfSchema = None,
     json: given.Json = False,
 ) -> None:
-    """Print the JSON Schema of a design, study or bench file, for editors; or write it."""
+    """Print the JSON Schema of a file, for editors."""
     ask = partial(answers.library.answer_schema, study=study, bench=bench, out=out)
     respond("schema", ask, json, out=None if out is None else out.parent)
 
