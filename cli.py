@@ -292,8 +292,7 @@ def identify(
 
     With 95 % intervals for correlated rows, and what the logs do not hold; with --plan what to run.
     """
-    answer = answers.identify.answer_plan if plan else answers.identify.answer_identify
-    ask = partial(answer, bench)
+    ask = partial(answers.identify.answer, bench, plan=plan, page=out is not None)
     return respond("identify", ask, json, out=out)
 
 

@@ -28,6 +28,11 @@ from dqforge.reports.pages.templating import to_text
 RESULT, DESIGN = "result.json", "design.yaml"
 
 
+def answer(path: Path, *, plan: bool, page: bool) -> Answer:
+    """Plan a bench, or read its logs, with a page for people where files are written."""
+    return answer_plan(path) if plan else answer_identify(path, page=page)
+
+
 def answer_plan(name: Path) -> Answer:
     """Plan the bench for the machine of a design: points, order, and the intervals to expect.
 
@@ -47,7 +52,7 @@ def answer_plan(name: Path) -> Answer:
     )
 
 
-def answer_identify(path: Path) -> Answer:
+def answer_identify(path: Path, *, page: bool = False) -> Answer:
     """Read the logs of a bench file and say what they hold.
 
     The exit code is 1 where two routes contradict each other; no design is written then.
@@ -68,6 +73,11 @@ def answer_identify(path: Path) -> Answer:
     plain = {"identification": plain_identification(found)}
     design, lacking = design_of(found)
     contents = {RESULT: to_text("identify", bench.name, plain).encode()}
+    if page:
+        from dqforge.reports.identification_page import PAGE, identification_page
+
+        stage("drawing the page")
+        contents[PAGE] = identification_page(found)
     if found.flux is not None:
         contents[MAP_NAME] = map_csv(found.flux.table)
     if design is not None:
