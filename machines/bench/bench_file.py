@@ -6,14 +6,14 @@ What stands under ``columns`` of a run is read by `dqforge.machines.bench.log_co
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, WithJsonSchema
 
-from dqforge.machines.arrays import FloatArray
+from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.design.schema import named_schema
 from dqforge.machines.entries.kinds import (
     About,
@@ -238,6 +238,13 @@ class LoggedRun:
             raise KeyError(quantity)
         return found
 
+    def some(self, kept: BoolArray, told: str) -> LoggedRun:
+        """Those rows of the only log for which ``kept``, shape (rows,), is true, and a remark."""
+        part = self.parts[0]
+        columns = {name: values[kept] for name, values in part.columns.items()}
+        less = replace(part, columns=columns, rows=part.rows[kept])
+        return replace(self, parts=(less,), remarks=(*self.remarks, told))
+
 
 @dataclass(frozen=True, slots=True)
 class Bench:
@@ -246,8 +253,8 @@ class Bench:
     ``about`` is the file's paragraph on the bench, ``source`` its name, ``digest`` the SHA-256 of
     its bytes in hexadecimal. ``known`` are values of the machine in SI units by the key of a
     design (magnet flux linkages of all constants under ``magnet_flux``), ``origins`` which key each
-    comes from; ``entries`` what the file writes of machine and inverter, for a design; ``places``
-    where its keys stand.
+    comes from; ``entries`` what the file writes of machine and inverter, for a design; ``v_dc`` the
+    voltage of the DC link in V, None where the file has none; ``places`` where its keys stand.
     """
 
     name: str
@@ -258,5 +265,6 @@ class Bench:
     known: Mapping[str, float]
     origins: Mapping[str, str]
     entries: Mapping[str, Mapping[str, Any]]
+    v_dc: float | None
     runs: tuple[LoggedRun, ...]
     places: Places = field(repr=False)

@@ -90,6 +90,7 @@ def read_bench(path: Path, progress: Progress | None = None) -> Bench:
         known,
         origins,
         entries,
+        file.inverter.v_dc.si if file.inverter.v_dc is not None else None,
         tuple(runs),
         places,
     )

@@ -28,6 +28,7 @@ QUANTITIES: Mapping[str, str] = {
     "line_voltage": "voltage",
     "v_dc": "voltage",
     "speed": "speed",
+    "electrical_speed": "speed",
     "torque": "torque",
     "temperature": "temperature",
     "encoder_offset": "angle",
@@ -68,12 +69,12 @@ KINDS: Mapping[RunKindName, RunKind] = {
     "constant-speed": RunKind(
         "points or rows with currents, voltages and speed",
         (("i_q",), ("u_q",), ("speed",)),
-        ("i_d", "u_d", "time", "temperature", "v_dc", "duty", "torque"),
+        ("i_d", "u_d", "time", "temperature", "v_dc", "duty", "torque", "electrical_speed"),
     ),
     "flux-points": RunKind(
         "a grid of currents at constant speed, for a flux map",
         (("i_d",), ("i_q",), ("u_d",), ("u_q",), ("speed",)),
-        ("temperature",),
+        ("temperature", "v_dc", "duty", "torque", "electrical_speed"),
     ),
     "speed-sweep": RunKind(
         "levels of current, each at several speeds",
@@ -262,13 +263,14 @@ def _conversion(unit: str, quantity: str, pole_pairs: int) -> tuple[float, float
 
 def _mechanical(text: str, quantity: str, pole_pairs: int) -> tuple[str, float]:
     """A unit of speed without what says that it is electrical, and the factor that follows."""
-    if quantity != "speed":
+    if quantity not in ("speed", "electrical_speed"):
         return text, 1.0
+    factor = 1.0 / pole_pairs if quantity == "speed" else 1.0
     if _ERPM in text:
-        return text.replace(_ERPM, "rpm"), 1.0 / pole_pairs
+        return text.replace(_ERPM, "rpm"), factor
     for words in _ELECTRICAL:
         if words in text:
-            return text.replace(words, "").strip(), 1.0 / pole_pairs
+            return text.replace(words, "").strip(), factor
     return text, 1.0
 
 

@@ -35,6 +35,7 @@ from dqforge.optimizer.identification.locked_axes import (
     analyse_locked,
     locked_fault,
 )
+from dqforge.optimizer.identification.log_checks import Fitted, at_limit, log_findings, rows_text
 from dqforge.optimizer.identification.parameters import Analysis, Parameter
 from dqforge.optimizer.identification.shaft_tests import (
     Bursts,
@@ -99,6 +100,13 @@ def identify(bench: Bench) -> Identification:
     faults: list[NoSolutionError] = []
     analyses: list[Analysis] = []
     flux: FluxFit | None = None
+    below = []
+    for run in bench.runs:
+        try:
+            below.append(_within_limit(bench, run))
+        except NoSolutionError as fault:
+            faults.append(fault)
+    bench = replace(bench, runs=tuple(below))
     for runs in _together(bench.runs):
         fed = _fed(bench, runs[0].kind, analyses)
         try:
@@ -106,6 +114,7 @@ def identify(bench: Bench) -> Identification:
             with np.errstate(divide="raise", invalid="raise", over="raise"):
                 if runs[0].kind == "flux-points":
                     flux = _flux(bench, runs)
+                    flux = replace(flux, analysis=_believed(flux.analysis))
                     analyses.append(flux.analysis)
                 else:
                     analyses.append(_believed(_ANALYSES[runs[0].kind](fed, runs)))
@@ -260,7 +269,42 @@ def _flux(bench: Bench, runs: Sequence[LoggedRun]) -> FluxFit:
     why = points_fault(rows)
     if why:
         raise refused(runs[0], why)
-    return analyse_points(rows)
+    found = analyse_points(rows)
+    return replace(found, analysis=_examined(bench, runs, found.analysis))
+
+
+def _within_limit(bench: Bench, run: LoggedRun) -> LoggedRun:
+    """A run without the rows whose voltage stood at its limit, which it says.
+
+    Raises:
+        NoSolutionError: There are no others.
+    """
+    if run.kind not in ("constant-speed", "flux-points"):
+        return run
+    clipped, why = at_limit(run, bench.v_dc)
+    if not why:
+        return run
+    if clipped.all():
+        raise refused(run, f"{why} in all rows: clipped; run below the voltage limit")
+    return run.some(~clipped, f"{run.name}: {why} in {rows_text(run, clipped)}: clipped, left out")
+
+
+def _examined(bench: Bench, runs: Sequence[LoggedRun], analysis: Analysis) -> Analysis:
+    """An analysis of currents, voltages and speed with what the logs themselves show."""
+    values = {one.key: one.value for one in analysis.parameters}
+    resistance = values.get("resistance", math.nan)
+    if not math.isfinite(resistance):
+        resistance = bench.known.get("resistance", math.nan)
+    fitted = Fitted(resistance, values.get("inverter_voltage", math.nan))
+    found = [log_findings(run, bench.pole_pairs, fitted) for run in runs]
+    return replace(
+        analysis,
+        remarks=(*analysis.remarks, *(text for one in found for text in one.remarks)),
+        contradictions=(
+            *analysis.contradictions,
+            *(text for one in found for text in one.contradictions),
+        ),
+    )
 
 
 def _rows(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
@@ -280,7 +324,9 @@ def _rows(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
     why = rows_fault(rows)
     if why:
         raise refused(runs[0], why)
-    return analyse_rows(rows, _known_values(bench, runs), reference=runs[0].voltage == "reference")
+    reference = runs[0].voltage == "reference"
+    found = analyse_rows(rows, _known_values(bench, runs), reference=reference)
+    return _examined(bench, runs, found)
 
 
 def _offsets(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -21,7 +21,7 @@ WIDEST_SHARE = 0.5
 _PARTNERS = 0.7
 # Two routes to one parameter that differ by more cannot both be right, whatever their intervals:
 # data sheets promise 10 % of a magnet flux linkage, and a magnet loses 5 % from 20 to 70 degC.
-_CONTRADICTION = 1.15
+CONTRADICTION = 1.15
 # Ratios that one convention taken for another leaves behind, and how close is close.
 _RATIOS = (
     (2.0, "2: line-to-line taken for phase, or the reverse"),
@@ -177,6 +177,29 @@ def named_ratio(ratio: float) -> str:
     return next((text for value, text in _RATIOS if abs(size / value - 1.0) <= _CLOSE_RATIO), "")
 
 
+def suspected(ratios: Mapping[str, float]) -> str:
+    """Which columns a wrong factor stands in, by what it does to resistance and flux linkage.
+
+    Args:
+        ratios: Found over known values by key of a parameter.
+    """
+
+    def off(ratio: float) -> bool:
+        return max(ratio, 1.0 / ratio) > CONTRADICTION
+
+    resistance, flux = ratios.get("resistance"), ratios.get("magnet_flux")
+    if resistance is None or flux is None:
+        return "columns of currents, voltages or speed"
+    if off(resistance) and off(flux):
+        alike = abs(resistance / flux - 1.0) < 0.1
+        return "columns u_d and u_q" if alike else "more than one column"
+    return (
+        "columns i_d and i_q, or machine.resistance"
+        if off(resistance)
+        else "column speed, machine.pole_pairs or the magnet flux linkage under machine"
+    )
+
+
 def compared(found: Parameter, other: float, origin: str) -> tuple[str, bool]:
     """A sentence on two routes to one parameter, and whether they contradict each other.
 
@@ -191,7 +214,7 @@ def compared(found: Parameter, other: float, origin: str) -> tuple[str, bool]:
     size = max(ratio, 1.0 / ratio)
     cause = named_ratio(ratio)
     told = f" (near {cause})" if cause else ""
-    if size > _CONTRADICTION and not found.low <= other <= found.high:
+    if size > CONTRADICTION and not found.low <= other <= found.high:
         text = (
             f"{found.label}: two routes differ by a factor of {size:.2f}{told}: {found.value:.4g} "
             f"{found.unit} from the runs, {other:.4g} {found.unit} from {origin}"

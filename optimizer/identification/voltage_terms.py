@@ -12,6 +12,7 @@ the rows support is decided by BIC with the effective number of rows.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -31,12 +32,14 @@ from dqforge.optimizer.identification.correlated_errors import (
     regress,
     separable,
 )
+from dqforge.optimizer.identification.log_checks import step_of
 from dqforge.optimizer.identification.parameters import (
     Analysis,
     Parameter,
     RunResiduals,
     compared,
     judged,
+    suspected,
     unknown,
     with_partners,
 )
@@ -236,9 +239,11 @@ def analyse_rows(
         if place < len(base) or mean.included[place] > SUPPORTED
     ]
     terms = [ordered[place] for place in places]
+    floor, coarse = _rounding(rows, model, terms, mean.coefficients[places], mean.best.residuals)
+    covariance = mean.covariance[np.ix_(places, places)]
     fit = _Found(
         mean.coefficients[places],
-        mean.covariance[np.ix_(places, places)],
+        _at_least(covariance, floor),
         own_shares(columns[:, places]),
         mean.best.freedom,
         mean.best.residuals,
@@ -257,6 +262,7 @@ def analyse_rows(
     padded = np.full((whole, whole), np.nan)
     padded[: len(parameters), : len(parameters)] = covariance
     remarks, contradictions = _told(rows, model, fit, parameters, known)
+    remarks += [*coarse, *_drift(rows, model, terms)]
     return Analysis(
         "constant-speed",
         (*parameters, *absent),
@@ -266,6 +272,96 @@ def analyse_rows(
         tuple(contradictions),
         tuple(TERMS[term][0] for term in terms),
     )
+
+
+# Numbers with steps: what falls below one is not in the rows, however many there are.
+
+_STEP_UNITS = {"i_d": "A", "i_q": "A", "u_d": "V", "u_q": "V", "omega_e": "rad/s electrical"}
+
+
+def _rounding(
+    rows: SteadyRows,
+    model: _Model,
+    terms: Sequence[str],
+    coefficients: FloatArray,
+    residuals: FloatArray,
+) -> tuple[FloatArray, list[str]]:
+    """Covariance, shape (K, K), that rounding to steps alone leaves, and sentences on the steps
+    that are larger than the noise.
+
+    A rounded number errs by a twelfth of the squared step, and errs the same way until it changes:
+    only its changes count as rows.
+    """
+    names = [name for name in _STEP_UNITS if getattr(rows, name) is not None]
+    base = voltage_columns(rows)
+    weighted = np.column_stack([model.columns[term] for term in terms])
+    found = np.zeros((len(terms), len(terms)))
+    told = []
+    for name in names:
+        values: FloatArray = getattr(rows, name)
+        step = step_of(values)
+        if step <= 0.0:
+            continue
+        if name.startswith("u"):
+            moved = np.where(model.axis == (name == "u_d"), step, 0.0)
+        else:
+            beside = voltage_columns(replace(rows, **{name: values + step}))
+            differences = [beside[term] - base[term] for term in terms]
+            moved = np.column_stack(differences) @ coefficients
+        moved = moved / model.scale
+        changes = 1 + int(np.count_nonzero(np.diff(values)))
+        score = weighted * moved[:, None]
+        bread = np.linalg.pinv(weighted.T @ weighted)
+        found += bread @ (score.T @ score) @ bread * (values.size / changes) / 12.0
+        seen = np.abs(moved) > 0.0
+        noise = float(np.sqrt(np.mean(residuals[seen] ** 2))) if seen.any() else math.inf
+        if noise < 0.5 * float(np.sqrt(np.mean(moved[seen] ** 2))):
+            told.append(
+                f"{', '.join(rows.runs)}: column {'speed' if name == 'omega_e' else name} has "
+                f"steps of {step:.3g} {_STEP_UNITS[name]}, more than its noise; intervals are no "
+                "smaller than that allows"
+            )
+    return found, told
+
+
+# Repeats: parameters of one machine that are not the same in each run.
+
+# Runs differ where a parameter does by so many standard deviations and by that share.
+_APART, _LEAST_DRIFT = 4.0, 3e-3
+
+
+def _drift(rows: SteadyRows, model: _Model, terms: Sequence[str]) -> list[str]:
+    """Sentences on what differs from run to run, of the terms that each run can have its own of."""
+    found: list[str] = []
+    of_run = [model.series % len(rows.runs) == place for place in range(len(rows.runs))]
+    for key in _BASE if len(rows.runs) > 1 else ():
+        own = [np.where(kept, model.columns[key], 0.0) for kept in of_run]
+        columns = np.column_stack([*own, *(model.columns[term] for term in terms if term != key)])
+        if not separable(columns).all():
+            continue
+        fit = regress(columns, model.values, model.series)
+        values = fit.coefficients[: len(own)]
+        low, high = int(np.argmin(values)), int(np.argmax(values))
+        apart = np.zeros(columns.shape[1])
+        apart[high], apart[low] = 1.0, -1.0
+        gap, sigma = values[high] - values[low], math.sqrt(apart @ fit.covariance @ apart)
+        if gap > _APART * sigma and gap > _LEAST_DRIFT * abs(float(np.mean(values))):
+            label, unit = TERMS[key]
+            first, last = sorted((low, high))
+            found.append(
+                f"{rows.runs[last]}: drift between repeats: {label} {values[last]:.4g} {unit}, "
+                f"{values[first]:.4g} {unit} in {rows.runs[first]} ({gap / sigma:.2g} standard "
+                "deviations); the interval does not hold both: let the machine cool, or log its "
+                "temperature"
+            )
+    return found
+
+
+def _at_least(covariance: FloatArray, floor: FloatArray) -> FloatArray:
+    """A covariance widened, correlations kept, until no variance is below that of ``floor``."""
+    have, least = np.diag(covariance), np.diag(floor)
+    wider = np.sqrt(np.maximum(1.0, least / np.maximum(have, 1e-300)))
+    return np.asarray(covariance * np.outer(wider, wider))
 
 
 def _parameter(
@@ -433,11 +529,18 @@ def _told(
             f"copper, {COPPER} 1/K"
             + ("" if is_copper else "; the temperature is not the winding's, or a part is constant")
         )
+    ratios = {
+        key: by_key[key].value / value
+        for key, (value, _) in known.items()
+        if key in by_key and by_key[key].value > 0.0
+    }
     for key, (value, origin) in known.items():
         if key in by_key:
             text, against = compared(by_key[key], value, origin)
-            if text:
-                (contradictions if against else remarks).append(f"{names}: {text}")
+            if against:
+                contradictions.append(f"{names}: {text}; look at {suspected(ratios)}")
+            elif text:
+                remarks.append(f"{names}: {text}")
     return remarks, contradictions
 
 
