@@ -98,7 +98,7 @@ def at_limit(run: LoggedRun, v_dc: float | None) -> tuple[BoolArray, str]:
     u_q, u_d = run.need("u_q"), run.column("u_d")
     size = np.hypot(u_q, 0.0 if u_d is None else u_d)
     logged, duty = run.column("v_dc"), run.column("duty")
-    limit = v_dc if logged is None else logged
+    limit = logged if logged is not None or v_dc is None else np.full(size.shape, v_dc)
     none: BoolArray = np.zeros(size.shape, dtype=np.bool_)
     if limit is not None:
         reached = size >= _AT_LIMIT * linear_voltage(limit)

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -305,7 +306,8 @@ def _rounding(
         if name.startswith("u"):
             moved = np.where(model.axis == (name == "u_d"), step, 0.0)
         else:
-            beside = voltage_columns(replace(rows, **{name: values + step}))
+            moved_rows: dict[str, Any] = {name: values + step}
+            beside = voltage_columns(replace(rows, **moved_rows))
             differences = [beside[term] - base[term] for term in terms]
             moved = np.column_stack(differences) @ coefficients
         moved = moved / model.scale
