@@ -302,6 +302,19 @@ class _Reading:
                 )
             )
             faults += self._dead(table.source, parts[-1])
+        empty = [name for table in tables for name in table.empty]
+        bare = [one for one in asked if one.column in empty and one.quantity not in found]
+        if bare:
+            names = ", ".join(one.column for one in bare)
+            files = " and ".join(table.source for table in tables)
+            faults.append(
+                self.fault(
+                    f"{files} is not filled in: no number in {names}; fill the sheet with what was "
+                    "measured",
+                    "file" if self.section.files is None else "files",
+                )
+            )
+            found |= {one.quantity for one in bare}
         for one in asked:
             # What a format usually has may be missing.
             if one.quantity not in found and one.quantity in self.section.columns:
