@@ -333,8 +333,8 @@ def _design(found: Identification) -> dict[str, Any]:
             machine[key] = raw
     tolerances = {
         _TOLERANCES[key]: share
-        for key, one in taken.items()
-        if key in _TOLERANCES and (share := _tolerance(one))
+        for key, one in held.items()
+        if key in _TOLERANCES and key not in dropped and one and (share := _tolerance(one))
     }
     design: dict[str, Any] = {"dqforge": 1, "name": bench.name}
     if bench.about:
@@ -346,7 +346,8 @@ def _design(found: Identification) -> dict[str, Any]:
 
 
 def _is_held(one: Parameter) -> bool:
-    return one.status == "identified"
+    """Whether the runs have a part in the value."""
+    return one.status == "identified" or (one.status == "prior-dominated" and bool(one.runs))
 
 
 def _entry(one: Parameter, source: str) -> Mapping[str, Any]:
@@ -361,6 +362,8 @@ def _entry(one: Parameter, source: str) -> Mapping[str, Any]:
 
 def _tolerance(one: Parameter) -> dict[str, str] | None:
     """The half interval as a share, one more digit up than it has."""
+    if one.status == "not identified":
+        return None
     share = 0.5 * (one.high - one.low) / abs(one.value)
     if not math.isfinite(share) or share > _LARGEST_SHARE:
         return None

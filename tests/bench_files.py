@@ -13,12 +13,16 @@ from dqforge.machines.arrays import FloatArray
 MOTEUS = {"mj5208": 7, "mad8318": 21, "flipsky6374": 7, "hoverboard": 15}
 
 
-def bench_text(runs: str, machine: str = "pole_pairs: 7", inverter: str = "") -> str:
+def bench_text(
+    runs: str, machine: str = "pole_pairs: 7", inverter: str = "", uncertainty: str = "{}"
+) -> str:
     """A bench file; ``runs`` are the lines of the list, without indent."""
     lines = "\n".join(f"  {line}" for line in runs.strip().splitlines())
     known = "\n".join(f"  {line}" for line in machine.strip().splitlines())
     fed = f"inverter: {inverter}\n" if inverter else ""
-    return f"dqforge_bench: 1\nname: Machine on a bench\nmachine:\n{known}\n{fed}runs:\n{lines}\n"
+    head = "dqforge_bench: 1\nname: Machine on a bench\n"
+    width = "" if uncertainty == "{}" else f"uncertainty: {uncertainty}\n"
+    return f"{head}machine:\n{known}\n{width}{fed}runs:\n{lines}\n"
 
 
 def moteus_bench(folder: Path, data: Path, motor: str) -> Path:

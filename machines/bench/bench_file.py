@@ -34,6 +34,7 @@ from dqforge.machines.entries.kinds import (
     Speed,
     SpeedConstant,
     TorqueConstant,
+    Uncertainty,
     Voltage,
 )
 from dqforge.machines.errors import Places
@@ -123,6 +124,22 @@ class KnownMachine(Section):
     max_speed: Speed | None = Field(default=None, description="largest mechanical speed (rad/s)")
 
 
+class KnownWidths(Section):
+    """Half widths of the 95 % intervals of values under machine, as shares of them.
+
+    What has one is averaged with what the runs say.
+    """
+
+    resistance: Uncertainty | None = Field(default=None, description="of the resistance")
+    inductance_d: Uncertainty | None = Field(default=None, description="of the d-axis inductance")
+    inductance_q: Uncertainty | None = Field(default=None, description="of the q-axis inductance")
+    magnet_flux: Uncertainty | None = Field(
+        default=None, description="of the flux linkage of the magnets, or the constant it is from"
+    )
+    inertia: Uncertainty | None = Field(default=None, description="of the moment of inertia")
+    friction: Uncertainty | None = Field(default=None, description="of the viscous friction")
+
+
 class KnownInverter(Section):
     """What is known of the inverter, for the design."""
 
@@ -168,6 +185,10 @@ class BenchFile(Section):
     name: Name = Field(description="one line that names the machine, at most 80 characters")
     about: About = Field(default="", description="a paragraph on the bench")
     machine: KnownMachine = Field(description="what is known of the machine")
+    uncertainty: KnownWidths = Field(
+        default_factory=KnownWidths,
+        description="how well values under machine are known (95 % interval, both ways)",
+    )
     inverter: KnownInverter = Field(
         default_factory=KnownInverter, description="what is known of the inverter"
     )
@@ -254,7 +275,8 @@ class Bench:
     its bytes in hexadecimal. ``known`` are values of the machine in SI units by the key of a
     design (magnet flux linkages of all constants under ``magnet_flux``), ``origins`` which key each
     comes from; ``entries`` what the file writes of machine and inverter, for a design; ``v_dc`` the
-    voltage of the DC link in V, None where the file has none; ``places`` where its keys stand.
+    voltage of the DC link in V, None where the file has none; ``widths`` half the 95 % intervals of
+    values in ``known`` by key, in their units; ``places`` where its keys stand.
     """
 
     name: str
@@ -266,5 +288,6 @@ class Bench:
     origins: Mapping[str, str]
     entries: Mapping[str, Mapping[str, Any]]
     v_dc: float | None
+    widths: Mapping[str, float]
     runs: tuple[LoggedRun, ...]
     places: Places = field(repr=False)

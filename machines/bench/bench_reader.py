@@ -73,11 +73,20 @@ def read_bench(path: Path, progress: Progress | None = None) -> Bench:
         except InputError as fault:
             faults += [fault, *fault.others]
     faults += _same_names(document, file)
+    known, origins = _known(file.machine, pole_pairs)
+    shares = {str(path[-1]): entry.si for path, entry in quantities(file.uncertainty)}
+    faults += [
+        document.error(
+            f"uncertainty.{key}: machine has no {key} to which it could belong; write one",
+            ("uncertainty", key),
+        )
+        for key in shares
+        if key not in known
+    ]
     if faults:
         first, *others = sorted(faults, key=lambda fault: (fault.line or 0, fault.column or 0))
         first.others = tuple(others)
         raise first
-    known, origins = _known(file.machine, pole_pairs)
     entries = {name: _entries(document, name) for name in ("machine", "inverter")}
     digest = hashlib.sha256(text).hexdigest()
     places = Places(str(path), document.keys, document.values, tuple(BenchFile.model_fields))
@@ -91,6 +100,7 @@ def read_bench(path: Path, progress: Progress | None = None) -> Bench:
         origins,
         entries,
         file.inverter.v_dc.si if file.inverter.v_dc is not None else None,
+        {key: share * known[key] for key, share in shares.items()},
         tuple(runs),
         places,
     )
@@ -302,6 +312,19 @@ class _Reading:
                 )
             )
             faults += self._dead(table.source, parts[-1])
+        empty = [name for table in tables for name in table.empty]
+        bare = [one for one in asked if one.column in empty and one.quantity not in found]
+        if bare:
+            names = ", ".join(one.column for one in bare)
+            files = " and ".join(table.source for table in tables)
+            faults.append(
+                self.fault(
+                    f"{files} is not filled in: no number in {names}; fill the sheet with what was "
+                    "measured",
+                    "file" if self.section.files is None else "files",
+                )
+            )
+            found |= {one.quantity for one in bare}
         for one in asked:
             # What a format usually has may be missing.
             if one.quantity not in found and one.quantity in self.section.columns:

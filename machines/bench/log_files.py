@@ -42,7 +42,7 @@ class LogTable:
     ``units`` are '' where the file gives none; ``lines`` are the one-based lines, or rows, of the
     values; ``preset`` names columns that the format itself knows; ``said`` are values of the
     machine that stand in the log, in SI units, with their key there; ``others`` names of columns
-    that were not asked for.
+    that were not asked for, ``empty`` of columns in which no row has anything.
     """
 
     source: str
@@ -53,6 +53,7 @@ class LogTable:
     preset: Preset = field(default_factory=dict)
     said: Mapping[str, tuple[float, str]] = field(default_factory=dict)
     others: tuple[str, ...] = ()
+    empty: tuple[str, ...] = ()
 
 
 # A number as NumPy 2 prints it in a list, and rows that end with the delimiter of other files.
@@ -144,7 +145,14 @@ def _text(
             line=1,
         )
     return LogTable(
-        source, table.names, table.units, table.values, table.lines, preset, others=table.others
+        source,
+        table.names,
+        table.units,
+        table.values,
+        table.lines,
+        preset,
+        others=table.others,
+        empty=table.empty,
     )
 
 

@@ -285,6 +285,9 @@ Angle = Annotated[Quantity, QuantityRule("angle", -6.2831853071795865, 6.2831853
 SlewRate = Annotated[Quantity, QuantityRule("current-slew", 1.0, 1e12)]
 
 
+Uncertainty = Annotated[Quantity, QuantityRule("number", 1e-6, 0.9)]
+
+
 Share = Annotated[Quantity, QuantityRule("number", 0.0, 0.9)]
 
 PointWeight = Annotated[Quantity, QuantityRule("number", 1e-6, 1e6)]

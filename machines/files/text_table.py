@@ -51,6 +51,7 @@ class TextTable:
         preamble: Lines of text before the header, and the texts that an oscilloscope writes beside
             the first rows.
         others: Names of columns that were not asked for.
+        empty: Names of columns in which no row has anything.
     """
 
     source: str
@@ -60,6 +61,7 @@ class TextTable:
     lines: NDArray[np.intp]
     preamble: tuple[str, ...]
     others: tuple[str, ...] = ()
+    empty: tuple[str, ...] = ()
 
 
 # Names, units and settings that stand above or beside the rows of a text table.
@@ -331,8 +333,15 @@ def _read_whole(content: bytes, source: str) -> TextTable:
         )
     preamble = header.preamble + texts_beside(layout, rows, kinds, kept)
     units = header.units if any(header.units) else scope_units(preamble, kept.size)
+    bare = np.flatnonzero(np.isnan(values).all(axis=0) & (kinds == NUMBER).all(axis=0))
     return TextTable(
-        source, header.names, units, np.ascontiguousarray(values[:, kept]), rows + 1, preamble
+        source,
+        header.names,
+        units,
+        np.ascontiguousarray(values[:, kept]),
+        rows + 1,
+        preamble,
+        empty=read_header(layout, start, bare).names if bare.size else (),
     )
 
 

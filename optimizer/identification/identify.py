@@ -36,7 +36,13 @@ from dqforge.optimizer.identification.locked_axes import (
     locked_fault,
 )
 from dqforge.optimizer.identification.log_checks import Fitted, at_limit, log_findings, rows_text
-from dqforge.optimizer.identification.parameters import Analysis, Parameter
+from dqforge.optimizer.identification.parameters import (
+    Analysis,
+    Parameter,
+    mean_of_routes,
+    unknown,
+    with_prior,
+)
 from dqforge.optimizer.identification.shaft_tests import (
     Bursts,
     OffsetCurve,
@@ -128,7 +134,7 @@ def identify(bench: Bench) -> Identification:
         raise first
     combined, remarks = _combined(analyses)
     contradictions = [text for analysis in analyses for text in analysis.contradictions]
-    parameters = [_with_known(bench, one, bool(contradictions)) for one in combined]
+    parameters = [_with_known(bench, one, bool(contradictions), remarks) for one in combined]
     parameters += _only_known(bench, {one.key for one in combined})
     told = [text for run in bench.runs for text in run.remarks]
     told += [text for analysis in analyses for text in analysis.remarks]
@@ -499,7 +505,7 @@ def _combined(analyses: Sequence[Analysis]) -> tuple[list[Parameter], list[str]]
         if len(held) < 2:
             found.append(held[0] if held else routes[0])
             continue
-        mean, scale = _mean(held)
+        mean, scale = mean_of_routes(held)
         found.append(mean)
         if scale > 1.0:
             values = ", ".join(f"{one.value:.5g}" for one in held)
@@ -510,39 +516,41 @@ def _combined(analyses: Sequence[Analysis]) -> tuple[list[Parameter], list[str]]
     return found, remarks
 
 
-def _mean(held: Sequence[Parameter]) -> tuple[Parameter, float]:
-    """Mean of several estimates weighted by inverse variance, and the factor by which their
-    scatter widens its interval, as of the Particle Data Group.
+def _with_known(
+    bench: Bench, parameter: Parameter, contradicted: bool, remarks: list[str]
+) -> Parameter:
+    """A parameter that no run holds becomes what is known of it, and says so; what is known with a
+    width is averaged with what the runs say.
     """
-    values, sigmas = (np.array([getattr(one, name) for one in held]) for name in ("value", "sigma"))
-    halves = np.array([0.5 * (one.high - one.low) for one in held])
-    weights = sigmas**-2.0 / np.sum(sigmas**-2.0)
-    value = float(weights @ values)
-    chi2 = float(np.sum(((values - value) / sigmas) ** 2)) / (values.size - 1)
-    scale = max(1.0, math.sqrt(chi2))
-    sigma = scale * float(np.sum(sigmas**-2.0)) ** -0.5
-    half = scale * float(np.sqrt(np.sum((weights * halves) ** 2)))
-    runs = tuple(dict.fromkeys(run for one in held for run in one.runs))
-    mean = replace(
-        held[0], value=value, sigma=sigma, low=value - half, high=value + half, runs=runs
-    )
-    return mean, scale
-
-
-def _with_known(bench: Bench, parameter: Parameter, contradicted: bool) -> Parameter:
-    """A parameter that no run holds becomes what is known of it, and says so."""
-    known = bench.known.get(parameter.key)
-    if contradicted or known is None or parameter.status == "identified":
+    known, half = bench.known.get(parameter.key), bench.widths.get(parameter.key)
+    if contradicted or known is None:
+        return parameter
+    if half is not None:
+        origin = f"machine.{bench.origins[parameter.key]}"
+        mean, scale = with_prior(parameter, known, half, origin)
+        if scale > _FURTHEST:
+            remarks.append(
+                f"{mean.label}: {parameter.value:.5g} {mean.unit} of the runs and {known:.5g} "
+                f"{mean.unit} of {origin} differ by more than their intervals; that of the mean is "
+                f"widened by {scale:.1f}"
+            )
+        return mean
+    if parameter.status == "identified":
         return parameter
     return _from_known(bench, (parameter.key, parameter.label, parameter.unit), parameter.why)
 
 
+# The normal distribution leaves two values closer than this many standard deviations in 95 of 100.
+_FURTHEST = 1.96
+
+
 def _from_known(bench: Bench, named: tuple[str, str, str], why: str) -> Parameter:
+    known, origin = bench.known[named[0]], f"machine.{bench.origins[named[0]]}"
+    half = bench.widths.get(named[0])
+    if half is not None:
+        return with_prior(unknown(named, why), known, half, origin)[0]
     nan = float("nan")
-    origin = f"machine.{bench.origins[named[0]]}"
-    return Parameter(
-        *named, bench.known[named[0]], nan, nan, nan, "prior-dominated", f"from {origin}: {why}"
-    )
+    return Parameter(*named, known, nan, nan, nan, "prior-dominated", f"from {origin}: {why}")
 
 
 def _only_known(bench: Bench, there: set[str]) -> list[Parameter]:

@@ -109,6 +109,10 @@ def student_95(freedom: float) -> float:
     return float(stats.t.ppf(0.975, max(freedom, 1.0)))
 
 
+# What an estimate lacks that is right but wide.
+_HOLDS_ZERO = "the 95 % interval holds 0"
+_TOO_WIDE = "the 95 % interval is wider than half of the value"
+
 Named = tuple[str, str, str]  # key, label and SI unit of a parameter
 
 
@@ -141,9 +145,9 @@ def judged(
         status, why = "not identified", "no estimate"
     elif not reason and not may_vanish:
         if low <= 0.0 <= high:
-            status, why = "not identified", "the 95 % interval holds 0"
+            status, why = "not identified", _HOLDS_ZERO
         elif half > WIDEST_SHARE * abs(value):
-            status, why = "not identified", "the 95 % interval is wider than half of the value"
+            status, why = "not identified", _TOO_WIDE
         elif physical and value < 0.0:
             status, why = "not identified", "below 0, which it cannot be"
     return Parameter(*named, value, low, high, sigma, status, why, (), tuple(runs))
@@ -169,6 +173,61 @@ def with_partners(parameters: Sequence[Parameter], covariance: FloatArray) -> li
         )
         found.append(replace(parameter, partners=partners))
     return found
+
+
+def mean_of_routes(held: Sequence[Parameter]) -> tuple[Parameter, float]:
+    """Mean of several estimates weighted by inverse variance, and the factor by which their
+    scatter widens its interval, as of the Particle Data Group.
+    """
+    values, sigmas = (np.array([getattr(one, name) for one in held]) for name in ("value", "sigma"))
+    halves = np.array([0.5 * (one.high - one.low) for one in held])
+    weights = sigmas**-2.0 / np.sum(sigmas**-2.0)
+    value = float(weights @ values)
+    chi2 = float(np.sum(((values - value) / sigmas) ** 2)) / (values.size - 1)
+    scale = max(1.0, math.sqrt(chi2))
+    sigma = scale * float(np.sum(sigmas**-2.0)) ** -0.5
+    half = scale * float(np.sqrt(np.sum((weights * halves) ** 2)))
+    runs = tuple(dict.fromkeys(run for one in held for run in one.runs))
+    mean = replace(
+        held[0], value=value, sigma=sigma, low=value - half, high=value + half, runs=runs
+    )
+    return mean, scale
+
+
+def with_prior(found: Parameter, prior: float, half: float, origin: str) -> tuple[Parameter, float]:
+    """A parameter averaged with what is known of it by inverse variance, and the factor of
+    `mean_of_routes`.
+
+    Where its estimate is missing, or its runs cannot tell it from another, the prior stands alone.
+    A mean of which the prior is more than half is prior-dominated.
+
+    Args:
+        found: What the runs say.
+        prior: What is known.
+        half: Half the 95 % interval of that, above 0.
+        origin: Where that is written.
+    """
+    known = replace(
+        found,
+        value=prior,
+        low=prior - half,
+        high=prior + half,
+        sigma=half / student_95(math.inf),
+        status="prior-dominated",
+        why=f"from {origin} with its interval" + (f": {found.why}" if found.why else ""),
+        partners=(),
+        runs=(),
+    )
+    usable = found.status == "identified" or found.why in (_HOLDS_ZERO, _TOO_WIDE)
+    if not usable or not found.sigma > 0.0:
+        return known, 1.0
+    share = known.sigma**-2.0 / (known.sigma**-2.0 + found.sigma**-2.0)
+    mean, scale = mean_of_routes((found, known))
+    return replace(
+        mean,
+        status="prior-dominated" if share > 0.5 else "identified",
+        why=f"{100.0 * share:.2g} % of the weight is that of {origin}",
+    ), scale
 
 
 def named_ratio(ratio: float) -> str:

@@ -14,9 +14,10 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.bench.bench_file import RunKindName
 from dqforge.machines.bench.bench_reader import read_bench
 from dqforge.machines.bench.log_columns import KINDS, QUANTITIES
-from dqforge.machines.errors import DqforgeError
+from dqforge.machines.errors import DqforgeError, InputError
 from dqforge.machines.units.registry import DIMENSIONS
 from dqforge.optimizer.identification.identify import identify
+from dqforge.optimizer.identification.parameters import Parameter
 from dqforge.reports.identification import (
     design_of,
     identification_tables,
@@ -72,3 +73,62 @@ def test_strange_logs_are_answered_or_refused(tmp_path: Path, kind: RunKindName)
             assert identification_tables(found)
             assert json.dumps(plain_identification(found), allow_nan=False)
             assert design_of(found)
+
+
+PRIOR_RUN = """
+- name: ride
+  kind: constant-speed
+  file: ride.csv
+  columns: {i_q: i_q, u_q: u_q, speed: speed}
+  currents: measured
+  voltage: measured
+"""
+
+
+def held_resistance(
+    folder: Path, noise: float, machine: str = "", uncertainty: str = "{}", level: float = 0.0
+) -> Parameter:
+    """Resistance (80 mOhm in truth) of 400 rows, of currents of at least ``level`` A."""
+    rng = np.random.default_rng(7)
+    i_q = rng.uniform(level, 20.0, 400) * rng.choice([-1.0, 1.0], 400)
+    speed = rng.uniform(-150.0, 150.0, 400)
+    u_q = 0.08 * i_q + 3.0 * speed * 0.02 + rng.normal(0.0, noise, 400)
+    columns = {"i_q [A]": i_q, "u_q [V]": u_q, "speed [rad/s]": speed}
+    write_table(folder / "ride.csv", columns)
+    path = folder / "bench.yaml"
+    path.write_text(bench_text(PRIOR_RUN, f"pole_pairs: 3\n{machine}", uncertainty=uncertainty))
+    found = identify(read_bench(path)).of("resistance")
+    assert found is not None
+    return found
+
+
+def test_what_is_known_is_weighted_by_inverse_variance(tmp_path: Path) -> None:
+    alone = held_resistance(tmp_path, 0.2)
+    assert alone.status == "identified"
+    for width, status in ((0.1, "identified"), (0.005, "prior-dominated")):
+        known, sigma = 0.081, 0.081 * width / 1.959964
+        found = held_resistance(
+            tmp_path, 0.2, f"resistance: {known} Ohm", f"{{resistance: {100 * width} %}}"
+        )
+        weight = sigma**-2 / (sigma**-2 + alone.sigma**-2)
+        assert found.status == status
+        assert found.value == pytest.approx(weight * known + (1 - weight) * alone.value)
+        apart = max(1.0, abs(known - alone.value) / np.hypot(sigma, alone.sigma))
+        assert found.sigma == pytest.approx(apart * (sigma**-2 + alone.sigma**-2) ** -0.5)
+        assert f"{100 * weight:.2g} % of the weight is that of machine.resistance" in found.why
+
+
+def test_what_is_known_stands_alone_where_the_rows_hold_nothing(tmp_path: Path) -> None:
+    """At one amplitude of the current the estimate is no estimate, however narrow."""
+    found = held_resistance(tmp_path, 0.01, "resistance: 0.09 Ohm", "{resistance: 20 %}", 19.5)
+    assert (found.status, found.value) == ("prior-dominated", pytest.approx(0.09))
+    assert (found.low, found.high) == (pytest.approx(0.072), pytest.approx(0.108))
+    assert "one amplitude" in found.why
+    wide = held_resistance(tmp_path, 40.0, "resistance: 0.09 Ohm", "{resistance: 20 %}")
+    assert wide.status == "prior-dominated"
+    assert wide.runs == ("ride",)
+
+
+def test_a_width_belongs_to_a_value(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"uncertainty\.resistance: machine has no resistance"):
+        held_resistance(tmp_path, 0.1, "", "{resistance: 5 %}")

@@ -166,3 +166,20 @@ def test_a_planned_bench_that_is_filled_is_identified(tmp_path: Path) -> None:
     assert machine.l_q == pytest.approx(0.4e-3, rel=0.03)
     assert call("identify", "--plan", "abb-syrm-6k7", "-o", tmp_path / "no") == 1
     assert not (tmp_path / "no").exists()
+
+
+def test_a_plan_that_is_not_filled_in_has_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call("identify", "--plan", "hoverboard-hub", "-o", tmp_path) == 0
+    capsys.readouterr()
+    assert call("identify", tmp_path / "bench.yaml") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "points.csv is not filled in: no number in u_d, u_q; fill the sheet" in line
+    sheet = tmp_path / "points.csv"
+    heading, *points = sheet.read_text().splitlines()
+    half = [f"{point[:-1]}{place}," for place, point in enumerate(points)]
+    sheet.write_text("\n".join([heading, *half]))
+    assert call("identify", tmp_path / "bench.yaml") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "no number in u_q; fill the sheet" in line
