@@ -35,7 +35,14 @@ from dqforge.optimizer.identification.locked_axes import (
     analyse_locked,
     locked_fault,
 )
-from dqforge.optimizer.identification.log_checks import Fitted, at_limit, log_findings, rows_text
+from dqforge.optimizer.identification.log_checks import (
+    Fitted,
+    at_limit,
+    log_findings,
+    requested,
+    rows_text,
+    settled,
+)
 from dqforge.optimizer.identification.parameters import (
     Analysis,
     Parameter,
@@ -109,7 +116,7 @@ def identify(bench: Bench) -> Identification:
     below = []
     for run in bench.runs:
         try:
-            below.append(_within_limit(bench, run))
+            below.append(_prepared(bench, run))
         except NoSolutionError as fault:
             faults.append(fault)
     bench = replace(bench, runs=tuple(below))
@@ -279,20 +286,23 @@ def _flux(bench: Bench, runs: Sequence[LoggedRun]) -> FluxFit:
     return replace(found, analysis=_examined(bench, runs, found.analysis))
 
 
-def _within_limit(bench: Bench, run: LoggedRun) -> LoggedRun:
-    """A run without the rows whose voltage stood at its limit, which it says.
+def _prepared(bench: Bench, run: LoggedRun) -> LoggedRun:
+    """A run of currents, voltages and speed without the rows whose voltage stood at its limit, and
+    held points as means of their steady windows; what was done is in its remarks.
 
     Raises:
-        NoSolutionError: There are no others.
+        NoSolutionError: All rows stood at the limit.
     """
     if run.kind not in ("constant-speed", "flux-points"):
         return run
+    run = replace(run, remarks=(*run.remarks, *requested(run)))
     clipped, why = at_limit(run, bench.v_dc)
-    if not why:
-        return run
-    if clipped.all():
+    if why and clipped.all():
         raise refused(run, f"{why} in all rows: clipped; run below the voltage limit")
-    return run.some(~clipped, f"{run.name}: {why} in {rows_text(run, clipped)}: clipped, left out")
+    if why:
+        told = f"{run.name}: {why} in {rows_text(run, clipped)}: clipped, left out"
+        run = run.some(~clipped, told)
+    return settled(run) if run.kind == "constant-speed" else run
 
 
 def _examined(bench: Bench, runs: Sequence[LoggedRun], analysis: Analysis) -> Analysis:
@@ -313,6 +323,16 @@ def _examined(bench: Bench, runs: Sequence[LoggedRun], analysis: Analysis) -> An
     )
 
 
+def _steps(bench: Bench, runs: Sequence[LoggedRun]) -> dict[str, float] | None:
+    """Steps of columns that are means, of the coarsest run; None where none has means."""
+    found: dict[str, float] = {}
+    for run in runs:
+        for name, step in (run.steps or {}).items():
+            key, scale = ("omega_e", bench.pole_pairs) if name == "speed" else (name, 1)
+            found[key] = max(found.get(key, 0.0), scale * step)
+    return found if any(run.steps is not None for run in runs) else None
+
+
 def _rows(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
     speed, i_q, u_q = (
         np.concatenate([run.need(quantity) for run in runs]) for quantity in ("speed", "i_q", "u_q")
@@ -326,6 +346,7 @@ def _rows(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
         _joined(runs, "i_d"),
         _joined(runs, "u_d"),
         _joined(runs, "temperature"),
+        _steps(bench, runs),
     )
     why = rows_fault(rows)
     if why:
