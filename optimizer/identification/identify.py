@@ -120,26 +120,21 @@ def identify(bench: Bench) -> Identification:
         except NoSolutionError as fault:
             faults.append(fault)
     bench = replace(bench, runs=tuple(below))
-    for runs in _together(bench.runs):
-        fed = _fed(bench, runs[0].kind, analyses)
+    groups = _together(bench.runs)
+    for runs in groups:
         try:
-            # What divides by nothing, or has no inverse, is a matter of the rows.
-            with np.errstate(divide="raise", invalid="raise", over="raise"):
-                if runs[0].kind == "flux-points":
-                    flux = _flux(bench, runs)
-                    flux = replace(flux, analysis=_believed(flux.analysis))
-                    analyses.append(flux.analysis)
-                else:
-                    analyses.append(_believed(_ANALYSES[runs[0].kind](fed, runs)))
+            analysis, found = _analysed(_fed(bench, runs[0].kind, analyses), runs)
         except NoSolutionError as fault:
             faults.append(fault)
-        except (ArithmeticError, np.linalg.LinAlgError):
-            faults.append(refused(runs[0], _UNDETERMINED))
+        else:
+            analyses.append(analysis)
+            flux = found or flux
     if faults:
         first, *others = faults
         first.others = tuple(others)
         raise first
     combined, remarks = _combined(analyses)
+    combined = _without_each(bench, groups, analyses, combined, remarks)
     contradictions = [text for analysis in analyses for text in analysis.contradictions]
     parameters = [_with_known(bench, one, bool(contradictions), remarks) for one in combined]
     parameters += _only_known(bench, {one.key for one in combined})
@@ -153,6 +148,71 @@ def identify(bench: Bench) -> Identification:
         tuple(contradictions),
         flux,
     )
+
+
+def _analysed(bench: Bench, runs: Sequence[LoggedRun]) -> tuple[Analysis, FluxFit | None]:
+    """What runs of one kind hold, and their flux map.
+
+    Raises:
+        NoSolutionError: They say nothing.
+    """
+    try:
+        # What divides by nothing, or has no inverse, is a matter of the rows.
+        with np.errstate(divide="raise", invalid="raise", over="raise"):
+            if runs[0].kind == "flux-points":
+                flux = _flux(bench, runs)
+                flux = replace(flux, analysis=_believed(flux.analysis))
+                return flux.analysis, flux
+            return _believed(_ANALYSES[runs[0].kind](bench, runs)), None
+    except (ArithmeticError, np.linalg.LinAlgError):
+        raise refused(runs[0], _UNDETERMINED) from None
+
+
+# So many runs hold a parameter jointly where each can be left out, and a move of so many standard
+# deviations is that of a run that does not belong to the others.
+_LEAST_JOINT, _FAR = 3, 3.0
+
+
+def _without_each(
+    bench: Bench,
+    groups: Sequence[Sequence[LoggedRun]],
+    analyses: Sequence[Analysis],
+    combined: Sequence[Parameter],
+    remarks: list[str],
+) -> list[Parameter]:
+    """Parameters with the run without which each moves most; remarks on those that move far."""
+    moved: dict[str, tuple[str, float]] = {}
+    joint = [
+        one for one in combined if one.status == "identified" and len(one.runs) >= _LEAST_JOINT
+    ]
+    names = {name for one in joint for name in one.runs}
+    for place, runs in enumerate(groups):
+        for run in runs:
+            if run.name not in names:
+                continue
+            others = [one for one in runs if one is not run]
+            try:
+                less = [_analysed(_fed(bench, run.kind, analyses), others)[0]] if others else []
+            except NoSolutionError:
+                continue
+            left = {
+                one.key: one
+                for one in _combined([*analyses[:place], *less, *analyses[place + 1 :]])[0]
+            }
+            for one in joint:
+                other = left.get(one.key)
+                if run.name in one.runs and other is not None and other.sigma > 0.0:
+                    move = (other.value - one.value) / other.sigma
+                    if abs(move) > abs(moved.get(one.key, ("", 0.0))[1]):
+                        moved[one.key] = (run.name, move)
+    for one in joint:
+        name, move = moved.get(one.key, ("", 0.0))
+        if abs(move) > _FAR:
+            remarks.append(
+                f"{name}: without this run {one.label} moves by {move:+.1f} standard deviations; "
+                "it does not belong to the others"
+            )
+    return [replace(one, moved=moved.get(one.key)) for one in combined]
 
 
 def _believed(analysis: Analysis) -> Analysis:
