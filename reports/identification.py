@@ -138,6 +138,9 @@ def plain_parameter(one: Parameter) -> PlainData:
         "why": one.why,
         "partners": [{"key": key, "correlation": value} for key, value in one.partners],
         "runs": list(one.runs),
+        "leave_one_out": None
+        if one.moved is None
+        else {"run": one.moved[0], "moves_sigma": one.moved[1]},
     }
 
 

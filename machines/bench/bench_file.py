@@ -227,7 +227,8 @@ class LogPart:
 @dataclass(frozen=True, slots=True)
 class LoggedRun:
     """A run: ``index`` is its place in the bench file, ``constants`` quantities that stood still,
-    in SI units.
+    in SI units; ``steps`` those of columns whose rows are means, in SI units, where no mean is
+    nearer than the step.
     """
 
     index: int
@@ -237,6 +238,7 @@ class LoggedRun:
     constants: Mapping[str, float]
     voltage: VoltageSource | None
     remarks: tuple[str, ...] = ()
+    steps: Mapping[str, float] | None = None
 
     @property
     def place(self) -> str:

@@ -35,7 +35,14 @@ from dqforge.optimizer.identification.locked_axes import (
     analyse_locked,
     locked_fault,
 )
-from dqforge.optimizer.identification.log_checks import Fitted, at_limit, log_findings, rows_text
+from dqforge.optimizer.identification.log_checks import (
+    Fitted,
+    at_limit,
+    log_findings,
+    requested,
+    rows_text,
+    settled,
+)
 from dqforge.optimizer.identification.parameters import (
     Analysis,
     Parameter,
@@ -109,30 +116,25 @@ def identify(bench: Bench) -> Identification:
     below = []
     for run in bench.runs:
         try:
-            below.append(_within_limit(bench, run))
+            below.append(_prepared(bench, run))
         except NoSolutionError as fault:
             faults.append(fault)
     bench = replace(bench, runs=tuple(below))
-    for runs in _together(bench.runs):
-        fed = _fed(bench, runs[0].kind, analyses)
+    groups = _together(bench.runs)
+    for runs in groups:
         try:
-            # What divides by nothing, or has no inverse, is a matter of the rows.
-            with np.errstate(divide="raise", invalid="raise", over="raise"):
-                if runs[0].kind == "flux-points":
-                    flux = _flux(bench, runs)
-                    flux = replace(flux, analysis=_believed(flux.analysis))
-                    analyses.append(flux.analysis)
-                else:
-                    analyses.append(_believed(_ANALYSES[runs[0].kind](fed, runs)))
+            analysis, found = _analysed(_fed(bench, runs[0].kind, analyses), runs)
         except NoSolutionError as fault:
             faults.append(fault)
-        except (ArithmeticError, np.linalg.LinAlgError):
-            faults.append(refused(runs[0], _UNDETERMINED))
+        else:
+            analyses.append(analysis)
+            flux = found or flux
     if faults:
         first, *others = faults
         first.others = tuple(others)
         raise first
     combined, remarks = _combined(analyses)
+    combined = _without_each(bench, groups, analyses, combined, remarks)
     contradictions = [text for analysis in analyses for text in analysis.contradictions]
     parameters = [_with_known(bench, one, bool(contradictions), remarks) for one in combined]
     parameters += _only_known(bench, {one.key for one in combined})
@@ -146,6 +148,71 @@ def identify(bench: Bench) -> Identification:
         tuple(contradictions),
         flux,
     )
+
+
+def _analysed(bench: Bench, runs: Sequence[LoggedRun]) -> tuple[Analysis, FluxFit | None]:
+    """What runs of one kind hold, and their flux map.
+
+    Raises:
+        NoSolutionError: They say nothing.
+    """
+    try:
+        # What divides by nothing, or has no inverse, is a matter of the rows.
+        with np.errstate(divide="raise", invalid="raise", over="raise"):
+            if runs[0].kind == "flux-points":
+                flux = _flux(bench, runs)
+                flux = replace(flux, analysis=_believed(flux.analysis))
+                return flux.analysis, flux
+            return _believed(_ANALYSES[runs[0].kind](bench, runs)), None
+    except (ArithmeticError, np.linalg.LinAlgError):
+        raise refused(runs[0], _UNDETERMINED) from None
+
+
+# So many runs hold a parameter jointly where each can be left out, and a move of so many standard
+# deviations is that of a run that does not belong to the others.
+_LEAST_JOINT, _FAR = 3, 3.0
+
+
+def _without_each(
+    bench: Bench,
+    groups: Sequence[Sequence[LoggedRun]],
+    analyses: Sequence[Analysis],
+    combined: Sequence[Parameter],
+    remarks: list[str],
+) -> list[Parameter]:
+    """Parameters with the run without which each moves most; remarks on those that move far."""
+    moved: dict[str, tuple[str, float]] = {}
+    joint = [
+        one for one in combined if one.status == "identified" and len(one.runs) >= _LEAST_JOINT
+    ]
+    names = {name for one in joint for name in one.runs}
+    for place, runs in enumerate(groups):
+        for run in runs:
+            if run.name not in names:
+                continue
+            others = [one for one in runs if one is not run]
+            try:
+                less = [_analysed(_fed(bench, run.kind, analyses), others)[0]] if others else []
+            except NoSolutionError:
+                continue
+            left = {
+                one.key: one
+                for one in _combined([*analyses[:place], *less, *analyses[place + 1 :]])[0]
+            }
+            for one in joint:
+                other = left.get(one.key)
+                if run.name in one.runs and other is not None and other.sigma > 0.0:
+                    move = (other.value - one.value) / other.sigma
+                    if abs(move) > abs(moved.get(one.key, ("", 0.0))[1]):
+                        moved[one.key] = (run.name, move)
+    for one in joint:
+        name, move = moved.get(one.key, ("", 0.0))
+        if abs(move) > _FAR:
+            remarks.append(
+                f"{name}: without this run {one.label} moves by {move:+.1f} standard deviations; "
+                "it does not belong to the others"
+            )
+    return [replace(one, moved=moved.get(one.key)) for one in combined]
 
 
 def _believed(analysis: Analysis) -> Analysis:
@@ -279,20 +346,23 @@ def _flux(bench: Bench, runs: Sequence[LoggedRun]) -> FluxFit:
     return replace(found, analysis=_examined(bench, runs, found.analysis))
 
 
-def _within_limit(bench: Bench, run: LoggedRun) -> LoggedRun:
-    """A run without the rows whose voltage stood at its limit, which it says.
+def _prepared(bench: Bench, run: LoggedRun) -> LoggedRun:
+    """A run of currents, voltages and speed without the rows whose voltage stood at its limit, and
+    held points as means of their steady windows; what was done is in its remarks.
 
     Raises:
-        NoSolutionError: There are no others.
+        NoSolutionError: All rows stood at the limit.
     """
     if run.kind not in ("constant-speed", "flux-points"):
         return run
+    run = replace(run, remarks=(*run.remarks, *requested(run)))
     clipped, why = at_limit(run, bench.v_dc)
-    if not why:
-        return run
-    if clipped.all():
+    if why and clipped.all():
         raise refused(run, f"{why} in all rows: clipped; run below the voltage limit")
-    return run.some(~clipped, f"{run.name}: {why} in {rows_text(run, clipped)}: clipped, left out")
+    if why:
+        told = f"{run.name}: {why} in {rows_text(run, clipped)}: clipped, left out"
+        run = run.some(~clipped, told)
+    return settled(run) if run.kind == "constant-speed" else run
 
 
 def _examined(bench: Bench, runs: Sequence[LoggedRun], analysis: Analysis) -> Analysis:
@@ -313,6 +383,16 @@ def _examined(bench: Bench, runs: Sequence[LoggedRun], analysis: Analysis) -> An
     )
 
 
+def _steps(bench: Bench, runs: Sequence[LoggedRun]) -> dict[str, float] | None:
+    """Steps of columns that are means, of the coarsest run; None where none has means."""
+    found: dict[str, float] = {}
+    for run in runs:
+        for name, step in (run.steps or {}).items():
+            key, scale = ("omega_e", bench.pole_pairs) if name == "speed" else (name, 1)
+            found[key] = max(found.get(key, 0.0), scale * step)
+    return found if any(run.steps is not None for run in runs) else None
+
+
 def _rows(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
     speed, i_q, u_q = (
         np.concatenate([run.need(quantity) for run in runs]) for quantity in ("speed", "i_q", "u_q")
@@ -326,6 +406,7 @@ def _rows(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
         _joined(runs, "i_d"),
         _joined(runs, "u_d"),
         _joined(runs, "temperature"),
+        _steps(bench, runs),
     )
     why = rows_fault(rows)
     if why:

@@ -7,7 +7,9 @@ a second column of the same quantity and the values themselves tell it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,7 +17,7 @@ from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.bench.bench_file import LoggedRun
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import in_rpm, linear_voltage
-from dqforge.optimizer.identification.correlated_errors import regress, separable
+from dqforge.optimizer.identification.correlated_errors import correlation_time, regress, separable
 from dqforge.optimizer.identification.parameters import CONTRADICTION, named_ratio, student_95
 
 # Fewer rows say nothing of a column.
@@ -58,7 +60,7 @@ class Findings:
 def log_findings(run: LoggedRun, pole_pairs: int, fitted: Fitted) -> Findings:
     """Findings in the rows of currents, voltages and speed of one run."""
     speed, i_q = run.need("speed"), run.need("i_q")
-    remarks, against = list(_requested(run)), list(_wrong_pole_pairs(run, pole_pairs))
+    remarks, against = [], list(_wrong_pole_pairs(run, pole_pairs))
     moving = np.sign(speed[np.abs(speed) > _IDLE * float(np.max(np.abs(speed), initial=0.0))])
     if moving.size and abs(int(moving.sum())) == moving.size:
         remarks.append(
@@ -126,8 +128,8 @@ def at_limit(run: LoggedRun, v_dc: float | None) -> tuple[BoolArray, str]:
 # Currents that were asked for.
 
 
-def _requested(run: LoggedRun) -> Iterator[str]:
-    """Currents that hold one number while the voltages move: those of a setpoint."""
+def requested(run: LoggedRun) -> Iterator[str]:
+    """Says of currents that hold one number while the voltages move that they are setpoints."""
     i_q, u_q = run.need("i_q"), run.need("u_q")
     if i_q.size < _LEAST_ROWS:
         return
@@ -139,6 +141,111 @@ def _requested(run: LoggedRun) -> Iterator[str]:
             "while u_q moves: a requested current, or a channel slower than the log; log the "
             "measured one"
         )
+
+
+# Steady windows.
+
+_CHECKED = ("i_d", "i_q", "u_d", "u_q", "speed")
+# A new point is a jump of so many times the noise, and of that share of the largest value.
+_JUMP, _LEAST_JUMP = 8.0, 0.02
+# Within a window a column varies by less than this share of its largest value, and drifts by less
+# than this one where its drift is no noise (1 % of windows without one fail).
+_WIDEST, _DRIFT, _TWO_SIDED = 0.05, 1e-3, 2.58
+# How much of the beginning of a point may go before it is given up.
+_SETTLING = (0.0, 0.125, 0.25, 0.375, 0.5)
+# So many windows are one row each; fewer are parted, for so many rows.
+_ENOUGH = 24
+# A log of held points is in windows for more than this share.
+_HELD_SHARE = 1.0 / 3.0
+
+
+def settled(run: LoggedRun) -> LoggedRun:
+    """A run of held points as the means of its steady windows, with a remark on what is left out.
+
+    A window is what is left of a point from where none of its columns drifts up or down: the means
+    of its halves differ by no more than correlated noise permits. A log of which less than a
+    third is in windows, such as a ride or a list of points, stays as it is.
+    """
+    columns = {name: run.column(name) for name in _CHECKED}
+    held = {name: values for name, values in columns.items() if values is not None}
+    sizes = {name: max(float(np.max(np.abs(values))), 1e-300) for name, values in held.items()}
+    count = run.parts[0].rows.size
+    windows = [
+        window
+        for begin, end in _points(held, sizes, count)
+        if (window := _steady(held, sizes, begin, end)) is not None
+    ]
+    kept = sum(window.stop - window.start for window in windows)
+    if len(windows) < 2 or kept < _HELD_SHARE * count:
+        return run
+    parts = -(-_ENOUGH // len(windows))
+    blocks = [
+        block
+        for window in windows
+        for block in np.array_split(
+            np.arange(window.start, window.stop),
+            max(1, min(parts, (window.stop - window.start) // (_LEAST_ROWS // 2))),
+        )
+    ]
+    steps = {}
+    for name, values in held.items():
+        step = step_of(values)
+        if step > 0.0 and np.median([float(np.std(values[one])) for one in windows]) < 0.5 * step:
+            steps[name] = step
+    part = run.parts[0]
+    means = {
+        name: np.array([float(np.mean(values[block])) for block in blocks])
+        for name, values in part.columns.items()
+    }
+    told = (
+        f"{run.name}: means of {len(windows)} steady windows, {kept} of {count} rows of "
+        f"{part.file}; {count - kept} rows that settle or drift are left out"
+    )
+    less = replace(part, columns=means, rows=part.rows[[int(block[0]) for block in blocks]])
+    return replace(run, parts=(less,), remarks=(*run.remarks, told), steps=steps)
+
+
+def _points(
+    held: Mapping[str, FloatArray], sizes: Mapping[str, float], count: int
+) -> list[tuple[int, int]]:
+    """First row of each held point, and of the next."""
+    jumps: BoolArray = np.zeros(max(count - 1, 0), dtype=np.bool_)
+    for name, values in held.items():
+        moved = np.abs(np.diff(values))
+        noise = float(np.median(moved)) if moved.size else 0.0
+        jumps |= moved > max(_JUMP * noise, _LEAST_JUMP * sizes[name])
+    edges = [0, *(np.flatnonzero(jumps) + 1).tolist(), count]
+    return list(pairwise(edges))
+
+
+def _steady(
+    held: Mapping[str, FloatArray], sizes: Mapping[str, float], begin: int, end: int
+) -> slice | None:
+    """The steady part of a point; None where it has none."""
+    for share in _SETTLING:
+        first = begin + round(share * (end - begin))
+        if end - first < _LEAST_ROWS:
+            return None
+        if not any(_drifts(held[name][first:end], sizes[name]) for name in held):
+            return slice(first, end)
+    return None
+
+
+def _drifts(values: FloatArray, size: float) -> bool:
+    """Whether a column moves within a window, to either side."""
+    if float(np.std(values)) > _WIDEST * size:
+        return True
+    halves = np.array_split(values, 2)
+    gap = abs(float(halves[1].mean() - halves[0].mean()))
+    if gap <= _DRIFT * size:
+        return False
+    # The noise is that of the later half about a line: what settles would count as noise.
+    later = halves[1]
+    place = np.arange(later.size) - 0.5 * (later.size - 1)
+    left = later - later.mean() - place * float(place @ later) / float(place @ place)
+    time = correlation_time(left, np.zeros(left.size, dtype=np.intp))
+    variance = time * float(left @ left) / max(left.size - 2, 1)
+    return gap > _TWO_SIDED * math.sqrt(variance * sum(1.0 / half.size for half in halves))
 
 
 # Two columns of the speed.

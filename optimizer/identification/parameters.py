@@ -47,6 +47,8 @@ class Parameter:
         why: What the status rests on, or what is missing.
         partners: Parameters whose estimates move with it, and the correlation.
         runs: Runs that hold it.
+        moved: Of three runs or more that without which it moves most, and how far in the standard
+            deviation that the others leave: its own grows with a run that does not belong.
     """
 
     key: str
@@ -60,6 +62,7 @@ class Parameter:
     why: str
     partners: tuple[tuple[str, float], ...] = ()
     runs: tuple[str, ...] = ()
+    moved: tuple[str, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

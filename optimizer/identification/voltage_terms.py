@@ -79,7 +79,8 @@ _MAY_VANISH = ("cross_saturation", "inverter_voltage", "offset_d", "offset_q")
 class SteadyRows:
     """Rows of runs in SI units, each array of shape (N,): currents, voltages, electrical speed in
     rad/s, temperature of the winding in degC; None for what was not logged. ``series`` is the place
-    of each row's run in ``runs``.
+    of each row's run in ``runs``, ``steps`` those of columns whose rows are means (SI units, by
+    name); None where they are to be found in the rows.
     """
 
     runs: tuple[str, ...]
@@ -90,6 +91,7 @@ class SteadyRows:
     i_d: FloatArray | None = None
     u_d: FloatArray | None = None
     temperature: FloatArray | None = None
+    steps: Mapping[str, float] | None = None
 
     @property
     def current(self) -> FloatArray:
@@ -108,6 +110,7 @@ class SteadyRows:
                 None if each is None else each[kept]
                 for each in (self.i_d, self.u_d, self.temperature)
             ),
+            self.steps,
         )
 
 
@@ -300,7 +303,7 @@ def _rounding(
     told = []
     for name in names:
         values: FloatArray = getattr(rows, name)
-        step = step_of(values)
+        step = step_of(values) if rows.steps is None else rows.steps.get(name, 0.0)
         if step <= 0.0:
             continue
         if name.startswith("u"):

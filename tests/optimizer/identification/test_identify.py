@@ -132,3 +132,51 @@ def test_what_is_known_stands_alone_where_the_rows_hold_nothing(tmp_path: Path) 
 def test_a_width_belongs_to_a_value(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"uncertainty\.resistance: machine has no resistance"):
         held_resistance(tmp_path, 0.1, "", "{resistance: 5 %}")
+
+
+JOINT_RUN = """
+- name: run {name}
+  kind: constant-speed
+  file: {name}.csv
+  columns: {{i_q: i_q, u_q: u_q, speed: speed}}
+  currents: measured
+  voltage: measured
+"""
+
+
+def joint_bench(folder: Path, names: str, flux_of: dict[str, float]) -> Path:
+    """Bench file of runs of one machine (20 mWb), but for those of another flux linkage."""
+    for name in "abcd":
+        rng = np.random.default_rng(ord(name))
+        i_q, speed = rng.uniform(-20.0, 20.0, 200), rng.uniform(-150.0, 150.0, 200)
+        u_q = 0.08 * i_q + 3.0 * speed * flux_of.get(name, 0.02) + rng.normal(0.0, 0.1, 200)
+        columns = {"i_q [A]": i_q, "u_q [V]": u_q, "speed [rad/s]": speed}
+        write_table(folder / f"{name}.csv", columns)
+    path = folder / f"{names}.yaml"
+    path.write_text(bench_text("".join(JOINT_RUN.format(name=name) for name in names)))
+    path.write_text(path.read_text().replace("pole_pairs: 7", "pole_pairs: 3"))
+    return path
+
+
+@pytest.mark.parametrize("flux", [0.02, 0.0204])
+def test_a_run_that_does_not_belong_is_named(tmp_path: Path, flux: float) -> None:
+    whole = identify(read_bench(joint_bench(tmp_path, "abcd", {"c": flux})))
+    held = whole.of("magnet_flux")
+    assert held is not None
+    assert held.moved is not None
+    moves = {}
+    for name in "abcd":
+        others = "abcd".replace(name, "")
+        less = identify(read_bench(joint_bench(tmp_path, others, {"c": flux}))).of("magnet_flux")
+        assert less is not None
+        moves[f"run {name}"] = (less.value - held.value) / less.sigma
+    most = max(moves, key=lambda name: abs(moves[name]))
+    assert held.moved == (most, pytest.approx(moves[most]))
+    told = [text for text in whole.remarks if "without this run magnet flux linkage" in text]
+    assert [text.partition(":")[0] for text in told] == (["run c"] if flux > 0.02 else [])
+
+
+def test_two_runs_cannot_judge_each_other(tmp_path: Path) -> None:
+    held = identify(read_bench(joint_bench(tmp_path, "ab", {}))).of("magnet_flux")
+    assert held is not None
+    assert held.moved is None
