@@ -100,16 +100,18 @@ class SteadyRows:
 
     def some(self, kept: NDArray[np.bool_]) -> SteadyRows:
         """Those rows for which ``kept``, shape (N,), is true."""
+        i_d, u_d, temperature = (
+            None if each is None else each[kept] for each in (self.i_d, self.u_d, self.temperature)
+        )
         return SteadyRows(
             self.runs,
             self.series[kept],
             self.omega_e[kept],
             self.i_q[kept],
             self.u_q[kept],
-            *(
-                None if each is None else each[kept]
-                for each in (self.i_d, self.u_d, self.temperature)
-            ),
+            i_d,
+            u_d,
+            temperature,
             self.steps,
         )
 
