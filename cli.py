@@ -292,9 +292,9 @@ def identify(
 
     With 95 % intervals for correlated rows, and what the logs do not hold; with --plan what to run.
     """
-    answer = answers.identify.answer_plan if plan else answers.identify.answer_identify
-    ask = partial(answer, bench)
-    return respond("identify", ask, json, out=out)
+    identified = partial(answers.identify.answer_identify, page=out is not None)
+    answer = answers.identify.answer_plan if plan else identified
+    return respond("identify", partial(answer, bench), json, out=out)
 
 
 @app.command()

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,18 +14,48 @@ from typing import Any
 import numpy as np
 import yaml
 
+from dqforge import __version__
 from dqforge.machines.bench.bench_file import Bench
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.identification.bench_plan import BenchPlan
 from dqforge.optimizer.identification.flux_points import FluxFit, FluxTable
 from dqforge.optimizer.identification.identify import DESIGN_PARAMETERS, Identification
-from dqforge.optimizer.identification.parameters import Analysis, Parameter
+from dqforge.optimizer.identification.parameters import (
+    Analysis,
+    OverTemperature,
+    Parameter,
+    RunResiduals,
+)
 from dqforge.reports.pages.answer import Table
+from dqforge.reports.pages.figures_style import (
+    BLUE,
+    FAINT,
+    MUTED,
+    ORANGE,
+    RED,
+    SERIES,
+    TEAL,
+    new_figure,
+    prefixed,
+    style,
+    thinned,
+)
+from dqforge.reports.pages.html_text import NARROW, HtmlTable, Row
+from dqforge.reports.pages.templating import PageFigure, page_figure, render
 from dqforge.reports.plain_data import PlainData, finite
+from dqforge.reports.run_folder import (
+    FIGURES,
+    FOLDING,
+    RESULT,
+    ListedFile,
+    files_table,
+    page_scripts,
+)
 
 
 def identification_tables(found: Identification) -> list[Table]:
@@ -66,7 +96,8 @@ def shown_interval(parameter: Parameter) -> str:
     if not math.isfinite(parameter.low):
         return "-"
     low, high = (format_quantity(end, parameter.unit, 4) for end in (parameter.low, parameter.high))
-    return f"{low} to {high}"
+    number, _, unit = low.partition(" ")
+    return f"{number if unit == high.partition(' ')[2] else low} to {high}"
 
 
 def _runs(found: Identification) -> Table:
@@ -89,6 +120,307 @@ def _runs(found: Identification) -> Table:
         if analysis.terms
     )
     return Table("Runs", columns, rows, terms)
+
+
+# The page of an identification: tables first, then what the models leave and what is correlated.
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A section of the page."""
+
+    id: str
+    title: str
+    text: tuple[str, ...] = ()
+    listed: tuple[str, ...] = ()
+    drawings: tuple[tuple[PageFigure, str], ...] = ()
+    tables: tuple[HtmlTable, ...] = ()
+    wrong: bool = False
+    kind: str = ""
+
+
+def identification_page(found: Identification, files: Mapping[str, bytes]) -> str:
+    """The report as one HTML document that asks for nothing outside itself.
+
+    Args:
+        found: What was identified.
+        files: What lies beside the page, by name.
+    """
+    parts = [part for part in (*_answers(found), *_evidence(found), _sources(found, files)) if part]
+    context = {
+        "version": __version__,
+        "name": found.bench.name,
+        "about": found.bench.about,
+        "scripts": page_scripts(FIGURES, FOLDING),
+        "sections": [(part.id, part.title) for part in parts],
+        "parts": parts,
+    }
+    return render("pages/identification.html.j2", context)
+
+
+def _answers(found: Identification) -> Iterator[_Part]:
+    """Parameters and warnings."""
+    rows = tuple(
+        Row(
+            (
+                one.label,
+                shown_value(one).replace(" ", NARROW),
+                shown_interval(one).replace(" ", NARROW),
+                one.status.replace(" ", NARROW),
+                "all" if len(one.runs) == len(found.bench.runs) > 1 else ", ".join(one.runs),
+                ", ".join(f"{key} {correlation:+.2f}" for key, correlation in one.partners),
+            ),
+            "" if one.status == "identified" else "muted",
+        )
+        for one in found.parameters
+    )
+    heads = ("Parameter", "Value", "95 % interval", "Status", "Runs", "Moves with")
+    reasons = [Row((one.label, one.status, one.why)) for one in found.parameters if one.why]
+    moved = [
+        Row((one.label, one.moved[0], f"{one.moved[1]:+.1f}"))
+        for one in found.parameters
+        if one.moved is not None
+    ]
+    tables = [
+        _page_table("Parameters", heads, rows),
+        _page_table("What a status rests on", ("Parameter", "Status", "Why"), reasons),
+        HtmlTable(
+            "Largest move when one run is left out",
+            ("Parameter", "Run", "Standard deviations"),
+            tuple(moved),
+            2,
+        ),
+    ]
+    held = sum(one.status == "identified" for one in found.parameters)
+    yield _Part(
+        "parameters",
+        "Parameters",
+        (f"{held} of {len(rows)} parameters are identified by the logs.",),
+        tables=tuple(table for table in tables if table.rows),
+    )
+    if found.contradictions:
+        yield _Part(
+            "contradictions",
+            "What cannot be",
+            ("Nothing of these runs is taken into a design.",),
+            found.contradictions,
+            wrong=True,
+        )
+    if found.remarks:
+        yield _Part("warnings", "Warnings and remarks", (), found.remarks)
+
+
+def _page_table(
+    caption: str, heads: Sequence[str], rows: Sequence[Row], notes: tuple[str, ...] = ()
+) -> HtmlTable:
+    return HtmlTable(caption, tuple(heads), tuple(rows), len(heads), notes)
+
+
+def _evidence(found: Identification) -> Iterator[_Part]:
+    """What the models leave of each run, what changes with the temperature, the map, and what is
+    correlated.
+    """
+    table = _runs(found)
+    rows = [Row(cells) for cells in table.rows]
+    if rows:
+        drawn = _drawn_residuals(found)
+        yield _Part(
+            "residuals",
+            "What the models leave",
+            drawings=() if drawn is None else ((drawn, "What the models leave of each row."),),
+            tables=(_page_table(table.title, table.columns, rows, table.notes),),
+        )
+    lines = [one.over_temperature for one in found.analyses if one.over_temperature is not None]
+    if lines:
+        yield _Part(
+            "temperature",
+            "Over the temperature",
+            drawings=tuple(
+                (_drawn_line(line, place), "95 % interval, and copper from the same middle.")
+                for place, line in enumerate(lines)
+            ),
+        )
+    if found.flux is not None:
+        yield _Part(
+            "map",
+            "Flux map",
+            drawings=(
+                (
+                    _drawn_map(found.flux.table),
+                    "Points by their standard deviation; a cross is a current without a point.",
+                ),
+            ),
+        )
+    tables = tuple(table for one in found.analyses if (table := _correlations(one)) is not None)
+    if tables:
+        yield _Part("correlation", "Correlation of the estimates", tables=tables)
+
+
+def _correlations(analysis: Analysis) -> HtmlTable | None:
+    """Correlation matrix of what has an estimate; None for a single one."""
+    covariance = np.atleast_2d(analysis.covariance)
+    sigma = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+    there = np.flatnonzero(np.isfinite(sigma) & (sigma > 0.0)).tolist()
+    if len(there) < 2:
+        return None
+    keys = [analysis.parameters[place].key for place in there]
+    rows = tuple(
+        Row(
+            (
+                key,
+                *(
+                    "1"
+                    if row == column
+                    else f"{covariance[row, column] / sigma[row] / sigma[column]:+.2f}"
+                    for column in there
+                ),
+            )
+        )
+        for key, row in zip(keys, there, strict=True)
+    )
+    return HtmlTable(f"Correlations of {analysis.name}", ("", *keys), rows)
+
+
+def _sources(found: Identification, files: Mapping[str, bytes]) -> _Part:
+    rows = [Row(("bench file", "", found.bench.source, found.bench.digest))]
+    rows += [
+        Row((run.name, run.kind, part.file, part.sha256))
+        for run in found.bench.runs
+        for part in run.parts
+    ]
+    words = {
+        RESULT: "all of this as plain data",
+        MAP_NAME: "the flux map",
+        "design.yaml": "a design",
+    }
+    listed = [ListedFile.of(name, words.get(name, ""), files[name]) for name in files]
+    tables = (
+        _page_table("What was read", ("Run", "Kind", "File", "SHA-256"), rows),
+        files_table(listed, "What was written beside this page"),
+    )
+    return _Part("files", "Files", tables=tables, kind="files")
+
+
+_MOST_PANELS, _MOST_NAMED = 8, 4
+
+
+def _text(name: str) -> str:
+    """A name as text of a drawing, in which dollar signs would enclose a formula."""
+    return name.replace("$", "")
+
+
+def _drawn_residuals(found: Identification) -> PageFigure | None:
+    """What is left of each row, a panel for each quantity of an analysis, run after run."""
+    panels: dict[tuple[int, str, str], list[RunResiduals]] = {}
+    for place, analysis in enumerate(found.analyses):
+        for left in analysis.residuals:
+            if left.values.size > 1:
+                panels.setdefault((place, left.quantity, left.unit), []).append(left)
+    chosen = list(panels.items())[:_MOST_PANELS]
+    if not chosen:
+        return None
+    with style():
+        figure = new_figure(
+            "identify-residuals",
+            0.6 + 1.7 * len(chosen),
+            "What the models leave of each row, run after run",
+            arranged=True,
+        )
+        drawn = figure.subplots(len(chosen), 1, squeeze=False)[:, 0]
+        for axes, ((place, quantity, unit), runs) in zip(drawn, chosen, strict=True):
+            largest = max(float(np.max(np.abs(left.values))) for left in runs)
+            factor, small = prefixed(largest, unit)
+            first = 1
+            for number, left in enumerate(runs):
+                rows = np.arange(first, first + left.values.size, dtype=float)
+                first += left.values.size
+                axes.plot(
+                    *thinned(rows, factor * left.values),
+                    color=SERIES[number % len(SERIES)],
+                    linewidth=0.8,
+                    label=_text(left.run) if len(runs) <= _MOST_NAMED else f"_{_text(left.run)}",
+                )
+            axes.axhline(0.0, color=MUTED, linewidth=0.7)
+            axes.set(
+                title=f"{found.analyses[place].name}: {quantity}",
+                xlabel="Row",
+                ylabel=f"Left in {small}",
+            )
+            if 1 < len(runs) <= _MOST_NAMED:
+                axes.legend(
+                    loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.0
+                )
+        return page_figure(figure, "residuals")
+
+
+def _drawn_line(line: OverTemperature, place: int) -> PageFigure:
+    with style():
+        figure = new_figure(
+            f"identify-temperature-{place}",
+            2.6,
+            f"{line.label} over the temperature",
+            arranged=True,
+        )
+        axes = figure.subplots()
+        factor, unit = prefixed(
+            float(line.value.max()), "\u03a9" if line.unit == "Ohm" else line.unit
+        )
+        axes.fill_between(
+            line.temperature,
+            factor * line.low,
+            factor * line.high,
+            color=FAINT,
+            label="95 % interval",
+        )
+        axes.plot(line.temperature, factor * line.value, color=BLUE, label="logs")
+        axes.plot(
+            line.temperature, factor * line.copper, color=ORANGE, linestyle="--", label="copper"
+        )
+        axes.set(
+            title=line.label.capitalize(),
+            xlabel="Temperature in \u00b0C",
+            ylabel=f"{line.label.capitalize()} in {unit}",
+        )
+        axes.legend(loc="upper left")
+        return page_figure(figure, f"temperature-{place}")
+
+
+def _drawn_map(table: FluxTable) -> PageFigure:
+    """Where the map has points, how certain they are, and which of its grid it lacks."""
+    sigma = np.hypot(table.sigma_d, table.sigma_q)
+    factor, unit = prefixed(float(sigma.max()), "Wb")
+    edges = np.quantile(sigma, (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0))
+    taken = {(round(d, 6), round(q, 6)) for d, q in zip(table.i_d, table.i_q, strict=True)}
+    grid = [
+        (d, q)
+        for d in sorted({d for d, _ in taken})
+        for q in sorted({q for _, q in taken})
+        if (d, q) not in taken
+    ]
+    with style():
+        figure = new_figure(
+            "identify-map",
+            3.6,
+            "Points of the flux map with their standard deviation",
+            arranged=True,
+        )
+        axes = figure.subplots()
+        for low, high, colour in zip(edges[:-1], edges[1:], (TEAL, BLUE, ORANGE), strict=True):
+            kept = (sigma > low) & (sigma <= high) if low > edges[0] else sigma <= high
+            axes.plot(
+                table.i_d[kept],
+                table.i_q[kept],
+                "o",
+                color=colour,
+                markersize=3.0,
+                label=f"up to {factor * high:.3g} {unit}",
+            )
+        # Points that fill no grid have no holes in one.
+        if grid and len(grid) < len(taken):
+            axes.plot(*np.array(grid).T, "x", color=RED, markersize=4.0, label="no point")
+        axes.set(xlabel="$i_d$ in A", ylabel="$i_q$ in A")
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.0)
+        return page_figure(figure, "map")
 
 
 # Plain data, for JSON and ``result.json``.

@@ -35,10 +35,12 @@ from dqforge.optimizer.identification.correlated_errors import (
 from dqforge.optimizer.identification.log_checks import step_of
 from dqforge.optimizer.identification.parameters import (
     Analysis,
+    OverTemperature,
     Parameter,
     RunResiduals,
     compared,
     judged,
+    student_95,
     suspected,
     unknown,
     with_partners,
@@ -79,7 +81,8 @@ class SteadyRows:
     """Rows of runs in SI units, each array of shape (N,): currents, voltages, electrical speed in
     rad/s, temperature of the winding in degC; None for what was not logged. ``series`` is the place
     of each row's run in ``runs``, ``steps`` those of columns whose rows are means (SI units, by
-    name); None where they are to be found in the rows.
+    name); None where they are to be found in the rows. ``middle`` is the temperature for which
+    the resistance is given, in degC; None for the mean of the rows.
     """
 
     runs: tuple[str, ...]
@@ -91,6 +94,7 @@ class SteadyRows:
     u_d: FloatArray | None = None
     temperature: FloatArray | None = None
     steps: Mapping[str, float] | None = None
+    middle: float | None = None
 
     @property
     def current(self) -> FloatArray:
@@ -110,6 +114,7 @@ class SteadyRows:
                 for each in (self.i_d, self.u_d, self.temperature)
             ),
             self.steps,
+            self.middle,
         )
 
 
@@ -157,16 +162,23 @@ def voltage_columns(rows: SteadyRows) -> dict[str, FloatArray]:
         by_term["inductance_q"] = (zero, -rows.omega_e * rows.i_q)
         by_term["offset_d"] = (zero, one)
     if rows.temperature is not None:
-        warmer = rows.temperature - rows.temperature.mean()
+        warmer = rows.temperature - _middle(rows)
         by_term["resistance_slope"] = (warmer * rows.i_q, warmer * i_d)
     axes = (0, 1) if rows.u_d is not None else (0,)
     return {term: np.concatenate([pair[axis] for axis in axes]) for term, pair in by_term.items()}
 
 
+def _middle(rows: SteadyRows) -> float:
+    """Temperature in degC for which the resistance is given."""
+    if rows.middle is not None or rows.temperature is None:
+        return rows.middle or 0.0
+    return float(rows.temperature.mean())
+
+
 def _model(rows: SteadyRows) -> _Model:
     columns = voltage_columns(rows)
     axes = (0, 1) if rows.u_d is not None else (0,)
-    mean = None if rows.temperature is None else float(rows.temperature.mean())
+    mean = None if rows.temperature is None else _middle(rows)
     values = np.concatenate([each for each in (rows.u_q, rows.u_d) if each is not None])
     axis = np.repeat(np.array(axes, dtype=np.intp), rows.u_q.size)
     series = np.tile(rows.series, len(axes)) + axis * len(rows.runs)
@@ -274,6 +286,7 @@ def analyse_rows(
         tuple(remarks),
         tuple(contradictions),
         tuple(TERMS[term][0] for term in terms),
+        _over_temperature(rows, model, terms, fit),
     )
 
 
@@ -501,6 +514,29 @@ def _with_coefficient(
     )
     whole = np.block([[covariance, row[:, None]], [row[None, :], np.array([[variance]])]])
     return [*parameters, found], whole
+
+
+def _over_temperature(
+    rows: SteadyRows, model: _Model, terms: Sequence[str], fit: _Found
+) -> OverTemperature | None:
+    """The resistance over the temperatures of the rows, where its slope is a term."""
+    if (
+        "resistance_slope" not in terms
+        or rows.temperature is None
+        or model.mean_temperature is None
+    ):
+        return None
+    at = [terms.index("resistance"), terms.index("resistance_slope")]
+    temperature = np.linspace(float(rows.temperature.min()), float(rows.temperature.max()), 25)
+    warmer = temperature - model.mean_temperature
+    gradient = np.column_stack([np.ones(warmer.size), warmer])
+    value = gradient @ fit.coefficients[at]
+    covariance = fit.covariance[np.ix_(at, at)]
+    half = student_95(fit.freedom) * np.sqrt(np.sum(gradient @ covariance * gradient, axis=1))
+    cold = 1.0 + COPPER * (model.mean_temperature - 20.0)
+    copper = fit.coefficients[at[0]] * (1.0 + COPPER * (temperature - 20.0)) / cold
+    label = TERMS["resistance"][0]
+    return OverTemperature(label, "Ohm", temperature, value, value - half, value + half, copper)
 
 
 def _told(

@@ -14,6 +14,7 @@ from dqforge.reports.identification import (
     MAP_NAME,
     SHEET,
     design_of,
+    identification_page,
     identification_tables,
     map_csv,
     plain_identification,
@@ -24,8 +25,9 @@ from dqforge.reports.identification import (
 )
 from dqforge.reports.pages.answer import Answer, Files, shares, stage
 from dqforge.reports.pages.templating import to_text
+from dqforge.reports.run_folder import REPORT, RESULT
 
-RESULT, DESIGN = "result.json", "design.yaml"
+DESIGN = "design.yaml"
 
 
 def answer_plan(name: Path) -> Answer:
@@ -47,8 +49,12 @@ def answer_plan(name: Path) -> Answer:
     )
 
 
-def answer_identify(path: Path) -> Answer:
+def answer_identify(path: Path, *, page: bool = True) -> Answer:
     """Read the logs of a bench file and say what they hold.
+
+    Args:
+        path: The bench file.
+        page: Whether the report is among the files.
 
     The exit code is 1 where two routes contradict each other; no design is written then.
 
@@ -72,6 +78,9 @@ def answer_identify(path: Path) -> Answer:
         contents[MAP_NAME] = map_csv(found.flux.table)
     if design is not None:
         contents[DESIGN] = design
+    if page:
+        stage("drawing the report")
+        contents[REPORT] = identification_page(found, contents).encode()
     follow = f"dqforge check {{out}}/{DESIGN}" if design is not None else ""
     return Answer(
         bench.name,
