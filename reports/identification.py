@@ -251,9 +251,10 @@ def _evidence(found: Identification) -> Iterator[_Part]:
                 ),
             ),
         )
-    tables = tuple(table for one in found.analyses if (table := _correlations(one)) is not None)
-    if tables:
-        yield _Part("correlation", "Correlation of the estimates", tables=tables)
+    correlations = [_correlations(one) for one in found.analyses]
+    there = tuple(one for one in correlations if one is not None)
+    if there:
+        yield _Part("correlation", "Correlation of the estimates", tables=there)
 
 
 def _correlations(analysis: Analysis) -> HtmlTable | None:

@@ -103,18 +103,18 @@ class SteadyRows:
 
     def some(self, kept: NDArray[np.bool_]) -> SteadyRows:
         """Those rows for which ``kept``, shape (N,), is true."""
-        return SteadyRows(
-            self.runs,
-            self.series[kept],
-            self.omega_e[kept],
-            self.i_q[kept],
-            self.u_q[kept],
-            *(
-                None if each is None else each[kept]
-                for each in (self.i_d, self.u_d, self.temperature)
-            ),
-            self.steps,
-            self.middle,
+        i_d, u_d, temperature = (
+            None if each is None else each[kept] for each in (self.i_d, self.u_d, self.temperature)
+        )
+        return replace(
+            self,
+            series=self.series[kept],
+            omega_e=self.omega_e[kept],
+            i_q=self.i_q[kept],
+            u_q=self.u_q[kept],
+            i_d=i_d,
+            u_d=u_d,
+            temperature=temperature,
         )
 
 
@@ -295,6 +295,9 @@ def analyse_rows(
 _STEP_UNITS = {"i_d": "A", "i_q": "A", "u_d": "V", "u_q": "V", "omega_e": "rad/s electrical"}
 
 
+_MOST_TOLD = 20_000
+
+
 def _rounding(
     rows: SteadyRows,
     model: _Model,
@@ -308,29 +311,48 @@ def _rounding(
     A rounded number errs by a twelfth of the squared step, and errs the same way until it changes:
     only its changes count as rows.
     """
-    names = [name for name in _STEP_UNITS if getattr(rows, name) is not None]
-    base = voltage_columns(rows)
-    weighted = np.column_stack([model.columns[term] for term in terms])
-    found = np.zeros((len(terms), len(terms)))
-    told = []
-    for name in names:
-        values: FloatArray = getattr(rows, name)
-        step = step_of(values) if rows.steps is None else rows.steps.get(name, 0.0)
-        if step <= 0.0:
+    columns: dict[str, FloatArray | None] = {
+        "i_d": rows.i_d, "i_q": rows.i_q, "u_d": rows.u_d, "u_q": rows.u_q, "omega_e": rows.omega_e
+    }  # fmt: skip
+    found, told = np.zeros((len(terms), len(terms))), list[str]()
+    steps = {
+        name: step
+        for name, values in columns.items()
+        if values is not None
+        and (step := step_of(values) if rows.steps is None else rows.steps.get(name, 0.0)) > 0.0
+    }
+    if not steps:
+        return found, told
+    # Some rows tell the same of large logs as all.
+    kept: BoolArray = np.zeros(rows.u_q.size, dtype=np.bool_)
+    kept[:: -(-kept.size // _MOST_TOLD)] = True
+    both = np.tile(kept, model.values.size // kept.size)
+    some, axis, scale, left = rows.some(kept), model.axis[both], model.scale[both], residuals[both]
+    weighted = np.column_stack([model.columns[term][both] for term in terms])
+    bread = np.linalg.pinv(weighted.T @ weighted)
+    base = voltage_columns(some)
+    for name, step in steps.items():
+        values = columns[name]
+        if values is None:
             continue
         if name.startswith("u"):
-            moved = np.where(model.axis == (name == "u_d"), step, 0.0)
+            moved = np.where(axis == (name == "u_d"), step, 0.0) / scale
         else:
-            beside = voltage_columns(replace(rows, **{name: values + step}))
+            beside = voltage_columns(
+                replace(
+                    some,
+                    i_d=some.i_d if some.i_d is None else some.i_d + step * (name == "i_d"),
+                    i_q=some.i_q + step * (name == "i_q"),
+                    omega_e=some.omega_e + step * (name == "omega_e"),
+                )
+            )
             differences = [beside[term] - base[term] for term in terms]
-            moved = np.column_stack(differences) @ coefficients
-        moved = moved / model.scale
+            moved = np.column_stack(differences) @ coefficients / scale
         changes = 1 + int(np.count_nonzero(np.diff(values)))
         score = weighted * moved[:, None]
-        bread = np.linalg.pinv(weighted.T @ weighted)
-        found += bread @ (score.T @ score) @ bread * (values.size / changes) / 12.0
+        found += bread @ (score.T @ score) @ bread * (kept.sum() / changes) / 12.0
         seen = np.abs(moved) > 0.0
-        noise = float(np.sqrt(np.mean(residuals[seen] ** 2))) if seen.any() else math.inf
+        noise = float(np.sqrt(np.mean(left[seen] ** 2))) if seen.any() else math.inf
         if noise < 0.5 * float(np.sqrt(np.mean(moved[seen] ** 2))):
             told.append(
                 f"{', '.join(rows.runs)}: column {'speed' if name == 'omega_e' else name} has "
