@@ -211,7 +211,7 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
     margin: given.Margin = "0 %",
     choice: given.Choice = False,
 ) -> None:
-    """Compare losses of strategies and modulators, or what was measured with the budget."""
+    """Compare losses of strategies and modulators."""
     asked = answers.losses.LossRequest(
         chart, mission, strategies, modulations, frequencies, margin, points, measured
     )
@@ -292,9 +292,8 @@ def identify(
 
     With 95 % intervals for correlated rows, and what the logs do not hold; with --plan what to run.
     """
-    identified = partial(answers.identify.answer_identify, page=out is not None)
-    answer = answers.identify.answer_plan if plan else identified
-    return respond("identify", partial(answer, bench), json, out=out)
+    ask = partial(answers.identify.answer, bench, plan=plan, page=out is not None)
+    return respond("identify", ask, json, out=out)
 
 
 @app.command()
@@ -365,7 +364,7 @@ def schema(
     out: given.OutOfSchema = None,
     json: given.Json = False,
 ) -> None:
-    """Print the JSON Schema of a design, study or bench file, for editors; or write it."""
+    """Print the JSON Schema of a file, for editors."""
     ask = partial(answers.library.answer_schema, study=study, bench=bench, out=out)
     respond("schema", ask, json, out=None if out is None else out.parent)
 

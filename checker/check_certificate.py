@@ -4,9 +4,9 @@
 
 The program imports nothing but the standard library and believes nothing in the certificate: what
 the C does is read from the header's text, and every bound is computed here. Read it from top to
-bottom: numbers (part 1), the header's C (part 2), the reference over torque (part 3), both current
-loops (part 4), and what is printed (part 5). It ends with 0 where all claims are confirmed, else
-with 1 and the place where one fails.
+bottom: numbers (part 1), the header's C (part 2), the reference over torque (part 3), and what is
+printed (part 4). It ends with 0 where all claims are confirmed, else with 1 and the place where one
+fails.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Fault(Exception):
 # A Model encloses a function of u, -1 <= u <= 1 (the place within a box of torques):
 # |f(u) - sum of c[k] u^k| <= r. All numbers are integers in units of 2^-BITS. What an operation
 # rounds or leaves out goes to r, so that the enclosure holds always. With one coefficient it is an
-# interval, which part 4 uses as its number.
+# interval.
 
 BITS = 128
 ONE = 1 << BITS
@@ -543,7 +543,7 @@ def check_reference(claim: dict[str, object], machine: dict[str, Fraction], head
     return reference.statement(stated["strategy"])
 
 
-# Part 5. What is printed.
+# Part 4. What is printed.
 
 
 def main(arguments: list[str]) -> int:

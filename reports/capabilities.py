@@ -16,6 +16,7 @@ from dqforge.reports.fixed_observers.fixed_observer_header import FIXED_OBSERVER
 from dqforge.reports.loops.capability import GAIN_SCHEDULE, LOOPS, NO_LOOPS, STABILITY
 from dqforge.reports.losses.map_figures import LOSSES, MISSION
 from dqforge.reports.modulation_choice.figures import MODULATION_CHOICE
+from dqforge.reports.observers.commissioning import COMMISSIONING
 from dqforge.reports.observers.online_estimation import ONLINE_ESTIMATION
 from dqforge.reports.observers.position_header import (
     OBSERVER_PROOF,
@@ -26,7 +27,6 @@ from dqforge.reports.operating_points.figures import OPERATING_POINTS
 from dqforge.reports.phase_control.emitted_integers import FIXED_CONTROL, FLOAT32_CONTROL
 from dqforge.reports.simulation.tables import FORMATS_NOT_SIMULATED, SIMULATION
 from dqforge.reports.single_headers.application import APPLICATION
-from dqforge.reports.single_headers.commissioning import COMMISSIONING
 from dqforge.reports.single_headers.current_feedback import CURRENT_FEEDBACK
 from dqforge.reports.single_headers.field_weakening import WEAKENING
 from dqforge.reports.single_headers.fixed_reference import FIXED_REFERENCE

@@ -90,7 +90,7 @@ class Mission:
 
 
 def kind_of_title(name: str) -> str | None:
-    """Which quantity a title names."""
+    """Which quantity the title ``name`` of a column names, None for another."""
     word = " ".join(name.split())
     for kind, names in _NAMES.items():
         if word in names or (len(word) > 1 and word.lower() in names):
@@ -156,7 +156,17 @@ def _factor(kind: str, unit: str) -> float | None:
 
 
 def column_in_si(table: TextTable, kind: str, column: int, findings: list[str]) -> FloatArray:
-    """Values of a column in SI units; the first cell without a number is an error."""
+    """Values of a column in SI units, shape (rows,).
+
+    Args:
+        table: The file.
+        kind: ``time``, ``speed``, ``torque`` or ``power``.
+        column: Place of the column.
+        findings: Takes a sentence where a unit is assumed.
+
+    Raises:
+        InputError: A cell without a number, or a unit of another kind.
+    """
     values, unit = table.values[:, column], table.units[column]
     (holes,) = np.nonzero(~np.isfinite(values))
     if holes.size:

@@ -61,6 +61,10 @@ def read_measured(content: bytes, source: str) -> MeasuredLosses:
     An efficiency is shaft power over electrical power where torque drives, and the reverse where it
     brakes.
 
+    Args:
+        content: Bytes of the file.
+        source: Its name, for messages.
+
     Raises:
         InputError: With file and line: no table, a missing column, one that does not say whose it
             is, a cell without a number, an efficiency that is none, or too many rows.

@@ -446,7 +446,11 @@ def analyse_locked(
     )
 
 
-_WORDS = {"delay": "delay of the voltage", "inverter_voltage": "error of the inverter"} | {
+_WORDS = {
+    "delay": "delay of the voltage",
+    "inverter_voltage": "error of the inverter",
+    "turning": "its rounding around zero current",
+} | {
     f"{term}_{name}": f"{word} of {what}_{name}"
     for name in AXES
     for term, word, what in (

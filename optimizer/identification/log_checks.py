@@ -100,10 +100,10 @@ def at_limit(run: LoggedRun, v_dc: float | None) -> tuple[BoolArray, str]:
     u_q, u_d = run.need("u_q"), run.column("u_d")
     size = np.hypot(u_q, 0.0 if u_d is None else u_d)
     logged, duty = run.column("v_dc"), run.column("duty")
-    limit = v_dc if logged is None else logged
+    limit = logged if logged is not None or v_dc is None else np.full(size.shape, v_dc)
     none: BoolArray = np.zeros(size.shape, dtype=np.bool_)
     if limit is not None:
-        reached = size >= _AT_LIMIT * linear_voltage(np.asarray(limit, dtype=np.float64))
+        reached = size >= _AT_LIMIT * linear_voltage(limit)
         if reached.any():
             return reached, "u_d and u_q stand at v_dc/sqrt(3)"
     if duty is not None:

@@ -601,9 +601,10 @@ def analyse_spin_up(spins: Sequence[SpinUp], torque_constant: float, share: floa
         else unknown(named, "an acceleration alone does not tell it from the inertia; let it coast")
         for place, named in enumerate((_INERTIA, _COULOMB, _VISCOUS))
     ]
+    driven = next(spin.run for spin in spins if np.any(spin.i_q))
     remark = (
-        f"{spins[0].run}: with {torque_constant:.4g} N m/A at i_d = 0; whatever else the current "
-        "turns is in the inertia"
+        f"{driven}: with {torque_constant:.4g} N m/A at i_d = 0; whatever else the current turns "
+        "is in the inertia"
     )
     left = tuple(
         RunResiduals(

@@ -14,7 +14,6 @@ from dqforge.reports.identification import (
     MAP_NAME,
     SHEET,
     design_of,
-    identification_page,
     identification_tables,
     map_csv,
     plain_identification,
@@ -25,9 +24,13 @@ from dqforge.reports.identification import (
 )
 from dqforge.reports.pages.answer import Answer, Files, shares, stage
 from dqforge.reports.pages.templating import to_text
-from dqforge.reports.run_folder import REPORT, RESULT
 
-DESIGN = "design.yaml"
+RESULT, DESIGN = "result.json", "design.yaml"
+
+
+def answer(path: Path, *, plan: bool, page: bool) -> Answer:
+    """Plan a bench, or read its logs, with a page for people where files are written."""
+    return answer_plan(path) if plan else answer_identify(path, page=page)
 
 
 def answer_plan(name: Path) -> Answer:
@@ -49,12 +52,8 @@ def answer_plan(name: Path) -> Answer:
     )
 
 
-def answer_identify(path: Path, *, page: bool = True) -> Answer:
+def answer_identify(path: Path, *, page: bool = False) -> Answer:
     """Read the logs of a bench file and say what they hold.
-
-    Args:
-        path: The bench file.
-        page: Whether the report is among the files.
 
     The exit code is 1 where two routes contradict each other; no design is written then.
 
@@ -74,13 +73,15 @@ def answer_identify(path: Path, *, page: bool = True) -> Answer:
     plain = {"identification": plain_identification(found)}
     design, lacking = design_of(found)
     contents = {RESULT: to_text("identify", bench.name, plain).encode()}
+    if page:
+        from dqforge.reports.identification_page import PAGE, identification_page
+
+        stage("drawing the page")
+        contents[PAGE] = identification_page(found)
     if found.flux is not None:
         contents[MAP_NAME] = map_csv(found.flux.table)
     if design is not None:
         contents[DESIGN] = design
-    if page:
-        stage("drawing the report")
-        contents[REPORT] = identification_page(found, contents).encode()
     follow = f"dqforge check {{out}}/{DESIGN}" if design is not None else ""
     return Answer(
         bench.name,

@@ -35,13 +35,14 @@ from dqforge.reports.losses.map_tables import (
     losses_tables,
     losses_tables_over,
     map_tables,
+    measured_tables,
     mission_tables,
     plain_losses,
     plain_losses_over,
     plain_map,
+    plain_measured_losses,
     plain_mission,
 )
-from dqforge.reports.losses.measured_text import measured_tables, plain_measured_losses
 from dqforge.reports.modulation_choice.text import choice_tables, plain_choice
 from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.pages.html_text import map_size

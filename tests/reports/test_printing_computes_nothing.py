@@ -53,7 +53,7 @@ MODELS = {
     "single_headers.fixed_mesh_reading": "proves again what is read back",
     "single_headers.current_feedback": "the sampled rules by their steps, in words and in C",
     "observers.online_estimation": "the estimation on line by its step, in words and in C",
-    "single_headers.commissioning": "the tests of a drive by their steps, in words and in C",
+    "observers.commissioning": "the tests of a drive by their steps, in words and in C",
     "single_headers.speed_measurement": "the measured speed by its steps, in words and in C",
     "single_headers.frame_tables": "the frames dqx and dqy by their steps, in floats and in C",
     "modulation_choice.rule_model": "the choice of modulator in single precision",

@@ -47,6 +47,7 @@ KEYS = {
     "machine.rated.speed": DESIGN.replace("  max_speed:", "  rated: {speed: @}\n  max_speed:"),
     "operation.speed": f"{DESIGN}operation: {{speed: @}}\n",
     "control.per_unit.speed": f"{DESIGN}control: {{per_unit: {{speed: @}}}}\n",
+    "control.commissioning.speed": f"{DESIGN}control: {{commissioning: {{speed: @}}}}\n",
     "losses.points[0].speed": f"{DESIGN}losses: {{points: [{{torque: 1 N m, speed: @}}]}}\n",
     "field_weakening.speed": f"{DESIGN}field_weakening: {{speed: @}}\n",
     "modulation_choice.speed": (

@@ -122,7 +122,7 @@ def test_what_is_known_stands_alone_where_the_rows_hold_nothing(tmp_path: Path) 
     """At one amplitude of the current the estimate is no estimate, however narrow."""
     found = held_resistance(tmp_path, 0.01, "resistance: 0.09 Ohm", "{resistance: 20 %}", 19.5)
     assert found.status == "prior-dominated"
-    assert [found.value, found.low, found.high] == pytest.approx([0.09, 0.072, 0.108])
+    assert [found.low, found.value, found.high] == pytest.approx([0.072, 0.09, 0.108])
     assert "one amplitude" in found.why
     wide = held_resistance(tmp_path, 40.0, "resistance: 0.09 Ohm", "{resistance: 20 %}")
     assert wide.status == "prior-dominated"
@@ -171,6 +171,7 @@ def test_a_run_that_does_not_belong_is_named(tmp_path: Path, flux: float) -> Non
         assert less is not None
         moves[f"run {name}"] = (less.value - held.value) / less.sigma
     most = max(moves, key=lambda name: abs(moves[name]))
+    assert held.moved is not None
     assert held.moved[0] == most
     assert held.moved[1] == pytest.approx(moves[most])
     told = [text for text in whole.remarks if "without this run magnet flux linkage" in text]

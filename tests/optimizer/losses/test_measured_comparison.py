@@ -16,7 +16,7 @@ from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import compare_alternatives
 from dqforge.optimizer.losses.measured_comparison import MeasuredComparison, compare_measured
 from dqforge.reports.answers.losses import LossRequest, answer_losses
-from dqforge.reports.losses.measured_text import measured_tables, plain_measured_losses
+from dqforge.reports.losses.map_tables import measured_tables, plain_measured_losses
 
 DRIVE = "paper001-pmsm-bench"
 RPM = np.pi / 30.0

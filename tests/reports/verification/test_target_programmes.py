@@ -85,7 +85,7 @@ DESIGNS: dict[str, Callable[[], Design]] = {
     "start": lambda: start_design(INJECTION, 1.8),
     "measured speed": lambda: measured_design(measured_settings("mixed")),
     "parameters on line": lambda: changed(
-        BENCH, (r"(?m)^  per_unit:$", "  online_estimation: {}\n  per_unit:")
+        BENCH, (r"(?m)^  per_unit:$", "  online_estimation: {}\n  commissioning: {}\n  per_unit:")
     ),
     "six-step": six_step_bench,
     "current feedback": lambda: feedback_design("predictive"),
@@ -115,7 +115,7 @@ DESIGNS: dict[str, Callable[[], Design]] = {
 KINDS = {
     "start": {"start_observer", "startup", "control", "observer"},
     "measured speed": {"speed_measurement"},
-    "parameters on line": {"online_estimation", "speed_observer"},
+    "parameters on line": {"online_estimation", "commissioning", "speed_observer"},
     "six-step": {"six_step"},
     "current feedback": {"current_feedback"},
     "control and position observer": {

@@ -28,7 +28,7 @@ from dqforge.optimizer.identification.identify import identify
 from dqforge.optimizer.solution import solve
 from dqforge.reports.identification import design_of
 from dqforge.reports.main_header import header_files
-from dqforge.reports.single_headers.commissioning import commissioning_files, gains_read
+from dqforge.reports.observers.commissioning import commissioning_files, gains_read
 
 BENCH = "paper001-pmsm-bench"
 WRAPPER = """
