@@ -66,7 +66,8 @@ def shown_interval(parameter: Parameter) -> str:
     if not math.isfinite(parameter.low):
         return "-"
     low, high = (format_quantity(end, parameter.unit, 4) for end in (parameter.low, parameter.high))
-    return f"{low} to {high}"
+    number, _, unit = low.partition(" ")
+    return f"{number if unit == high.partition(' ')[2] else low} to {high}"
 
 
 def _runs(found: Identification) -> Table:

@@ -12,11 +12,16 @@ import numpy as np
 from dqforge import __version__
 from dqforge.optimizer.identification.flux_points import FluxTable
 from dqforge.optimizer.identification.identify import Identification
-from dqforge.optimizer.identification.parameters import Analysis, RunResiduals
+from dqforge.optimizer.identification.parameters import (
+    Analysis,
+    OverTemperature,
+    RunResiduals,
+)
 from dqforge.reports.identification import identification_tables
 from dqforge.reports.pages.answer import NUMBER_AND_UNIT, Table
 from dqforge.reports.pages.figures_style import (
     BLUE,
+    FAINT,
     MUTED,
     ORANGE,
     RED,
@@ -55,6 +60,7 @@ def identification_page(found: Identification) -> bytes:
         "contradictions": [symbols(text) for text in found.contradictions],
         "remarks": [symbols(text) for text in found.remarks],
         "parameters": _html(_turned(parameters), 7),
+        "moved": _moved(found),
         "runs": _html(runs, 3),
         "logs": _logs(found),
         "drawings": drawings,
@@ -78,6 +84,17 @@ def _html(table: Table, text_columns: int) -> HtmlTable:
     return HtmlTable(table.title, heads, rows, text_columns, notes)
 
 
+def _moved(found: Identification) -> HtmlTable | None:
+    """The run without which each parameter moves most; None where no three runs hold one."""
+    rows = [
+        (one.label, one.moved[0], f"{one.moved[1]:+.1f}")
+        for one in found.parameters
+        if one.moved is not None
+    ]
+    heads = ("parameter", "run", "standard deviations")
+    return _html(Table("Largest move without one run", heads, tuple(rows)), 2) if rows else None
+
+
 def _logs(found: Identification) -> HtmlTable:
     rows = [Row((found.bench.source, "bench file", found.bench.digest))]
     rows += [
@@ -96,6 +113,11 @@ def _drawings(found: Identification) -> list[Drawing]:
         if len(left) > _MOST_RUNS:
             text += f" The first {_MOST_RUNS} of {len(left)}."
         drawn.append(("residuals", "Residuals", text, plot_residuals(left[:_MOST_RUNS])))
+    for n, analysis in enumerate(found.analyses):
+        if analysis.over_temperature is not None:
+            text = "95 % interval, and what copper makes of the value in the middle."
+            figure = plot_over_temperature(analysis.over_temperature)
+            drawn.append((f"temperature-{n}", "Over the temperature", text, figure))
     if found.flux is not None:
         text = (
             "Standard deviation of each point, of both flux linkages together; crosses: currents "
@@ -125,7 +147,8 @@ def plot_residuals(left: list[RunResiduals]) -> Figure:
             axes.plot(rows + 1, factor * one.values[rows], ".", color=BLUE, markersize=2.5)
             for side in (-1.0, 1.0):
                 axes.axhline(side * factor * one.rms, color=MUTED, linewidth=0.7)
-            axes.set_title(f"{one.run}: {one.quantity}")
+            # Two dollar signs would enclose a formula.
+            axes.set_title(f"{one.run.replace('$', '')}: {one.quantity}")
             axes.set_ylabel(unit)
         panels[-1].set_xlabel("row")
     return figure
@@ -137,6 +160,25 @@ def _shown_rows(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         return np.arange(values.size)
     even = np.linspace(0, values.size - 1, _MOST_ROWS).astype(int)
     return np.unique(np.append(even, np.argsort(-np.abs(values), kind="stable")[:20]))
+
+
+def plot_over_temperature(line: OverTemperature) -> Figure:
+    """A parameter over the temperature of the runs."""
+    with style():
+        figure = new_figure(
+            "over-temperature", 2.6, f"{line.label} over the temperature", arranged=True
+        )
+        axes = figure.subplots()
+        factor, unit = prefixed(float(line.value.max()), line.unit)
+        band = factor * line.low, factor * line.high
+        axes.fill_between(line.temperature, *band, color=FAINT, label="95 % interval")
+        axes.plot(line.temperature, factor * line.value, color=BLUE, label="logs")
+        look: dict[str, Any] = {"color": ORANGE, "linestyle": "--", "label": "copper"}
+        axes.plot(line.temperature, factor * line.copper, **look)
+        axes.set_xlabel("temperature in \u00b0C")
+        axes.set_ylabel(f"{line.label} in {unit}")
+        axes.legend(loc="upper left")
+    return figure
 
 
 def plot_map_errors(table: FluxTable) -> Figure:

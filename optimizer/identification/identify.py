@@ -383,6 +383,15 @@ def _examined(bench: Bench, runs: Sequence[LoggedRun], analysis: Analysis) -> An
     )
 
 
+def _middle(bench: Bench) -> float | None:
+    """Mean temperature of all such runs in degC, for which their resistances are given; None where
+    none was logged.
+    """
+    logged = [run.column("temperature") for run in bench.runs if run.kind == "constant-speed"]
+    found = [values for values in logged if values is not None]
+    return float(np.mean(np.concatenate(found))) if found else None
+
+
 def _steps(bench: Bench, runs: Sequence[LoggedRun]) -> dict[str, float] | None:
     """Steps of columns that are means, of the coarsest run; None where none has means."""
     found: dict[str, float] = {}
@@ -407,6 +416,7 @@ def _rows(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
         _joined(runs, "u_d"),
         _joined(runs, "temperature"),
         _steps(bench, runs),
+        _middle(bench),
     )
     why = rows_fault(rows)
     if why:

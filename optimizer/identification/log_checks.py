@@ -156,7 +156,7 @@ _SETTLING = (0.0, 0.125, 0.25, 0.375, 0.5)
 # So many windows are one row each; fewer are parted, for so many rows.
 _ENOUGH = 24
 # A log of held points is in windows for more than this share.
-_HELD_SHARE = 1.0 / 3.0
+_HELD_SHARE, _LEAST_WINDOWS = 1.0 / 3.0, 6
 
 
 def settled(run: LoggedRun) -> LoggedRun:
@@ -164,7 +164,8 @@ def settled(run: LoggedRun) -> LoggedRun:
 
     A window is what is left of a point from where none of its columns drifts up or down: the means
     of its halves differ by no more than correlated noise permits. A log of which less than a
-    third is in windows, such as a ride or a list of points, stays as it is.
+    third of the rows with a current or a speed is in windows, such as a ride or a list of points,
+    stays as it is.
     """
     columns = {name: run.column(name) for name in _CHECKED}
     held = {name: values for name, values in columns.items() if values is not None}
@@ -175,8 +176,14 @@ def settled(run: LoggedRun) -> LoggedRun:
         for begin, end in _points(held, sizes, count)
         if (window := _steady(held, sizes, begin, end)) is not None
     ]
+    # Where the drive rests there is nothing to be had, however steady it is.
+    active: BoolArray = np.zeros(count, dtype=np.bool_)
+    for name, values in held.items():
+        if not name.startswith("u"):
+            active |= np.abs(values) > _LEAST_JUMP * sizes[name]
+    windows = [window for window in windows if np.mean(active[window]) > _MOST_ROWS]
     kept = sum(window.stop - window.start for window in windows)
-    if len(windows) < 2 or kept < _HELD_SHARE * count:
+    if len(windows) < _LEAST_WINDOWS or kept < _HELD_SHARE * np.count_nonzero(active):
         return run
     parts = -(-_ENOUGH // len(windows))
     blocks = [

@@ -79,6 +79,21 @@ class RunResiduals:
 
 
 @dataclass(frozen=True, slots=True)
+class OverTemperature:
+    """A parameter over the temperatures of the runs (degC), with its 95 % interval, and ``copper``,
+    what copper would make of its value in the middle; each of shape (N,).
+    """
+
+    label: str
+    unit: str
+    temperature: FloatArray
+    value: FloatArray
+    low: FloatArray
+    high: FloatArray
+    copper: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
 class Analysis:
     """What one kind of evaluation finds in the runs that are of its kind.
 
@@ -90,6 +105,7 @@ class Analysis:
         remarks: Sentences on what was found besides.
         contradictions: Sentences on what cannot be; nothing may be taken from these runs.
         terms: The terms that the model has, and those that the data do not support.
+        over_temperature: A parameter that changes with it; None where none does.
     """
 
     name: str
@@ -99,6 +115,7 @@ class Analysis:
     remarks: tuple[str, ...] = ()
     contradictions: tuple[str, ...] = ()
     terms: tuple[str, ...] = ()
+    over_temperature: OverTemperature | None = None
 
     def of(self, key: str) -> Parameter | None:
         """A parameter by its key."""

@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,10 +35,12 @@ from dqforge.optimizer.identification.correlated_errors import (
 from dqforge.optimizer.identification.log_checks import step_of
 from dqforge.optimizer.identification.parameters import (
     Analysis,
+    OverTemperature,
     Parameter,
     RunResiduals,
     compared,
     judged,
+    student_95,
     suspected,
     unknown,
     with_partners,
@@ -80,7 +81,8 @@ class SteadyRows:
     """Rows of runs in SI units, each array of shape (N,): currents, voltages, electrical speed in
     rad/s, temperature of the winding in degC; None for what was not logged. ``series`` is the place
     of each row's run in ``runs``, ``steps`` those of columns whose rows are means (SI units, by
-    name); None where they are to be found in the rows.
+    name); None where they are to be found in the rows. ``middle`` is the temperature for which
+    the resistance is given, in degC; None for the mean of the rows.
     """
 
     runs: tuple[str, ...]
@@ -92,6 +94,7 @@ class SteadyRows:
     u_d: FloatArray | None = None
     temperature: FloatArray | None = None
     steps: Mapping[str, float] | None = None
+    middle: float | None = None
 
     @property
     def current(self) -> FloatArray:
@@ -103,16 +106,15 @@ class SteadyRows:
         i_d, u_d, temperature = (
             None if each is None else each[kept] for each in (self.i_d, self.u_d, self.temperature)
         )
-        return SteadyRows(
-            self.runs,
-            self.series[kept],
-            self.omega_e[kept],
-            self.i_q[kept],
-            self.u_q[kept],
-            i_d,
-            u_d,
-            temperature,
-            self.steps,
+        return replace(
+            self,
+            series=self.series[kept],
+            omega_e=self.omega_e[kept],
+            i_q=self.i_q[kept],
+            u_q=self.u_q[kept],
+            i_d=i_d,
+            u_d=u_d,
+            temperature=temperature,
         )
 
 
@@ -160,16 +162,23 @@ def voltage_columns(rows: SteadyRows) -> dict[str, FloatArray]:
         by_term["inductance_q"] = (zero, -rows.omega_e * rows.i_q)
         by_term["offset_d"] = (zero, one)
     if rows.temperature is not None:
-        warmer = rows.temperature - rows.temperature.mean()
+        warmer = rows.temperature - _middle(rows)
         by_term["resistance_slope"] = (warmer * rows.i_q, warmer * i_d)
     axes = (0, 1) if rows.u_d is not None else (0,)
     return {term: np.concatenate([pair[axis] for axis in axes]) for term, pair in by_term.items()}
 
 
+def _middle(rows: SteadyRows) -> float:
+    """Temperature in degC for which the resistance is given."""
+    if rows.middle is not None or rows.temperature is None:
+        return rows.middle or 0.0
+    return float(rows.temperature.mean())
+
+
 def _model(rows: SteadyRows) -> _Model:
     columns = voltage_columns(rows)
     axes = (0, 1) if rows.u_d is not None else (0,)
-    mean = None if rows.temperature is None else float(rows.temperature.mean())
+    mean = None if rows.temperature is None else _middle(rows)
     values = np.concatenate([each for each in (rows.u_q, rows.u_d) if each is not None])
     axis = np.repeat(np.array(axes, dtype=np.intp), rows.u_q.size)
     series = np.tile(rows.series, len(axes)) + axis * len(rows.runs)
@@ -277,12 +286,16 @@ def analyse_rows(
         tuple(remarks),
         tuple(contradictions),
         tuple(TERMS[term][0] for term in terms),
+        _over_temperature(rows, model, terms, fit),
     )
 
 
 # Numbers with steps: what falls below one is not in the rows, however many there are.
 
 _STEP_UNITS = {"i_d": "A", "i_q": "A", "u_d": "V", "u_q": "V", "omega_e": "rad/s electrical"}
+
+
+_MOST_TOLD = 20_000
 
 
 def _rounding(
@@ -298,30 +311,48 @@ def _rounding(
     A rounded number errs by a twelfth of the squared step, and errs the same way until it changes:
     only its changes count as rows.
     """
-    names = [name for name in _STEP_UNITS if getattr(rows, name) is not None]
-    base = voltage_columns(rows)
-    weighted = np.column_stack([model.columns[term] for term in terms])
-    found = np.zeros((len(terms), len(terms)))
-    told = []
-    for name in names:
-        values: FloatArray = getattr(rows, name)
-        step = step_of(values) if rows.steps is None else rows.steps.get(name, 0.0)
-        if step <= 0.0:
+    columns: dict[str, FloatArray | None] = {
+        "i_d": rows.i_d, "i_q": rows.i_q, "u_d": rows.u_d, "u_q": rows.u_q, "omega_e": rows.omega_e
+    }  # fmt: skip
+    found, told = np.zeros((len(terms), len(terms))), list[str]()
+    steps = {
+        name: step
+        for name, values in columns.items()
+        if values is not None
+        and (step := step_of(values) if rows.steps is None else rows.steps.get(name, 0.0)) > 0.0
+    }
+    if not steps:
+        return found, told
+    # Some rows tell the same of large logs as all.
+    kept: BoolArray = np.zeros(rows.u_q.size, dtype=np.bool_)
+    kept[:: -(-kept.size // _MOST_TOLD)] = True
+    both = np.tile(kept, model.values.size // kept.size)
+    some, axis, scale, left = rows.some(kept), model.axis[both], model.scale[both], residuals[both]
+    weighted = np.column_stack([model.columns[term][both] for term in terms])
+    bread = np.linalg.pinv(weighted.T @ weighted)
+    base = voltage_columns(some)
+    for name, step in steps.items():
+        values = columns[name]
+        if values is None:
             continue
         if name.startswith("u"):
-            moved = np.where(model.axis == (name == "u_d"), step, 0.0)
+            moved = np.where(axis == (name == "u_d"), step, 0.0) / scale
         else:
-            moved_rows: dict[str, Any] = {name: values + step}
-            beside = voltage_columns(replace(rows, **moved_rows))
+            beside = voltage_columns(
+                replace(
+                    some,
+                    i_d=some.i_d if some.i_d is None else some.i_d + step * (name == "i_d"),
+                    i_q=some.i_q + step * (name == "i_q"),
+                    omega_e=some.omega_e + step * (name == "omega_e"),
+                )
+            )
             differences = [beside[term] - base[term] for term in terms]
-            moved = np.column_stack(differences) @ coefficients
-        moved = moved / model.scale
+            moved = np.column_stack(differences) @ coefficients / scale
         changes = 1 + int(np.count_nonzero(np.diff(values)))
         score = weighted * moved[:, None]
-        bread = np.linalg.pinv(weighted.T @ weighted)
-        found += bread @ (score.T @ score) @ bread * (values.size / changes) / 12.0
+        found += bread @ (score.T @ score) @ bread * (kept.sum() / changes) / 12.0
         seen = np.abs(moved) > 0.0
-        noise = float(np.sqrt(np.mean(residuals[seen] ** 2))) if seen.any() else math.inf
+        noise = float(np.sqrt(np.mean(left[seen] ** 2))) if seen.any() else math.inf
         if noise < 0.5 * float(np.sqrt(np.mean(moved[seen] ** 2))):
             told.append(
                 f"{', '.join(rows.runs)}: column {'speed' if name == 'omega_e' else name} has "
@@ -505,6 +536,29 @@ def _with_coefficient(
     )
     whole = np.block([[covariance, row[:, None]], [row[None, :], np.array([[variance]])]])
     return [*parameters, found], whole
+
+
+def _over_temperature(
+    rows: SteadyRows, model: _Model, terms: Sequence[str], fit: _Found
+) -> OverTemperature | None:
+    """The resistance over the temperatures of the rows, where its slope is a term."""
+    if (
+        "resistance_slope" not in terms
+        or rows.temperature is None
+        or model.mean_temperature is None
+    ):
+        return None
+    at = [terms.index("resistance"), terms.index("resistance_slope")]
+    temperature = np.linspace(float(rows.temperature.min()), float(rows.temperature.max()), 25)
+    warmer = temperature - model.mean_temperature
+    gradient = np.column_stack([np.ones(warmer.size), warmer])
+    value = gradient @ fit.coefficients[at]
+    covariance = fit.covariance[np.ix_(at, at)]
+    half = student_95(fit.freedom) * np.sqrt(np.sum(gradient @ covariance * gradient, axis=1))
+    cold = 1.0 + COPPER * (model.mean_temperature - 20.0)
+    copper = fit.coefficients[at[0]] * (1.0 + COPPER * (temperature - 20.0)) / cold
+    label = TERMS["resistance"][0]
+    return OverTemperature(label, "Ohm", temperature, value, value - half, value + half, copper)
 
 
 def _told(

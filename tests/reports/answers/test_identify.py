@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,11 @@ from bench_files import bench_text, moteus_bench, slow_noise, write_table
 from simulated_points import MeasuredMap, simulated
 
 from dqforge import cli
+from dqforge.machines.bench.bench_reader import read_bench
 from dqforge.machines.design.catalogue import load_design
 from dqforge.machines.dq_machines.flux_map import SaturatedMachine
+from dqforge.optimizer.identification.identify import identify
+from dqforge.reports.pages.html_text import symbols
 
 RUN = """
 - name: ride
@@ -58,7 +62,7 @@ def ride(tmp_path: Path) -> Path:
 def test_a_design_with_sources_and_tolerances(ride: Path, tmp_path: Path) -> None:
     assert call("identify", ride, "-o", tmp_path / "one") == 0
     assert call("identify", ride, "-o", tmp_path / "two") == 0
-    for name in ("design.yaml", "result.json"):
+    for name in ("design.yaml", "result.json", "report.html"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
     assert call("check", tmp_path / "one" / "design.yaml") == 0
     design = load_design(tmp_path / "one" / "design.yaml")
@@ -141,6 +145,8 @@ def test_a_flux_map_that_the_design_reads(tmp_path: Path, shared_data: Path) -> 
     design = load_design(tmp_path / "out" / "design.yaml")
     assert isinstance(design.machine, SaturatedMachine)
     assert design.machine.r_s == pytest.approx(0.63, abs=0.002)
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert '<section id="map">' in page
     heading = (tmp_path / "out" / "map.csv").read_text().splitlines()[0]
     assert heading.startswith("i_d [A],i_q [A],psi_d [Wb],psi_q [Wb],sigma_d [Wb],sigma_q [Wb],n,")
     assert heading.count("shared_") == 2 * 5
@@ -183,3 +189,48 @@ def test_a_plan_that_is_not_filled_in_has_one_line(
     assert call("identify", tmp_path / "bench.yaml") == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "no number in u_q; fill the sheet" in line
+
+
+def test_the_page_says_what_the_terminal_says(ride: Path, tmp_path: Path) -> None:
+    """And nothing that a file names is markup, or asks for anything outside."""
+    text = ride.read_text().replace("name: ride", "name: 'ride <b>&lt; $\\frac$'")
+    ride.write_text(text.replace("name: Machine on a bench", "name: '<script>alert(1)</script>'"))
+    assert call("identify", ride, "-o", tmp_path / "out") == 0
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "<script>alert" not in page
+    assert "ride <b>" not in page
+    assert "ride &lt;b&gt;&amp;lt; $\\frac$" in page
+    assert not re.findall(r"""(?:src|href)=["']https?:""", page)
+    found = json.loads((tmp_path / "out" / "result.json").read_text())["identification"]
+    for one in found["parameters"]:
+        assert one["label"].split(" ")[0] in page
+    for remark in found["remarks"]:
+        assert str(symbols(remark)) in page
+    for section in ("summary", "remarks", "residuals", "runs"):
+        assert f'<section id="{section}">' in page
+    assert found["logs"][0]["sha256"] in page
+
+
+def test_the_page_shows_a_resistance_over_its_temperature(ride: Path, tmp_path: Path) -> None:
+    log = tmp_path / "ride.csv"
+    heading, *rows = log.read_text().splitlines()
+    warm = np.linspace(20.0, 60.0, len(rows))
+    names = heading.split(",")
+    i_d, i_q = names.index("d_axis_current"), names.index("q_axis_current")
+    u_d, u_q = names.index("d_axis_voltage"), names.index("q_axis_voltage")
+    lines = [f"{heading},temp_motor"]
+    for row, temperature in zip(rows, warm, strict=True):
+        cells = [float(cell) for cell in row.split(",")]
+        more = 0.07 * 0.00393 * (temperature - 20.0)
+        cells[u_d] += more * cells[i_d]
+        cells[u_q] += more * cells[i_q]
+        lines.append(",".join(f"{cell:.9g}" for cell in (*cells, temperature)))
+    log.write_text("\n".join(lines))
+    line = identify(read_bench(ride)).analyses[0].over_temperature
+    assert line is not None
+    assert line.value[0] == pytest.approx(0.07, rel=0.03)
+    assert line.value[-1] == pytest.approx(0.07 * (1.0 + 0.00393 * 40.0), rel=0.03)
+    truth = 0.07 * (1.0 + 0.00393 * (line.temperature - 20.0))
+    assert np.all((line.low <= truth) & (truth <= line.high))
+    assert call("identify", ride, "-o", tmp_path / "out") == 0
+    assert '<section id="temperature-0">' in (tmp_path / "out" / "report.html").read_text()
