@@ -39,6 +39,11 @@ def _left(run: str, quantity: str, unit: str, fit: Regression) -> RunResiduals:
     return RunResiduals(run, quantity, unit, fit.rms, rows, fit.effective, fit.residuals)
 
 
+def _integral(time: FloatArray, values: FloatArray) -> FloatArray:
+    """Integral over the time from the first row on, by straight lines."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time) * (values[1:] + values[:-1]))])
+
+
 def _one_series(rows: int) -> NDArray[np.intp]:
     return np.zeros(rows, dtype=np.intp)
 
@@ -571,16 +576,11 @@ def analyse_spin_up(spins: Sequence[SpinUp], torque_constant: float, share: floa
     """
     parts, values = [], []
     for place, spin in enumerate(spins):
-        step = np.diff(spin.time)
-
-        def integral(of: FloatArray, step: FloatArray = step) -> FloatArray:
-            return np.concatenate([[0.0], np.cumsum(0.5 * step * (of[1:] + of[:-1]))])
-
         begin = np.zeros((spin.time.size, len(spins)))
         begin[:, place] = 1.0
-        turned = integral(np.sign(spin.omega_m)), integral(spin.omega_m)
+        turned = (_integral(spin.time, x) for x in (np.sign(spin.omega_m), spin.omega_m))
         parts.append(np.column_stack([begin, spin.omega_m, *turned]))
-        values.append(torque_constant * integral(spin.i_q))
+        values.append(torque_constant * _integral(spin.time, spin.i_q))
     coasts = any(not np.any(spin.i_q) for spin in spins)
     whole, series = np.concatenate(parts), np.repeat(range(len(spins)), [x.size for x in values])
     count = len(spins)
@@ -662,9 +662,7 @@ def analyse_spin(spin: SpinDown, inertia: float) -> Analysis:
     """
     turn = float(np.sign(spin.omega_m[0]))
     speed, time = turn * spin.omega_m, spin.time - spin.time[0]
-    step = np.diff(time)
-    angle = np.concatenate([[0.0], np.cumsum(0.5 * step * (speed[1:] + speed[:-1]))])
-    square = np.concatenate([[0.0], np.cumsum(0.5 * step * (speed[1:] ** 2 + speed[:-1] ** 2))])
+    angle, square = _integral(time, speed), _integral(time, speed**2)
     rows = np.column_stack([np.ones_like(time), -time, -angle, -square])
     series = _one_series(time.size)
     fit = regress(rows[:, :3], inertia * speed, series)
