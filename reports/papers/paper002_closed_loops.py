@@ -33,7 +33,7 @@ from dqforge.optimizer.phase_control.phase_controller import (
     PhaseControl,
     PhaseShape,
 )
-from dqforge.optimizer.solution import Solution
+from dqforge.optimizer.solution import Solution, solve_control
 from dqforge.optimizer.waveforms.constraint_rows import spectrum, unit_currents
 from dqforge.reports.c_code.harness import title
 from dqforge.reports.main_header import header_files
@@ -270,8 +270,8 @@ def run_loops() -> ClosedLoops:
     # The work is that of other processes: compilers and simulations.
     with ThreadPoolExecutor(_WORKERS) as pool:
         runs = pool.map(run_case, CASES)
-        led = pool.map(run_led, _LED)
-        return ClosedLoops(tuple(runs), tuple(led))
+        led = pool.submit(run_led)
+        return ClosedLoops(tuple(runs), led.result())
 
 
 # The closed loops of Figures 6.9 to 6.18 of paper 002: circuits and controllers, with the C
@@ -369,16 +369,22 @@ _SETTINGS = (
 )
 
 
-def run_led(led_by: str) -> LedRun:
-    """Run the shipped drive's dqy, ``led_by`` the encoder or the observer.
+def run_led() -> tuple[LedRun, ...]:
+    """Run the shipped drive's dqy, led by the encoder and by the observer.
 
     Raises:
         VerificationError: There is no compiler.
     """
     design = _with_speed_loop(catalogue.load(DESIGN_NAME, _SETTINGS))
+    solution = solve_control(design)
+    return tuple(_led_by(solution, led_by) for led_by in _LED)
+
+
+def _led_by(solution: Solution, led_by: str) -> LedRun:
     observed = Sensorless(_OBSERVED_FROM * RPM, 0.8 * _OBSERVED_FROM * RPM)
     scenario = replace(_LOAD_STEP, sensorless=None if led_by == "encoder" else observed)
-    run = simulate_design(replace(design, simulation=scenario)).run
+    design = replace(solution.design, simulation=scenario)
+    run = simulate_design(design, solution=solution).run
     error = angle_error(run)
     kept = run.t >= _STEP_AT - 0.01
     last = run.t >= _STEP_END - 0.1

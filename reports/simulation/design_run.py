@@ -23,7 +23,7 @@ from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.online_estimation import FLUX, RESISTANCE
 from dqforge.optimizer.operating_points.solve import current_choice
-from dqforge.optimizer.solution import Solution, solve
+from dqforge.optimizer.solution import Solution, solve_control
 from dqforge.optimizer.start_up.start_records import StartupFault, StartupState
 from dqforge.reports.fixed_observers.fixed_observer_header import fixed_observer_files
 from dqforge.reports.main_header import header_files
@@ -433,8 +433,8 @@ def simulate_design(
     solution: Solution | None = None,
     progress: Progress | None = None,
 ) -> DriveSimulation:
-    """Solve a design, emit its controller in every format that it asks for, compile each with the
-    plant, and run the scenario.
+    """Solve the controller of a design, emit it in every format that it asks for, compile each with
+    the plant, and run the scenario.
 
     Args:
         design: With a section ``simulation``.
@@ -448,7 +448,7 @@ def simulate_design(
     """
     scenario = require_scenario(design, switched=switched)
     require_compiler()
-    whole = solve(design) if solution is None else solution
+    whole = solve_control(design) if solution is None else solution
     formats = simulated(whole)
     if formats != ("float32",):
         _require_full_scale(design, scenario)

@@ -151,7 +151,7 @@ def test_loops_are_drawn(runs: dict[str, LoopRun]) -> None:
 @pytest.mark.slow
 def test_without_an_encoder_the_fifth_and_seventh_harmonic_swing_the_angle() -> None:
     """In rotor coordinates both are of order 6: 150 Hz at 750 rpm with two pole pairs."""
-    led = tuple(run_led(by) for by in ("encoder", "observer"))
+    led = run_led()
     for run in led:
         assert run.mean == pytest.approx(1.0, abs=5e-3)
         assert run.ripple < (0.01 if run.led_by == "encoder" else 0.15)
