@@ -214,8 +214,9 @@ class _Reading:
             raise _joined(faults) from None
         if faults:
             raise _joined(faults)
+        gaps = tuple(_with_gaps(self.section.name, tables, parts))
         parts, cut = _rising(self.section.name, parts)
-        remarks = cut + tuple(
+        remarks = (*gaps, *cut) + tuple(
             f"{self.section.name}: the column {one.column} looks like a requested current, and the "
             "file calls it measured; a setpoint is not the current that flowed"
             for one in asked
@@ -363,6 +364,18 @@ class _Reading:
                     "columns",
                     key=True,
                 )
+
+
+def _with_gaps(name: str, tables: list[LogTable], parts: list[LogPart]) -> Iterator[str]:
+    """A remark on each log that has rows without a number in a column that was asked."""
+    for table, part in zip(tables, parts, strict=True):
+        lost = table.lines.size - part.rows.size
+        if lost and part.columns:
+            first = int(np.setdiff1d(table.lines, part.rows)[0])
+            yield (
+                f"{name}: {lost} of {table.lines.size} rows of {part.file} have a gap in a column "
+                f"that is read, line {first} first; they are left out"
+            )
 
 
 def _rising(name: str, parts: list[LogPart]) -> tuple[list[LogPart], tuple[str, ...]]:

@@ -284,7 +284,8 @@ def _simulation(
 @dataclass(frozen=True, slots=True)
 class _Fit:
     """What leaves least of the currents: terms, their values, derivatives of the currents, shape
-    (N, K), what is left (N,), each row's axis, and the rows by which the voltage is late.
+    (N, K), what is left (N,), each row's axis, the rows by which the voltage is late, the time of a
+    row in s and whether the voltages are references.
     """
 
     terms: list[str]
@@ -293,6 +294,18 @@ class _Fit:
     left: FloatArray
     series: Groups
     whole: int
+    step: float
+    reference: bool
+
+    @property
+    def inductances(self) -> list[str]:
+        """Terms of the inductances, in the order of the axes."""
+        return [term for term in self.terms if term.startswith("inductance")]
+
+    def kept(self) -> list[float]:
+        """Share of each axis's current that is there after a row without voltage."""
+        ratio = self.at[self.terms.index("resistance")] * self.step
+        return [math.exp(-ratio / self.at[self.terms.index(one)]) for one in self.inductances]
 
 
 def _fitted(rows: LockedAxes, *, reference: bool) -> _Fit:
@@ -323,7 +336,8 @@ def _fitted(rows: LockedAxes, *, reference: bool) -> _Fit:
     currents, turns = run(found.x)
     if not np.isfinite(turns).all() or float(np.ptp(currents)) == 0.0:
         raise FloatingPointError
-    return _Fit(terms, found.x, turns, measured - currents, series, whole)
+    left = measured - currents
+    return _Fit(terms, found.x, turns, left, series, whole, rows.step, reference)
 
 
 _EDGE = 1e-3
@@ -479,10 +493,17 @@ def _averaged(found: _Fit) -> tuple[list[str], Averaged]:
     places = [found.terms.index(term) for term in terms]
     rows = found.rows[:, places]
     aim = found.left + rows @ found.at[places]
-    white = _whitened(np.column_stack([rows, aim]), found)
-    series = np.concatenate([part[_MEMORY:] for part in _parted(found.series, found.series)])
-    fit = averaged(white[:, :-1], range(len(base)), white[:, -1], series)
-    return terms, replace(fit, covariance=_at_least_white(fit, white[:, fit.places]))
+    white, noise = _whitened(np.column_stack([rows, aim]), found)
+    fit = averaged(white[:, :-1], range(len(base)), white[:, -1], found.series)
+    within = white[:, fit.places]
+    coefficients = fit.coefficients.copy()
+    if not found.reference:
+        taken = _of_noisy_voltages(found, noise, fit.best.rms**2)[places][list(fit.places)]
+        scale = np.linalg.norm(within, axis=0)
+        curvature = (within / scale).T @ (within / scale)
+        coefficients[list(fit.places)] += np.linalg.solve(curvature, taken / scale) / scale
+    covariance = _at_least_white(fit, within)
+    return terms, replace(fit, coefficients=coefficients, covariance=covariance)
 
 
 def _at_least_white(fit: Averaged, rows: FloatArray) -> FloatArray:
@@ -497,34 +518,71 @@ def _at_least_white(fit: Averaged, rows: FloatArray) -> FloatArray:
     return fit.covariance * np.outer(wider, wider)
 
 
-# Rows that what is left remembers: a voltage that was not as logged moves the current for as long
-# as the winding is slow.
-_MEMORY = 6
+# Noise of logged voltages moves the simulated current, and the winding keeps it: what is left is
+# white noise of the current beside one that falls with a = e^(-R t_s/L) per row. Squares of the
+# noise of the voltage over R times that of the current:
+_NOISES = (0.0, *np.geomspace(1e-4, 1e4, 33))
 
 
 def _parted(values: NDArray[Any], series: Groups) -> list[NDArray[Any]]:
     return [values[series == label] for label in np.unique(series)]
 
 
-def _whitened(rows: FloatArray, found: _Fit) -> FloatArray:
-    """Rows less what an autoregression of what is left foretells of them, without the first of each
-    series: the fit is that of generalised least squares then, and its errors those of white rows.
+def _white(values: FloatArray, kept: float, noise: float) -> tuple[FloatArray, float]:
+    """What the steady Kalman filter of both noises could not foretell, in units of the noise of the
+    current, and its standard deviation in them. ``kept`` is a, ``noise`` one of `_NOISES`.
     """
-    lefts = _parted(found.left, found.series)
-    past = np.concatenate([_past(left[:, None])[:, :, 0] for left in lefts], axis=1).T
-    weights = np.linalg.lstsq(past, np.concatenate([left[_MEMORY:] for left in lefts]), rcond=None)
-    return np.concatenate(
-        [
-            part[_MEMORY:] - np.tensordot(weights[0], _past(part), axes=1)
-            for part in _parted(rows, found.series)
-        ]
-    )
+    part = (1.0 - kept) ** 2 * noise
+    less = 0.5 * (1.0 - kept * kept - part)
+    before = math.sqrt(less * less + part) - less  # variance before a row is read
+    spread = math.sqrt(before + 1.0)
+    pole = kept / (before + 1.0)
+    return np.asarray(lfilter([1.0, -kept], [1.0, -pole], values, axis=0)) / spread, spread
 
 
-def _past(rows: FloatArray) -> FloatArray:
-    """Each row's last ones, shape (memory, rows, K)."""
-    count = rows.shape[0]
-    return np.stack([rows[_MEMORY - lag : count - lag] for lag in range(1, _MEMORY + 1)])
+def _whitened(rows: FloatArray, found: _Fit) -> tuple[FloatArray, float]:
+    """Rows whose last column is left white by the others, and the noise of the voltage: the
+    likeliest one where the coefficients are integrated out (restricted maximum likelihood).
+    """
+    best = (math.inf, rows, 0.0)
+    for noise in _NOISES:
+        pairs = zip(_parted(rows, found.series), found.kept(), strict=True)
+        parts = [_white(part, kept, noise) for part, kept in pairs]
+        white = np.concatenate([part for part, _ in parts])
+        factor = np.log(np.abs(np.diag(np.linalg.qr(white, mode="r"))))
+        free = white.shape[0] - white.shape[1] + 1
+        likely = free * factor[-1] + np.sum(factor[:-1])
+        likely += sum(part.shape[0] * math.log(spread) for part, spread in parts)
+        if likely < best[0]:
+            best = float(likely), white, noise
+    return best[1:]
+
+
+def _of_noisy_voltages(found: _Fit, noise: float, square: float) -> FloatArray:
+    """What noise of the voltages takes from the scores of all terms, shape (K,): it is in the
+    simulated current and in its derivatives. ``square`` is that of the noise of the current.
+    """
+    taken = np.zeros(len(found.terms))
+    count = found.left.size // len(found.inductances)
+
+    def answer(own: FloatArray, kept: float) -> FloatArray:
+        """White current after a volt in one row, of R, L and delay ``own``."""
+        a = math.exp(-own[0] * found.step / own[1])
+        pulse = np.zeros(count)
+        pulse[1:3] = 1.0 - own[2], own[2]
+        return _white(np.asarray(lfilter([(1.0 - a) / own[0]], [1.0, -a], pulse)), kept, noise)[0]
+
+    for term, kept in zip(found.inductances, found.kept(), strict=True):
+        at = [found.terms.index(name) for name in ("resistance", term, "delay")]
+        own = found.at[at]
+        step = _SMALL * np.array([own[0], own[1], 1.0])
+        white = answer(own, kept)
+        slopes = [answer(own + one, kept) - white for one in np.diag(step)]
+        taken[at] += count * noise * own[0] ** 2 * square * (np.array(slopes) @ white) / step
+    return taken
+
+
+_SMALL = 1e-5
 
 
 def _reasons(found: _Fit) -> dict[str, str]:

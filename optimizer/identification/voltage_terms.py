@@ -48,6 +48,8 @@ from dqforge.optimizer.identification.parameters import (
 
 # Copper at 20 degC, per kelvin.
 COPPER = 0.00393
+# Copper's own coefficient by its purity and the temperature that it is stated at, 20 or 25 degC.
+_PURITY = 0.03
 # A temperature coefficient needs a range over which copper changes by 6 %.
 _LEAST_RANGE_K = 15.0
 # Below this share of the largest current the voltage of the dead time is not yet whole.
@@ -584,7 +586,8 @@ def _told(
     remarks += _quadrants_told(rows, names, by_key["resistance"])
     coefficient = by_key.get("temperature_coefficient")
     if coefficient is not None and coefficient.status == "identified":
-        is_copper = coefficient.low <= COPPER <= coefficient.high
+        slack = _PURITY * COPPER
+        is_copper = coefficient.low - slack <= COPPER <= coefficient.high + slack
         remarks.append(
             f"{names}: the temperature coefficient is {'that' if is_copper else 'not that'} of "
             f"copper, {COPPER} 1/K"

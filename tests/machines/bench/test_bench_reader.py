@@ -144,6 +144,15 @@ def test_a_requested_current_that_is_said_to_be_measured(log: Path) -> None:
     assert "looks like a requested current" in run.remarks[0]
 
 
+def test_rows_with_a_gap_are_counted(log: Path) -> None:
+    lines = (log / "log.csv").read_text().splitlines()
+    (log / "log.csv").write_text("\n".join([*lines[:2], ",6,120", *lines[3:], "1.5,,60"]) + "\n")
+    (run,) = read_bench(written(log, ROWS)).runs
+    assert run.need("i_q").tolist() == [1.0, -1.0, 0.0]
+    assert "2 of 5 rows of log.csv have a gap" in run.remarks[0]
+    assert "line 3 first" in run.remarks[0]
+
+
 def test_a_log_of_a_known_tool_needs_no_word_on_its_currents(
     tmp_path: Path, shared_data: Path
 ) -> None:

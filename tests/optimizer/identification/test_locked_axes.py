@@ -94,15 +94,15 @@ def test_steps_of_both_axes_hold_all() -> None:
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth() -> None:
-    """Of 60 logs each; 95 % intervals hold it in 80 to 100 of 100."""
-    for measured in (0.0, 0.1):
+    """Of 60 logs each, of references and of voltages that are measured with noise of up to 5 %."""
+    for measured in (0.0, 0.1, 0.3):
         hits: Counter[str] = Counter()
         for seed in range(60):
             rows = locked(seed, late=seed % 5 / 2.0, measured=measured)
             analysis = analyse_locked(rows, {}, reference=not measured)
             for one in analysis.parameters:
                 hits[one.key] += one.low <= TRUTH[one.key] <= one.high
-        assert min(hits.values()) >= 48, hits
+        assert min(hits.values()) >= 52, hits
 
 
 def test_one_axis_says_nothing_of_the_other() -> None:
