@@ -216,12 +216,13 @@ class _Reading:
             raise _joined(faults)
         gaps = tuple(_with_gaps(self.section.name, tables, parts))
         parts, cut = _rising(self.section.name, parts)
-        remarks = (*gaps, *cut) + tuple(
+        remarks = [*gaps, *cut]
+        remarks += [
             f"{self.section.name}: the column {one.column} looks like a requested current, and the "
             "file calls it measured; a setpoint is not the current that flowed"
             for one in asked
             if self.kind.currents and looks_requested(one)
-        )
+        ]
         return LoggedRun(
             self.index,
             self.section.name,
@@ -229,7 +230,7 @@ class _Reading:
             tuple(parts),
             constants,
             self.section.voltage or ("reference" if self._is_of_a_tool else None),
-            remarks,
+            tuple(remarks),
         )
 
     @property

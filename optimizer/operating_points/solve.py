@@ -89,9 +89,12 @@ def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
 def _copper_saving(chosen: OperatingPoints, id0: OperatingPoints) -> CopperSaving | None:
     """What currents save against those of i_d = 0 for the same torques.
 
-    None where those lose nothing.
+    None where those lose nothing, or make no torque within the current limit.
     """
-    last = int(np.flatnonzero(~id0.limited & ~chosen.limited)[-1])
+    made = np.flatnonzero(~id0.limited & ~chosen.limited)
+    if made.size == 0:
+        return None
+    last = int(made[-1])
     found = CopperSaving(
         float(chosen.torque[last]), float(chosen.copper[last]), float(id0.copper[last])
     )

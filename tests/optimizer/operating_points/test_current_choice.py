@@ -4,16 +4,21 @@ against scans and against the machine itself.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from drives import IPM, RELUCTANCE, SURFACE
 from saturated import ArctanMachine
 
+from dqforge.machines.design.catalogue import load
 from dqforge.machines.design.settings import FitSettings
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine, ScaledMachines
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.current_reference.fit import fit_reference, possible_forms
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint
+from dqforge.optimizer.operating_points.solve import solve_curves
 
 SATURATED = ArctanMachine()
 FAST = SpeedPoint(750.0, 280.0)
@@ -137,3 +142,15 @@ def test_what_does_not_suit_is_refused() -> None:
     assert possible_forms(CurrentChoice(RELUCTANCE, "mtpa", 22.0, SpeedPoint(60.0, 150.0))) == (
         "polynomial",
     )
+
+
+@pytest.mark.parametrize("magnet", [1.0, 0.01])
+def test_a_map_of_hardly_any_magnets_has_curves(magnet: float) -> None:
+    """At i_d = 0 such a machine makes no torque of the grid: there is nothing to compare with."""
+    design = load("baldor-pmsyrm-5k6")
+    assert isinstance(design.machine, SaturatedMachine)
+    drawn = {"magnet": np.array([magnet])}
+    machine = ScaledMachines.varied(design.machine, 1, drawn).machine(0)
+    curves = solve_curves(replace(design, machine=machine))
+    assert curves.chosen.torque[-1] > 5.0
+    assert (curves.saving is None) == (magnet < 1.0)
