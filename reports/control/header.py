@@ -411,11 +411,25 @@ def control_files(solution: Solution) -> dict[str, bytes]:
                 "copy over."
             ),
             "Compile with -ffp-contract=off to equal the model bit for bit.",
+            *_over_a_regulator(design),
             *stability_lines(solution.loops, solution.design.machine.pole_pairs),
             *proven_lines(solution.loops),
         ],
     }
     return {f"{prefix}_control.h": render("control/control.h.j2", context).encode("ascii")}
+
+
+def _over_a_regulator(design: Design) -> list[str]:
+    """What is of use where the phase currents switch the bridge themselves."""
+    loop = design.control.current_loop
+    if not loop.switches:
+        return []
+    return [
+        "",
+        f"The {loop.method} regulator switches the bridge: hand it state.reference of the speed or",
+        "torque control. The duty cycles and the gains of d and q, which stand for the regulator",
+        "as the speed loop sees it, are left aside.",
+    ]
 
 
 def gain_bytes(plain: Mapping[str, Any]) -> bytes:

@@ -5,7 +5,7 @@ rotor coordinates.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -530,7 +530,17 @@ def emitted_control_programme(model: EmittedModel) -> Programme:
 
 
 def _float32(outcome: Outcome) -> Solution | None:
-    return outcome.solution if "float32" in outcome.design.export.control else None
+    """What the control functions are of: over a regulator that switches the bridge itself, the
+    speed loop and the references.
+    """
+    if "float32" not in outcome.design.export.control:
+        return None
+    solution = outcome.solution
+    if solution.current_feedback is None:
+        return solution
+    from dqforge.optimizer.current_feedback.closed_drive import lag_gains
+
+    return replace(solution, loops=lag_gains(solution.design, solution.current_feedback))
 
 
 FLOAT32_CONTROL = Capability(
@@ -540,8 +550,8 @@ FLOAT32_CONTROL = Capability(
     headers=(
         HeaderKind(
             name="control",
-            files=lambda solution, _: emitted_control_files(solution),
-            plain=lambda solution, _: emitted_control_plain(solution),
+            files=lambda _, solution: emitted_control_files(solution),
+            plain=lambda _, solution: emitted_control_plain(solution),
             read=emitted_control_from,
             programme=emitted_control_programme,
             vectors=False,

@@ -380,7 +380,16 @@ def _check_rest(file: Asked, document: YamlDocument) -> None:
             ("control", "speed_loop", "measurement"),
             "remove it",
         ),
-        (bool(file.export.control), ("export", "control"), "remove it"),
+        (
+            control.speed_loop is None and bool(file.export.control),
+            ("export", "control"),
+            "remove it, or add the speed loop that it would hold",
+        ),
+        (
+            not set(file.export.control) <= {"float32"},
+            ("export", "control"),
+            "write float32, which has the speed loop over the regulator",
+        ),
         (bool(file.export.firmware), ("export", "firmware"), "remove it"),
         (file.operation.overmodulation != "none", ("operation", "overmodulation"), "remove it"),
     ]

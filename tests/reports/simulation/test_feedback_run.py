@@ -17,9 +17,10 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.names import FeedbackMethod
 from dqforge.machines.plants.current_feedback import simulate_currents
 from dqforge.machines.plants.scenario import Encoder, Profile, Scenario, constant
-from dqforge.optimizer.current_feedback.closed_drive import counted_losses
+from dqforge.optimizer.current_feedback.closed_drive import counted_losses, own_feedback
 from dqforge.optimizer.current_feedback.regulator_runs import (
     bridge_of,
     load_points,
@@ -27,8 +28,9 @@ from dqforge.optimizer.current_feedback.regulator_runs import (
 )
 from dqforge.optimizer.losses.drive_budget import drive_budget, known_bridge
 from dqforge.optimizer.losses.loss_map import budget_options
-from dqforge.optimizer.solution import solve
+from dqforge.optimizer.solution import solve, solve_control
 from dqforge.reports.pages.templating import to_text
+from dqforge.reports.run import emitted_files
 from dqforge.reports.simulation.design_run import DriveSimulation, controller_files
 from dqforge.reports.simulation.feedback_run import (
     closed_points,
@@ -275,3 +277,12 @@ def test_comparators_that_chatter_are_refused() -> None:
     design = feedback_design("ramp-comparison", "control.current_loop.kp=500 V/A")
     with pytest.raises(NoSolutionError, match="comparator_band"):
         simulate_feedback(replace(design, simulation=replace(LOADED, duration=0.01)))
+
+
+@pytest.mark.parametrize("method", ["hysteresis", "circle"])
+def test_the_emitted_speed_control_is_the_one_that_runs(method: FeedbackMethod) -> None:
+    design = feedback_design(method, "export.control=float32", simulated=True)
+    solution = replace(solve_control(design), current_feedback=own_feedback(design))
+    emitted = emitted_files(solution)["fb_control.h"]
+    assert emitted == feedback_files(design, closed_solution(design, solution))["fb_control.h"]
+    assert f"The {method} regulator switches the bridge".encode() in emitted

@@ -49,7 +49,7 @@ def test_keys_are_read() -> None:
         ("circle", f"{LOOP}.sampling=5 kHz", "too slow to switch by"),
         ("hysteresis", "control.observer.method=flux", "control.observer needs PI current loops"),
         ("hysteresis", "control.tolerances.r_s=10 %", "control.tolerances needs PI current loops"),
-        ("hysteresis", "export.control=float32", "export.control needs PI current loops"),
+        ("hysteresis", "export.control=q15", "write float32, which has the speed loop"),
         ("hysteresis", "inverter.topology=split-capacitor", "works on topology: three-wire"),
     ],
 )
