@@ -529,7 +529,7 @@ def _parted(values: NDArray[Any], series: Groups) -> list[NDArray[Any]]:
 
 
 def _white(values: FloatArray, kept: float, noise: float) -> tuple[FloatArray, float]:
-    """What the steady Kalman filter of both noises could not foretell, in units of the noise of the
+    """What the steady Kalman filter of both noises could not predict, in units of the noise of the
     current, and its standard deviation in them. ``kept`` is a, ``noise`` one of `_NOISES`.
     """
     part = (1.0 - kept) ** 2 * noise
