@@ -59,7 +59,7 @@ class Speed:
     ("name", "duration", "speed", "load", "switched"),
     [
         (*ABB, False),
-        (*ABB, True),
+        pytest.param(*ABB, True, marks=pytest.mark.slow),
         pytest.param(*BENCH, False, marks=pytest.mark.slow),
         pytest.param(*BENCH, True, marks=pytest.mark.slow),
     ],
