@@ -5,7 +5,7 @@ several runs hold is combined, and what none holds is taken from what is known a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -123,7 +123,7 @@ def identify(bench: Bench) -> Identification:
     groups = _together(bench.runs)
     for runs in groups:
         try:
-            analysis, found = _analysed(_fed(bench, runs[0].kind, analyses), runs)
+            analysis, found = _analysed(bench, runs, analyses)
         except NoSolutionError as fault:
             faults.append(fault)
         else:
@@ -150,8 +150,11 @@ def identify(bench: Bench) -> Identification:
     )
 
 
-def _analysed(bench: Bench, runs: Sequence[LoggedRun]) -> tuple[Analysis, FluxFit | None]:
-    """What runs of one kind hold, and their flux map.
+def _analysed(
+    bench: Bench, runs: Sequence[LoggedRun], before: Sequence[Analysis]
+) -> tuple[Analysis, FluxFit | None]:
+    """What runs of one kind hold, some of them by what the analyses before hold; and their flux
+    map.
 
     Raises:
         NoSolutionError: They say nothing.
@@ -163,6 +166,9 @@ def _analysed(bench: Bench, runs: Sequence[LoggedRun]) -> tuple[Analysis, FluxFi
                 flux = _flux(bench, runs)
                 flux = replace(flux, analysis=_believed(flux.analysis))
                 return flux.analysis, flux
+            if runs[0].kind in _AFTER:
+                held = {one.key: one for one in _combined(before)[0] if one.status == "identified"}
+                return _believed(_AFTER[runs[0].kind](bench, runs, held)), None
             return _believed(_ANALYSES[runs[0].kind](bench, runs)), None
     except (ArithmeticError, np.linalg.LinAlgError):
         raise refused(runs[0], _UNDETERMINED) from None
@@ -192,7 +198,7 @@ def _without_each(
                 continue
             others = [one for one in runs if one is not run]
             try:
-                less = [_analysed(_fed(bench, run.kind, analyses), others)[0]] if others else []
+                less = [_analysed(bench, others, analyses)[0]] if others else []
             except NoSolutionError:
                 continue
             left = {
@@ -251,30 +257,23 @@ def _together(runs: Sequence[LoggedRun]) -> list[list[LoggedRun]]:
         if run.kind in _SHAFT and accelerated:
             key = (_SHAFT,)
         found.setdefault(key, []).append(run)
-    return sorted(found.values(), key=lambda group: group[0].kind in _SHAFT)
+    order = list(_AFTER)
+    return sorted(
+        found.values(),
+        key=lambda group: 1 + order.index(group[0].kind) if group[0].kind in order else 0,
+    )
 
 
-# Kinds that need what others hold: the torque of a current.
 _SHAFT = ("spin-up", "spin-down")
-_FLUX_SHARE = "share of the magnet flux linkage"
-
-
-def _fed(bench: Bench, kind: str, analyses: Sequence[Analysis]) -> Bench:
-    """The bench for a kind of run, with what the runs before it hold where that kind needs it."""
-    if kind not in _SHAFT:
-        return bench
-    held = {one.key: one for one in _combined(analyses)[0] if one.status == "identified"}
-    flux = held.get("magnet_flux")
-    if flux is None:
-        return bench
-    fed = {"magnet_flux": flux.value, _FLUX_SHARE: flux.sigma / flux.value}
-    return replace(bench, known=dict(bench.known) | fed)
 
 
 def refused(run: LoggedRun, why: str) -> NoSolutionError:
     """A run that says nothing of what it was made for."""
     return NoSolutionError(f"{run.place}: {why}")
 
+
+# What the runs before hold, by key.
+Held = Mapping[str, Parameter]
 
 # Each kind: columns of the runs into arrays of its analysis.
 
@@ -402,7 +401,7 @@ def _steps(bench: Bench, runs: Sequence[LoggedRun]) -> dict[str, float] | None:
     return found if any(run.steps is not None for run in runs) else None
 
 
-def _rows(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+def _rows(bench: Bench, runs: Sequence[LoggedRun], held: Held) -> Analysis:
     speed, i_q, u_q = (
         np.concatenate([run.need(quantity) for run in runs]) for quantity in ("speed", "i_q", "u_q")
     )
@@ -422,8 +421,20 @@ def _rows(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
     if why:
         raise refused(runs[0], why)
     reference = runs[0].voltage == "reference"
-    found = analyse_rows(rows, _known_values(bench, runs), reference=reference)
+    known, own = _known_values(bench, runs), held.get("inductance_d")
+    inductance: tuple[float, float, str] | None
+    if own is None and "inductance_d" in known:
+        value = known["inductance_d"][0]
+        sigma = bench.widths.get("inductance_d", _DATA_SHEET * value) / _WIDE
+        inductance = value, sigma, known["inductance_d"][1]
+    else:
+        inductance = None if own is None else (own.value, own.sigma, ", ".join(own.runs))
+    found = analyse_rows(rows, known, reference=reference, inductance_d=inductance)
     return _examined(bench, runs, found)
+
+
+# Half of the 95 % interval of a data sheet's inductance, and in standard deviations.
+_DATA_SHEET, _WIDE = 0.2, 1.96
 
 
 def _offsets(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
@@ -491,12 +502,13 @@ def _spin(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
     return analyse_spin(spin, bench.known["inertia"])
 
 
-def _shaft(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
+def _shaft(bench: Bench, runs: Sequence[LoggedRun], held: Held) -> Analysis:
     """Accelerations with coasting, or coasting alone with a known inertia."""
     up = [run for run in runs if run.kind == "spin-up"]
     if not up:
         return _spin(bench, runs)
-    flux, spins = bench.known.get("magnet_flux"), []
+    own, spins = held.get("magnet_flux"), []
+    flux = bench.known.get("magnet_flux") if own is None else own.value
     for run in runs:
         time, speed = run.need("time"), run.need("speed")
         coasting = run.kind == "spin-down"
@@ -513,7 +525,7 @@ def _shaft(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
             "data sheet, under machine, or add a run that holds it",
         )
     constant = torque_per_ampere(bench.pole_pairs, flux)
-    return analyse_spin_up(spins, constant, bench.known.get(_FLUX_SHARE, 0.0))
+    return analyse_spin_up(spins, constant, 0.0 if own is None else own.sigma / own.value)
 
 
 def _locked(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
@@ -569,19 +581,27 @@ def _inverter(_bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
 
 _ANALYSES: dict[str, Callable[[Bench, Sequence[LoggedRun]], Analysis]] = {
     "speed-sweep": _sweep,
-    "constant-speed": _rows,
     "offset-sweep": _offsets,
     "voltage-speed": _voltage_steps,
     "locked-torque": _bursts,
     "locked-voltage": _locked,
-    "spin-up": _shaft,
-    "spin-down": _shaft,
     "back-emf": _back_emf,
     "inverter-table": _inverter,
 }
 
+# Kinds that need what others hold, in their order: psi_d of a d current, the torque of a current.
+_AFTER: dict[str, Callable[[Bench, Sequence[LoggedRun], Held], Analysis]] = {
+    "constant-speed": _rows,
+    "spin-up": _shaft,
+    "spin-down": _shaft,
+}
+
 
 # One list of parameters.
+
+
+# Intervals that become wider by less are those of runs that agree.
+_WIDENED = 1.05
 
 
 def _combined(analyses: Sequence[Analysis]) -> tuple[list[Parameter], list[str]]:
@@ -598,7 +618,7 @@ def _combined(analyses: Sequence[Analysis]) -> tuple[list[Parameter], list[str]]
             continue
         mean, scale = mean_of_routes(held)
         found.append(mean)
-        if scale > 1.0:
+        if scale > _WIDENED:
             values = ", ".join(f"{one.value:.5g}" for one in held)
             remarks.append(
                 f"{mean.label}: the runs differ by more than their intervals ({values} "

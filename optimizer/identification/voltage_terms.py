@@ -231,7 +231,11 @@ def rows_fault(rows: SteadyRows) -> str:
 
 
 def analyse_rows(
-    rows: SteadyRows, known: Mapping[str, tuple[float, str]], *, reference: bool
+    rows: SteadyRows,
+    known: Mapping[str, tuple[float, str]],
+    *,
+    reference: bool,
+    inductance_d: tuple[float, float, str] | None = None,
 ) -> Analysis:
     """Parameters of rows that `rows_fault` has nothing against.
 
@@ -240,6 +244,8 @@ def analyse_rows(
         known: Other values in SI units by key, with where they come from.
         reference: Whether the voltages are what the controller asked for, which contain the error
             of the inverter.
+        inductance_d: In H with its standard deviation and where it comes from, for rows whose d
+            current does not show it.
     """
     model = _model(rows).weighted()
     open_terms = [term for term in model.columns if reference or term != "inverter_voltage"]
@@ -265,6 +271,7 @@ def analyse_rows(
         mean.best.freedom,
         mean.best.residuals,
     )
+    fit, of_current = _less_d_current(rows, terms, fit, inductance_d)
     reasons = _reasons(rows, terms, fit, _quadrants(rows))
     parameters = [
         _parameter(rows, model, term, place, fit, reasons.get(term, ""))
@@ -279,7 +286,7 @@ def analyse_rows(
     padded = np.full((whole, whole), np.nan)
     padded[: len(parameters), : len(parameters)] = covariance
     remarks, contradictions = _told(rows, model, fit, parameters, known)
-    remarks += [*coarse, *_drift(rows, model, terms)]
+    remarks += [*of_current, *coarse, *_drift(rows, model, terms)]
     return Analysis(
         "constant-speed",
         (*parameters, *absent),
@@ -290,6 +297,57 @@ def analyse_rows(
         tuple(TERMS[term][0] for term in terms),
         _over_temperature(rows, model, terms, fit),
     )
+
+
+# Half of the 95 % interval of L_d, over L_q, where nothing tells the saliency.
+_SALIENCY = 0.5
+# Standard deviations in it.
+_WIDE = 1.96
+
+
+def _less_d_current(
+    rows: SteadyRows,
+    terms: Sequence[str],
+    fit: _Found,
+    inductance_d: tuple[float, float, str] | None,
+) -> tuple[_Found, list[str]]:
+    """What is found without what a d current that hardly changes makes of the flux linkage: it is
+    in the magnets' where no term of its own is supported. With L_d from elsewhere, or L_q of these
+    rows in its place.
+    """
+    if "inductance_d" in terms or rows.i_d is None:
+        return fit, []
+    square = rows.omega_e @ rows.omega_e
+    current = float(rows.omega_e @ (rows.omega_e * rows.i_d) / square)
+    if inductance_d is None and "inductance_q" in terms:
+        own = abs(float(fit.coefficients[terms.index("inductance_q")]))
+        inductance_d = own, _SALIENCY * own / _WIDE, "L_q, which stands for it"
+    names, at = ", ".join(rows.runs), terms.index("magnet_flux")
+    if inductance_d is None:
+        if abs(current) < _TOLD_CURRENT * float(rows.current.max()):
+            return fit, []
+        told = (
+            f"{names}: i_d is {current:.2g} A on the average, and psi_pm holds L_d times that; "
+            "write inductance_d under machine"
+        )
+        return fit, [told]
+    value, sigma, origin = inductance_d
+    moved, wide = value * current, sigma * current
+    if abs(moved) < _TOLD_SHARE * math.sqrt(fit.covariance[at, at]):
+        return fit, []
+    coefficients, covariance = fit.coefficients.copy(), fit.covariance.copy()
+    coefficients[at] -= moved
+    covariance[at, at] += wide**2
+    told = (
+        f"{names}: i_d is {current:.2g} A on the average; L_d i_d, {1e3 * moved:.2g} mWb by "
+        f"{origin}, is not part of psi_pm"
+    )
+    return replace(fit, coefficients=coefficients, covariance=covariance), [told]
+
+
+# A mean d current over the largest current, and its flux linkage over the standard deviation, from
+# which on they are told.
+_TOLD_CURRENT, _TOLD_SHARE = 0.01, 0.1
 
 
 # Numbers with steps: what falls below one is not in the rows, however many there are.

@@ -67,6 +67,29 @@ def test_intervals_hold_the_truth() -> None:
     assert len(held["cross_saturation"]) > 30
 
 
+def held(current: float, seed: int) -> SteadyRows:
+    """A ride whose d current was held, but for its ripple."""
+    rows = ride(seed)
+    assert rows.i_d is not None
+    i_d = current + np.random.default_rng(seed).normal(0.0, 0.05, rows.i_d.size)
+    psi = TRUTH["inductance_d"] * (i_d - rows.i_d)
+    return replace(rows, temperature=None, i_d=i_d, u_q=rows.u_q + rows.omega_e * psi)
+
+
+@pytest.mark.parametrize("told", [None, (199e-6, 2e-6, "steps"), (230e-6, 20e-6, "a data sheet")])
+def test_a_d_current_that_was_held_is_no_magnet(told: tuple[float, float, str] | None) -> None:
+    """2 A are 0.4 mWb, 1.3 % of psi_pm and five times its interval."""
+    hits = 0
+    for seed in range(20):
+        analysis = analyse_rows(held(-2.0, seed), {}, reference=True, inductance_d=told)
+        one = found(analysis, "magnet_flux")
+        hits += one.low <= TRUTH["magnet_flux"] <= one.high
+        assert any("is not part of psi_pm" in text for text in analysis.remarks)
+    assert hits >= 17
+    blind = analyse_rows(replace(held(-2.0, 1), u_d=None), {}, reference=True)
+    assert any("psi_pm holds L_d times that" in text for text in blind.remarks)
+
+
 def test_copper_is_recognised_and_what_is_none_too() -> None:
     copper = analysed(ride(1, range_k=60.0))
     one = found(copper, "temperature_coefficient")
