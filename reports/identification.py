@@ -77,7 +77,7 @@ def _runs(found: Identification) -> Table:
             analysis.name,
             left.quantity,
             str(left.rows),
-            f"{left.effective:.3g}",
+            f"{left.effective:.0f}",
             format_quantity(left.rms, left.unit, 3),
         )
         for analysis in found.analyses
