@@ -75,7 +75,7 @@ times: $(VENV)/dev.stamp
 	$(BIN)/python tests/benchmarks/command_times.py $(TIMES)
 
 drawn-times: $(VENV)/dev.stamp
-	$(BIN)/python tests/benchmarks/command_times.py --drawn 30
+	$(BIN)/python tests/benchmarks/command_times.py --drawn 12
 
 check: lint types contracts
 
