@@ -3,11 +3,12 @@ and speed.
 
 The voltage of both axes is linear in what is sought:
 
-    u_d = R i_d - w L_q i_q + V0 s_d + offset
+    u_d = R i_d - w (psi_q0 + L_q i_q) + V0 s_d + offset
     u_q = R i_q + w (psi_pm + L_d i_d + c |i_q|) + V0 s_q + offset
 
-with s = i/|i| smoothed about zero, and R that may change with the temperature. Which of the terms
-the rows support is decided by BIC with the effective number of rows.
+with s = i/|i| smoothed about zero, and R that may change with the temperature. psi_q0 is that of
+an encoder turned by -psi_q0/psi_pm, by which the rows are turned back. Which of the terms the rows
+support is decided by BIC with the effective number of rows.
 """
 
 from __future__ import annotations
@@ -73,9 +74,10 @@ TERMS: Mapping[str, tuple[str, str]] = {
     "inverter_voltage": ("voltage error of the inverter along the current", "V"),
     "offset_d": ("offset of u_d", "V"),
     "offset_q": ("offset of u_q", "V"),
+    "encoder_angle": ("error of the encoder's angle", "rad"),
 }
 _BASE = ("resistance", "magnet_flux")
-_MAY_VANISH = ("cross_saturation", "inverter_voltage", "offset_d", "offset_q")
+_MAY_VANISH = ("cross_saturation", "inverter_voltage", "offset_d", "offset_q", "encoder_angle")
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,11 +165,78 @@ def voltage_columns(rows: SteadyRows) -> dict[str, FloatArray]:
     if rows.u_d is not None:
         by_term["inductance_q"] = (zero, -rows.omega_e * rows.i_q)
         by_term["offset_d"] = (zero, one)
+    if shows_angle(rows):
+        by_term["encoder_angle"] = (zero, -rows.omega_e)
     if rows.temperature is not None:
         warmer = rows.temperature - _middle(rows)
         by_term["resistance_slope"] = (warmer * rows.i_q, warmer * i_d)
     axes = (0, 1) if rows.u_d is not None else (0,)
     return {term: np.concatenate([pair[axis] for axis in axes]) for term, pair in by_term.items()}
+
+
+def shows_angle(rows: SteadyRows) -> bool:
+    """Whether rows show psi_q without current as an angle of the encoder: a current of one sign
+    that saturates looks the same, and in one direction iron loss and a delay of the voltage do.
+    """
+    if rows.i_d is None or rows.u_d is None:
+        return False
+    for values in (rows.i_q, rows.omega_e):
+        least = _NONE * float(np.max(np.abs(values)))
+        sides = (values > least).sum(), (values < -least).sum()
+        if min(sides) < _FEW * max(sum(sides), 1):
+            return False
+    return True
+
+
+# Standard deviations from which on rows are turned back, least angle (rad), and rows that tell it.
+_TURNED, _LEAST_TURN, _ENOUGH = 3.0, 2e-3, 20_000
+
+
+def _upright(rows: SteadyRows, *, reference: bool) -> tuple[SteadyRows, float]:
+    """Rows in the frame of the rotor, and the angle in rad by which they were turned to it."""
+    if not shows_angle(rows):
+        return rows, 0.0
+    kept: BoolArray = np.zeros(rows.u_q.size, dtype=np.bool_)
+    kept[:: -(-kept.size // _ENOUGH)] = True
+    part, angle = rows.some(kept), 0.0
+    for _ in range(4):
+        if not shows_angle(part):
+            return rows, 0.0
+        model = _model(part).weighted()
+        terms = [*_base(model, reference=reference), "inductance_q", "inductance_d"]
+        apart = separable(np.column_stack([model.columns[term] for term in terms]))
+        terms = [term for term, held in zip(terms, apart, strict=True) if held]
+        if "encoder_angle" not in terms or "magnet_flux" not in terms:
+            return rows, 0.0
+        fit = _regression(model, terms)
+        at, of_flux = terms.index("encoder_angle"), terms.index("magnet_flux")
+        flux = float(fit.coefficients[of_flux])
+        turn, sigma = -float(fit.coefficients[at]) / flux, math.sqrt(fit.covariance[at, at]) / flux
+        if abs(turn) < max(_TURNED * abs(sigma), _LEAST_TURN):
+            break
+        angle += turn
+        part = _turned(rows.some(kept), angle)
+    return (_turned(rows, angle) if angle else rows), angle
+
+
+def _turned(rows: SteadyRows, angle: float) -> SteadyRows:
+    """Currents and voltages in a frame that is turned by an angle in rad."""
+    assert rows.i_d is not None
+    assert rows.u_d is not None
+    c, s = math.cos(angle), math.sin(angle)
+    steps = rows.steps
+    if steps is None:
+        columns = {"i_d": rows.i_d, "i_q": rows.i_q, "u_d": rows.u_d, "u_q": rows.u_q}
+        columns["omega_e"] = rows.omega_e
+        steps = {name: step_of(values) for name, values in columns.items()}
+    return replace(
+        rows,
+        i_d=c * rows.i_d - s * rows.i_q,
+        i_q=c * rows.i_q + s * rows.i_d,
+        u_d=c * rows.u_d - s * rows.u_q,
+        u_q=c * rows.u_q + s * rows.u_d,
+        steps=steps,
+    )
 
 
 def _middle(rows: SteadyRows) -> float:
@@ -207,7 +276,9 @@ def _base(model: _Model, *, reference: bool) -> list[str]:
     terms = list(_BASE)
     with_error = [*terms, "inverter_voltage"]
     columns = np.column_stack([model.columns[term] for term in with_error])
-    return with_error if reference and bool(separable(columns).all()) else terms
+    if reference and bool(separable(columns).all()):
+        terms = with_error
+    return [*terms, *(term for term in ("encoder_angle",) if term in model.columns)]
 
 
 def _regression(model: _Model, terms: Sequence[str]) -> Regression:
@@ -247,6 +318,7 @@ def analyse_rows(
         inductance_d: In H with its standard deviation and where it comes from, for rows whose d
             current does not show it.
     """
+    rows, angle = _upright(rows, reference=reference)
     model = _model(rows).weighted()
     open_terms = [term for term in model.columns if reference or term != "inverter_voltage"]
     base = _base(model, reference=reference)
@@ -272,6 +344,7 @@ def analyse_rows(
         mean.best.residuals,
     )
     fit, of_current = _less_d_current(rows, terms, fit, inductance_d)
+    fit = _as_angle(terms, fit, angle)
     reasons = _reasons(rows, terms, fit, _quadrants(rows))
     parameters = [
         _parameter(rows, model, term, place, fit, reasons.get(term, ""))
@@ -281,11 +354,15 @@ def analyse_rows(
     parameters = with_partners(parameters, covariance)
     parameters, covariance = _with_coefficient(rows, model, terms, fit, parameters, covariance)
     absent = [_absent(term, rows, open_terms) for term in TERMS if term not in terms]
-    absent.append(_angle())
     whole = len(parameters) + len(absent)
     padded = np.full((whole, whole), np.nan)
     padded[: len(parameters), : len(parameters)] = covariance
     remarks, contradictions = _told(rows, model, fit, parameters, known)
+    if abs(angle) > _TOLD_ANGLE:
+        remarks.append(
+            f"{', '.join(rows.runs)}: the encoder is {math.degrees(angle):.2g} deg off; currents "
+            "and voltages are turned back to the rotor; correct the encoder's offset by that"
+        )
     remarks += [*of_current, *coarse, *_drift(rows, model, terms)]
     return Analysis(
         "constant-speed",
@@ -541,7 +618,12 @@ def _narrow(rows: SteadyRows) -> str:
 def _absent(term: str, rows: SteadyRows, open_terms: Sequence[str]) -> Parameter:
     """A term that the model does not have, and why."""
     why = "the data do not support the term: it gains less than 6 in BIC"
-    if term == "inductance_d" and rows.i_d is None:
+    if term == "encoder_angle":
+        why = (
+            "psi_q without current shows it where u_d is logged in both directions and with both "
+            "signs of i_q; else points at +-i_q of a flux map, or an offset sweep"
+        )
+    elif term == "inductance_d" and rows.i_d is None:
         why = "no d current was logged"
     elif term == "inductance_d" and rows.i_d is not None:
         spread, largest = float(np.ptp(rows.i_d)), float(rows.current.max())
@@ -558,13 +640,23 @@ def _absent(term: str, rows: SteadyRows, open_terms: Sequence[str]) -> Parameter
     return unknown((term, *TERMS[term]), why)
 
 
-def _angle() -> Parameter:
-    """The angle of the encoder, which no such row shows."""
-    return unknown(
-        ("encoder_angle", "error of the encoder's angle", "rad"),
-        "a turned machine is a machine again: only psi_q(i_d, 0) = 0 or points at +-i_q in a flux "
-        "map, or an offset sweep, show it",
-    )
+def _as_angle(terms: Sequence[str], fit: _Found, angle: float) -> _Found:
+    """What is found with psi_q without current as the angle that turns it out of psi_pm, beside
+    the one that rows were turned by.
+    """
+    if "encoder_angle" not in terms:
+        return fit
+    at = terms.index("encoder_angle")
+    scale = np.ones(len(terms))
+    scale[at] = -1.0 / float(fit.coefficients[terms.index("magnet_flux")])
+    coefficients = fit.coefficients * scale
+    coefficients[at] += angle
+    covariance = fit.covariance * np.outer(scale, scale)
+    return replace(fit, coefficients=coefficients, covariance=covariance)
+
+
+# An angle in rad that is told: a degree makes 0.02 % of the torque, and moves L_d and L_q.
+_TOLD_ANGLE = math.radians(1.0)
 
 
 def _with_coefficient(

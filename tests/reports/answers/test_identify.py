@@ -81,7 +81,8 @@ def test_json_holds_covariance_and_hashes(ride: Path, capsys: pytest.CaptureFixt
     assert analysis["covariance"][flux][flux] == pytest.approx(parameter["sigma"] ** 2)
     assert len(found["logs"][0]["sha256"]) == 64
     angle = next(one for one in found["parameters"] if one["key"] == "encoder_angle")
-    assert (angle["value"], angle["status"]) == (None, "not identified")
+    assert angle["status"] == "identified"
+    assert angle["interval_95"][0] <= 0.0 <= angle["interval_95"][1]
 
 
 def test_routes_that_contradict_each_other_write_no_design(
