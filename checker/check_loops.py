@@ -387,7 +387,7 @@ class Witness:
         self.after = held if bound is None else bordered(held, ONE)
         p, q, cross = held[0][0], held[1][1], held[0][1]
         self.largest = (p + q + isqrt((p - q) ** 2 + 4 * cross**2) + 2) // 2  # l, rounded up
-        self.power = BITS - self.largest.bit_length() + 2  # t = 2^power; what served last
+        self.power = BITS - self.largest.bit_length() - 8  # t = 2^power; what served last
 
     def proves(self, box: Box, low: Point, high: Point) -> None:
         """Raises with the corner where it does not."""
@@ -397,7 +397,7 @@ class Witness:
             loop = loop_of(box, corner)
             if self.bound is not None:
                 loop = disturbed(loop)
-            for step in (0, 1, -1, 2, -2, 3, -3, 4, -4, 5, -5, 6, -6, 8, -8, 10, 12, 16, 20):
+            for step in sorted(range(-24, 25), key=abs):
                 if self.falls(loop, weights, self.power + step):
                     self.power += step
                     break
