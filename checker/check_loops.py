@@ -138,7 +138,7 @@ class Header:
         for name, value in re.findall(
             r"^\s*#\s*define\s+(\w+)\s+\((-?[\d.]+(?:[eE][-+]?\d+)?[Ff]?)\)\s*$", code, re.M
         ):
-            if name in self.constants:
+            if len(re.findall(rf"#\s*define\s+{name}\b", code)) != 1:
                 raise Fault(f"{name} is defined twice")
             digits = value.rstrip("Ff")
             number = Fraction(digits)

@@ -279,7 +279,7 @@ def planted(tree: list[Any]) -> dict[str, tuple[Change, str]]:
         faults[f"row {row} too short"] = put(row, verdict[:-1]), at
         for place in (0, 2, 4, 15, 18, 20):  # of phi, v, I
             faults[f"row {row}, entry {place}"] = entry(row, place, -1.0), f"row {row} "
-    twice = "#define D_T_S_S (1.0F)"
+    twice, other = "#define D_T_S_S (1.0F)", "#define D_T_S_S 1"
     faults |= {
         "one cell for all": (rows(lambda tree: tree.__setitem__(slice(None), tree[-1:])), "row 0 "),
         "no tree": (rows(lambda tree: tree.clear()), "left out"),
@@ -290,6 +290,7 @@ def planted(tree: list[Any]) -> dict[str, tuple[Change, str]]:
         "sign of the decoupling": (texts("v_d -= omega_e", "v_d += omega_e"), "decouple"),
         "axes exchanged": (texts("of i_q: given", "of i_d: given"), "another law of i_q"),
         "a constant twice": (texts("#define D_T_S_S", f"{twice}\n#define D_T_S_S"), "twice"),
+        "a constant otherwise": (texts("#define D_T_S_S", f"{other}\n#define D_T_S_S"), "twice"),
         "a constant less": (texts("D_IQ_KP", "D_IX_KP"), "has no D_IQ_KP"),
     }  # fmt: skip
     return faults
