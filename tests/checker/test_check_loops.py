@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import subprocess
@@ -152,6 +153,30 @@ def test_loops_are_those_of_other_code() -> None:
         assert loop.r < 2**20
         found = np.array([[entry / checker.ONE for entry in row] for row in loop.rows])
         np.testing.assert_allclose(found, matrix, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("number", PROVEN[:3])
+def test_rests_hold_what_the_corners_leave_out(number: int) -> None:
+    header, certificate = drawn(number)
+    theirs = checker.Box(json.loads(certificate)["inputs"], checker.Header(header, "d"))
+    random = np.random.default_rng(number)
+    points = random_parameters(boxes()[number], 40)
+    nearest = []
+    for first, second in zip(points[::2], points[1::2], strict=True):
+        ends = np.sort([first, second], axis=0)
+        low, high = (tuple(map(Fraction, end)) for end in ends)
+        bounds = np.array([float(bound) for bound in checker.rests(theirs, low, high)])
+        at = random.uniform(0.2, 0.8, 4)
+        chosen = np.array(list(itertools.product((0, 1), repeat=4)))
+        weights = np.where(chosen == 1, at, 1.0 - at).prod(axis=1)
+        corners = loop_matrices(boxes()[number], np.where(chosen == 1, ends[1], ends[0]))
+        inside = loop_matrices(boxes()[number], (ends[0] + at * (ends[1] - ends[0]))[None])[0]
+        rest = inside - np.einsum("v,vij->ij", weights, corners)
+        found = [np.linalg.norm(rest[:2, k : k + 2], 2) for k in (0, 2)]
+        assert (found <= bounds).all()
+        assert np.abs(rest[2:]).max() < 1e-12
+        nearest.append(found / bounds)
+    assert np.max(nearest, axis=0).min() > 0.2  # they are no more than a few times too large
 
 
 def test_a_smaller_bound_of_the_sensitivity_is_not_confirmed(
