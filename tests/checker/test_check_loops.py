@@ -205,10 +205,10 @@ def test_a_smaller_bound_of_the_sensitivity_is_not_confirmed(
     plain["sensitivity"] = {"bound": found.bound, "tree": ["open"]}
     assert "are left open" in said(header, json.dumps(plain), tmp_path, capsys)
     words = "Sensitivity of both axes together up to 1; proven below {}, so that voltages"
-    for bound in (f"{found.bound * 0.9:.4g}", f"{found.bound:.4g}"):
+    for shown in (f"{found.bound * 0.9:.4g}", f"{found.bound:.4g}"):
         plain["sensitivity"] = {"bound": found.bound, "tree": found.certificate["tree"]}
-        line = said(f"{header}/* {words.format(bound)} */", json.dumps(plain), tmp_path, capsys)
-        assert line.startswith("confirmed") == (bound == f"{found.bound:.4g}")
+        line = said(f"{header}/* {words.format(shown)} */", json.dumps(plain), tmp_path, capsys)
+        assert line.startswith("confirmed") == (shown == f"{found.bound:.4g}")
     del plain["sensitivity"]
     line = said(f"{header}/* {words.format(2)} */", json.dumps(plain), tmp_path, capsys)
     assert "the certificate nothing" in line
@@ -278,6 +278,16 @@ def put(row: int, verdict: Any) -> Change:
     return rows(lambda tree: tree.__setitem__(row, verdict))
 
 
+def without(row: int) -> Change:
+    """A verdict left out."""
+    return rows(lambda tree: tree.pop(row))
+
+
+def repeated(row: int) -> Change:
+    """A verdict put before another."""
+    return rows(lambda tree: tree.insert(row, tree[row - 1]))
+
+
 def planted(tree: list[Any]) -> dict[str, tuple[Change, str]]:
     """Faults by name, each with what must be said of it."""
     faults: dict[str, tuple[Change, str]] = {}
@@ -297,20 +307,17 @@ def planted(tree: list[Any]) -> dict[str, tuple[Change, str]]:
         wider = everywhere(end(name, place, 0.3 if place == 0 else 3.0))
         faults[f"{name} wider everywhere"] = wider, "row"
     for row, verdict in enumerate(tree):
-        at = f"row {row} |row {row + 1} |left out at its end"
-        faults[f"row {row} left out"] = rows(lambda tree, row=row: tree.pop(row)), "row|left out"
-        faults[f"row {row} repeats"] = (
-            rows(lambda tree, row=row: tree.insert(row, tree[row - 1])),
-            "row|left out",
-        )
+        here = f"row {row} |row {row + 1} |left out at its end"
+        faults[f"row {row} left out"] = without(row), "row|left out"
+        faults[f"row {row} repeats"] = repeated(row), "row|left out"
         faults[f"row {row} empty"] = put(row, "empty"), f"row {row} .*holds drives"
         if len(verdict) == 2:
             faults[f"cut {row} far off"] = entry(row, 1, 100.0), f"row {row} .*outside"
             faults[f"cut {row} of no parameter"] = put(row, [4, verdict[1]]), f"row {row} "
             continue
         faults[f"row {row} open"] = put(row, "open"), "left open"
-        faults[f"row {row} negative"] = put(row, [-x for x in verdict]), at
-        faults[f"row {row} too short"] = put(row, verdict[:-1]), at
+        faults[f"row {row} negative"] = put(row, [-x for x in verdict]), here
+        faults[f"row {row} too short"] = put(row, verdict[:-1]), here
         for place in (0, 2, 4, 15, 18, 20):  # of phi, v, I
             faults[f"row {row}, entry {place}"] = entry(row, place, -1.0), f"row {row} "
     twice, other = "#define D_T_S_S (1.0F)", "#define D_T_S_S 1"
