@@ -568,7 +568,8 @@ Core = Annotated[str | None, _text("--target", "CORE", _CORE)]
 
 
 Independent = Annotated[
-    bool, Option("--independent", help="Also confirm the certificate with the independent checker.")
+    bool,
+    Option("--independent", help="Also confirm the certificates with the independent checkers."),
 ]
 
 

@@ -1,4 +1,4 @@
-"""The certificate beside a header, and the program that confirms it apart from all of this.
+"""The certificates beside a header, and the programs that confirm them apart from all of this.
 
 A claim is written down only where that program confirms it: the boxes of torques that it needs are
 cut here with its own verdicts.
@@ -15,15 +15,20 @@ from fractions import Fraction
 from pathlib import Path
 
 from dqforge.checker import check_certificate as checker
+from dqforge.checker import check_loops
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.solution import Solution
+from dqforge.reports.loops.firmware_text import CERTIFICATE
 from dqforge.reports.plain_data import PlainData
 
 SUFFIX = "_certificate.json"
 _MOST_BOXES = 1500  # Boxes that are looked at before the claim is left.
 _NARROWEST = Fraction(1, 2**64)  # Of the domain: a box that is not confirmed there is left.
+
+# What the header's certificate leaves to the one beside it.
+_LOOPS = "confirmed by check_loops.py in a folder of 'dqforge run'"
 
 Boxes = list[tuple[Fraction, Fraction]]
 
@@ -69,7 +74,7 @@ def _not_covered(solution: Solution) -> list[str]:
         "reference over torque and flux linkage": solution.weakening,
         "references in fixed point": solution.fixed_references or None,
         "ranges of the control in fixed point": solution.fixed or None,
-        "current loops over the tolerances": robust,
+        f"current loops over the tolerances ({_LOOPS})": robust,
         "speed loop": None if loops is None else loops.speed,
         "position observer": solution.observer_proof,
     }
@@ -144,22 +149,32 @@ def _bytes(plain: PlainData) -> bytes:
 
 
 def check_independently(folder: Path) -> str:
-    """What the checker says of the certificate in a folder, run as a program of its own that can
-    import nothing of dqforge.
+    """What the checkers say of the certificates in a folder, each run as a program of its own that
+    can import nothing of dqforge.
 
     Raises:
-        InputError: There is no certificate in the folder.
+        InputError: There is no certificate in the folder, or more than one of a kind.
         VerificationError: A claim is not confirmed; names the place.
     """
-    found = sorted(folder.glob(f"*{SUFFIX}"))
-    if len(found) != 1:
+    said = []
+    for program, suffix in ((checker.__file__, SUFFIX), (check_loops.__file__, CERTIFICATE)):
+        found = sorted(folder.glob(f"*{suffix}"))
+        if len(found) > 1:
+            raise InputError(f"--independent: {folder} has {len(found)} files *{suffix}; keep one")
+        said += [_confirmed(Path(program), path) for path in found]
+    if not said:
         raise InputError(
             f"--independent: {folder} has no certificate; 'dqforge run' writes one "
             "where claims can be confirmed"
         )
-    command = [sys.executable, "-I", "-S", str(Path(checker.__file__)), str(found[0])]
+    return "\n".join(said)
+
+
+def _confirmed(program: Path, path: Path) -> str:
+    """What a checker says of a certificate; raises as `check_independently`."""
+    command = [sys.executable, "-I", "-S", str(program), str(path)]
     ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
     said = ended.stdout.strip()
     if ended.returncode != 0:
-        raise VerificationError(f"{found[0]}: {(said or ended.stderr.strip()).splitlines()[-1]}")
+        raise VerificationError(f"{path}: {(said or ended.stderr.strip()).splitlines()[-1]}")
     return said
