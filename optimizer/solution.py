@@ -256,9 +256,11 @@ def _start_up(design: Design) -> StartUp | None:
 def _current_feedback(design: Design) -> CurrentFeedback | None:
     if not design.control.current_loop.switches:
         return None
+    from dqforge.optimizer.current_feedback.closed_drive import lag_gains
     from dqforge.optimizer.current_feedback.regulator_runs import solve_current_feedback
 
-    return solve_current_feedback(design)
+    found = solve_current_feedback(design)
+    return None if found is None else replace(found, gains=lag_gains(design, found))
 
 
 def _application(design: Design) -> ApplicationPlan | None:

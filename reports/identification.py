@@ -29,8 +29,10 @@ from dqforge.reports.plain_data import PlainData, finite
 
 
 def identification_tables(found: Identification) -> list[Table]:
-    """Parameters, what the models leave of each run, and what was found besides."""
-    tables = [_parameters(found), _runs(found)]
+    """Parameters, those that the runs do not hold, what the models leave of each run, and what was
+    found besides.
+    """
+    tables = [_parameters(found), *_not_held(found), _runs(found)]
     for title, texts in (("Contradictions", found.contradictions), ("Remarks", found.remarks)):
         if texts:
             tables.append(Table(title, notes=tuple(texts)))
@@ -43,15 +45,29 @@ def _parameters(found: Identification) -> Table:
             one.label,
             shown_value(one),
             shown_interval(one),
-            one.status,
-            one.why,
-            ", ".join(f"{key} {correlation:+.2f}" for key, correlation in one.partners),
+            one.status if not one.why else f"{one.status}: {one.why}",
             ", ".join(one.runs),
+            ", ".join(f"{key} {correlation:+.2f}" for key, correlation in one.partners),
         )
         for one in found.parameters
+        if one.status != _NOT_HELD
     )
-    columns = ("parameter", "value", "95 % interval", "status", "why", "moves with", "runs")
+    columns = ("parameter", "value", "95 % interval", "status", "runs", "moves with")
     return Table(f"Parameters of {found.bench.name}", columns, rows)
+
+
+_NOT_HELD = "not identified"
+NOT_HELD = "Not identified"
+
+
+def _not_held(found: Identification) -> list[Table]:
+    """What the runs do not hold, and why."""
+    rows = tuple(
+        (one.label, shown_value(one), one.why)
+        for one in found.parameters
+        if one.status == _NOT_HELD
+    )
+    return [Table(NOT_HELD, ("parameter", "value", "why"), rows)] if rows else []
 
 
 def shown_value(parameter: Parameter) -> str:

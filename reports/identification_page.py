@@ -4,7 +4,6 @@ map with its errors and holes, and which estimates move together.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from dqforge.optimizer.identification.parameters import (
     OverTemperature,
     RunResiduals,
 )
-from dqforge.reports.identification import identification_tables
+from dqforge.reports.identification import NOT_HELD, identification_tables
 from dqforge.reports.pages.answer import NUMBER_AND_UNIT, Table
 from dqforge.reports.pages.figures_style import (
     BLUE,
@@ -46,7 +45,8 @@ Drawing = tuple[str, str, str, "PageFigure"]
 
 def identification_page(found: Identification) -> bytes:
     """The page as HTML in UTF-8."""
-    parameters, runs, *_ = identification_tables(found)
+    parameters, *others = identification_tables(found)
+    named = {table.title: table for table in others}
     drawings = list(_drawings(found))
     sections = [("summary", "Parameters")]
     sections += [("remarks", "Remarks")] if found.remarks else []
@@ -59,20 +59,14 @@ def identification_page(found: Identification) -> bytes:
         "sections": [*sections, ("runs", "Runs")],
         "contradictions": [symbols(text) for text in found.contradictions],
         "remarks": [symbols(text) for text in found.remarks],
-        "parameters": _html(_turned(parameters), 7),
+        "parameters": _html(parameters, 6),
+        "not_held": _html(named[NOT_HELD], 3) if NOT_HELD in named else None,
         "moved": _moved(found),
-        "runs": _html(runs, 3),
+        "runs": _html(named["Runs"], 3),
         "logs": _logs(found),
         "drawings": drawings,
     }
     return render("pages/identification.html.j2", context).encode()
-
-
-def _turned(table: Table) -> Table:
-    """The parameters with their runs before what they move with, and reasons last."""
-    order = (0, 1, 2, 3, 6, 5, 4)
-    rows = tuple(tuple(row[place] for place in order) for row in table.rows)
-    return replace(table, columns=tuple(table.columns[place] for place in order), rows=rows)
 
 
 def _html(table: Table, text_columns: int) -> HtmlTable:

@@ -50,7 +50,7 @@ def own_feedback(design: Design) -> CurrentFeedback:
     plan = regulator_plan(design)
     run = run_regulator(design, plan, speed_points(design))
     found = speed_loop(design, run)
-    return CurrentFeedback(
+    own = CurrentFeedback(
         plan=plan,
         over_speed=(run,),
         own=0,
@@ -59,6 +59,7 @@ def own_feedback(design: Design) -> CurrentFeedback:
         speed=None if found is None else found[1],
         rule=emitted_rule(design, plan),
     )
+    return replace(own, gains=lag_gains(design, own))
 
 
 def lag_gains(design: Design, found: CurrentFeedback) -> GainSet:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -48,6 +48,9 @@ from dqforge.optimizer.losses.drive_budget import (
 from dqforge.optimizer.losses.drive_comparison import strategy_currents
 from dqforge.optimizer.losses.loss_map import budget_options
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.control_design.gain_set import GainSet
 
 # Speeds of the comparison over the base speed of the per-unit system.
 _SHARES = (0.25, 0.5, 0.75, 1.0)
@@ -252,6 +255,7 @@ class CurrentFeedback:
         speed: The speed loop; None without one.
         patterns: Pulse patterns over speed; none where the method has none.
         rule: What the emitted rule knows of the drive; None where the method is not sampled.
+        gains: Those of the speed control around it, as of `closed_drive.lag_gains`.
     """
 
     plan: RegulatorPlan
@@ -262,6 +266,7 @@ class CurrentFeedback:
     speed: LoopGains | None
     patterns: tuple[DesignPattern, ...] = ()
     rule: RuleConstants | None = None
+    gains: GainSet | None = None
 
     @property
     def run(self) -> RegulatorRun:

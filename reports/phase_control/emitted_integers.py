@@ -538,9 +538,7 @@ def _float32(outcome: Outcome) -> Solution | None:
     solution = outcome.solution
     if solution.current_feedback is None:
         return solution
-    from dqforge.optimizer.current_feedback.closed_drive import lag_gains
-
-    return replace(solution, loops=lag_gains(solution.design, solution.current_feedback))
+    return replace(solution, loops=solution.current_feedback.gains)
 
 
 FLOAT32_CONTROL = Capability(

@@ -27,7 +27,6 @@ from dqforge.optimizer.current_feedback.closed_drive import (
     CountedLosses,
     counted_losses,
     iron_losses,
-    lag_gains,
     least_pattern_speed,
     not_run,
     own_feedback,
@@ -97,10 +96,10 @@ def closed_solution(design: Design, solution: Solution | None = None) -> Solutio
         solution: That of the design, where it is there already; else the least that is needed.
     """
     if solution is not None and solution.current_feedback is not None:
-        return replace(solution, loops=lag_gains(design, solution.current_feedback))
+        return replace(solution, loops=solution.current_feedback.gains)
     found = own_feedback(design)
     control = solve_control(design)
-    return replace(control, loops=lag_gains(design, found), current_feedback=found)
+    return replace(control, loops=found.gains, current_feedback=found)
 
 
 def feedback_files(design: Design, solution: Solution) -> dict[str, bytes]:
