@@ -94,7 +94,7 @@ COMMANDS = {
     "figure": Command(f"tune {DRIVE} --plot drawn.svg", f"tune {DRIVE} --plot drawn.svg {OTHER}"),
     "data": Command(f"losses {DRIVE} --plot data.csv", f"losses {DRIVE} --plot data.csv {OTHER}"),
     "reproduce": Command("reproduce 002 --figures out", "reproduce 001 --figures out", (), WRITING),
-    "estimators": Command(f"estimators {DRIVE} -o out --only reduced-order", "", (), WRITING),
+    "estimators": Command(f"estimators {DRIVE} -o out", "", (), WRITING),
     "plan": Command("identify --plan hoverboard-hub -o out"),
     "identify": Command("identify bench.yaml -o out", needs="log.csv"),
     "explore": Command(_EXPLORE, whole=(True,), parts=True),
@@ -497,7 +497,9 @@ class Warm:
                 room(100.0)
             return wrong or self.next_run(case)
 
-    def judged(self, case: Case, ended: Ended, *, two: bool = False) -> str:
+    def judged(  # noqa: PLR0911 - one for each fault
+        self, case: Case, ended: Ended, *, two: bool = False
+    ) -> str:
         """What is wrong with how a process ended, and what it left."""
         silent = case.fault in _SILENT and ended.code == -signal.SIGKILL
         if "Traceback" in ended.err:
