@@ -33,7 +33,6 @@ from pathlib import Path
 from typing import Any
 
 import drawn_cases
-from fuzz import BENCH, LOG
 
 CORPUS = Path(__file__).parent / "corpus" / "faults"
 DRIVE = "paper001-pmsm-bench"
@@ -51,8 +50,6 @@ vary:
 outputs: [gains.i_q.phase_margin]
 """
 
-INPUTS = {"study.yaml": STUDY.encode(), "bench.yaml": BENCH, "log.csv": LOG}
-
 
 @dataclass(frozen=True)
 class Command:
@@ -65,7 +62,6 @@ class Command:
         whole: How it is tried: the whole of it, what it has computed already written, or both.
         once: Whether it refuses to write over what is there.
         parts: Whether what it wrote until a fault is kept, and continued.
-        needs: Files that lie there and that no word names.
     """
 
     words: str
@@ -74,7 +70,11 @@ class Command:
     whole: tuple[bool, ...] = (False, False, False, True)
     once: bool = False
     parts: bool = False
-    needs: str = ""
+
+    @property
+    def always_whole(self) -> bool:
+        """Whether it writes while it computes."""
+        return False not in self.whole
 
 
 WRITING = (False,)
@@ -97,7 +97,6 @@ COMMANDS = {
     "reproduce": Command("reproduce 002 --figures out", "reproduce 001 --figures out", (), WRITING),
     "estimators": Command(f"estimators {DRIVE} -o out", "", (), WRITING),
     "plan": Command("identify --plan hoverboard-hub -o out"),
-    "identify": Command("identify bench.yaml -o out", needs="log.csv"),
     "explore": Command(_EXPLORE, whole=(True,), parts=True),
     "table": Command("explore out --csv rows.csv", "explore out --csv rows.csv --first 2", (
         _EXPLORE,
@@ -412,7 +411,7 @@ class Warm:
         self.before: dict[bool, Tree] = {}
         self.after: dict[bool, Tree] = {}
         self.lengths: dict[tuple[bool, bool, bool], Ended] = {}
-        self.place.ready({name: text for name, text in INPUTS.items() if name in str(self.about)})
+        self.place.ready({"study.yaml": STUDY.encode()} if "explore" in self.about.words else {})
         if name == "schema":
             (self.place.work / "out").mkdir()
         for words in self.about.setup:
@@ -430,7 +429,7 @@ class Warm:
             self.after[over] = tree(self.place.work)
 
     def _must(self, words: str) -> None:
-        ended = self.place.run(words, whole=False)
+        ended = self.place.run(words, whole=self.about.always_whole)
         if ended.code:
             raise RuntimeError(f"{words}: {ended.err}")
 
@@ -491,7 +490,11 @@ class Warm:
                 second = time.monotonic()
                 words = about.earlier or about.words
                 other = place.begin(
-                    words, Steps(str(place.root)), whole=False, exchange=case.exchange, tag="2"
+                    words,
+                    Steps(str(place.root)),
+                    whole=about.always_whole,
+                    exchange=case.exchange,
+                    tag="2",
                 )
                 wrong = self.judged(case, place.end(child, began), two=True)
                 wrong = wrong or self.judged(case, place.end(other, second, "2"), two=True)
@@ -565,7 +568,9 @@ class Warm:
             self.place.root / "compiler"
         ).is_symlink():
             (self.place.root / "compiler").symlink_to(str(shutil.which("cc")))
-        ended = self.place.run(self.about.words, whole=False, exchange=case.exchange)
+        ended = self.place.run(
+            self.about.words, whole=self.about.always_whole, exchange=case.exchange
+        )
         found, new = tree(self.place.work), self.after[case.over]
         there = self.about.once and ended.code == 2
         if ended.code and not there:

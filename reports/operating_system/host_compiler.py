@@ -78,7 +78,8 @@ class HostCompiler:
 
     def environment(self, folder: Path) -> dict[str, str]:
         """The environment that it is started in; what it keeps of a source goes into ``folder``."""
-        found = os.environ | {"LC_ALL": "C"}  # whose messages are searched for "error"
+        # C, for its messages are searched for "error"; what one that is killed leaves goes as well
+        found = os.environ | {"LC_ALL": "C", "TMPDIR": str(folder)}
         if self.zig:
             found["ZIG_LOCAL_CACHE_DIR"] = str(folder / ".zig-cache")
             found.setdefault("ZIG_GLOBAL_CACHE_DIR", str(_libraries_of_zig(folder)))
