@@ -24,7 +24,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, field
@@ -33,8 +33,13 @@ from pathlib import Path
 from typing import Any
 
 import drawn_cases
+from kept_failures import Campaign
 
-CORPUS = Path(__file__).parent / "corpus" / "faults"
+KEPT = Campaign(
+    "faults",
+    "Faults while a command writes leave it wholly old or wholly new, said in one line",
+    "`make faults`, `tests/test_faults.py`",
+)
 DRIVE = "paper001-pmsm-bench"
 OTHER = "--set machine.resistance=2.2Ohm"
 PENDING, MANIFEST = ".dqforge-swap", "dqforge-manifest.json"
@@ -67,7 +72,7 @@ class Command:
     words: str
     earlier: str = ""
     setup: tuple[str, ...] = ()
-    whole: tuple[bool, ...] = (False, False, False, True)
+    whole: tuple[bool, ...] = (False, False, False, False, False, True)
     once: bool = False
     parts: bool = False
 
@@ -87,7 +92,7 @@ COMMANDS = {
     "beside": Command(f"simulate {DRIVE} -o out", "", (_EXPORT,)),
     "simulate": Command(f"simulate {DRIVE} -o out", f"simulate {DRIVE} -o out {OTHER}"),
     "firmware": Command(_FOR, f"{_FOR} {OTHER}"),
-    "into": Command(f"export {DRIVE} --for vesc --into out/bench001_vesc.xml {OTHER}", "", (
+    "into": Command(f"export {DRIVE} --for vesc --into out/bench001_mcconf.xml {OTHER}", "", (
         f"export {DRIVE} --for vesc -o out",
     )),
     "new": Command("new out --template", once=True),
@@ -101,7 +106,7 @@ COMMANDS = {
     "table": Command("explore out --csv rows.csv", "explore out --csv rows.csv --first 2", (
         _EXPLORE,
     ), (True,)),
-    "winner": Command("explore out --export 2", "", (_EXPLORE,), (True,)),
+    "winner": Command("explore out --export row:2", "", (_EXPLORE,), (True,)),
 }  # fmt: skip
 
 # What happens, and the error that every step from there on raises, or one alone.
@@ -346,10 +351,10 @@ class Place:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         if not exchange:
             output._can_exchange = lambda *_: False
-        original = cli.respond
+        original = vars(cli)["respond"]
         if not whole and words in self.answers:
             answer = self.answers[words]
-            cli.respond = lambda command, _, *more, **named: original(
+            vars(cli)["respond"] = lambda command, _, *more, **named: original(
                 command, lambda: answer, *more, **named
             )
         code: Any = 98
@@ -441,8 +446,8 @@ class Warm:
             answer = self.place.answers[words] = ask()
             return original(command, lambda: answer, *more, **named)
 
-        original, here = cli.respond, Path.cwd()
-        cli.respond = keep
+        original, here = vars(cli)["respond"], Path.cwd()
+        vars(cli)["respond"] = keep
         os.chdir(self.place.work)
         try:
             with redirect_stdout(io.StringIO()):
@@ -452,7 +457,7 @@ class Warm:
                 raise RuntimeError(words) from None
         finally:
             os.chdir(here)
-            cli.respond = original
+            vars(cli)["respond"] = original
 
     def length(self, case: Case) -> Ended:
         """Of an undisturbed run of this kind."""
@@ -643,18 +648,6 @@ def tried(line: str, root: Path) -> str:
     return warm(case.command, root).tried(case)
 
 
-def kept() -> list[str]:
-    """Lines of all that failed once."""
-    return CORPUS.read_text(encoding="ascii").splitlines() if CORPUS.is_file() else []
-
-
-def keep(lines: list[str]) -> None:
-    """Add to them."""
-    CORPUS.parent.mkdir(parents=True, exist_ok=True)
-    text = "".join(f"{line}\n" for line in sorted({*kept(), *lines}))
-    CORPUS.write_text(text, encoding="ascii")
-
-
 def main(words: list[str]) -> int:
     """The program."""
     again = len(words) == 1 and not words[0].isdigit()
@@ -663,7 +656,7 @@ def main(words: list[str]) -> int:
     cases = [Case.read(words[0])] if again else list(drawn(count, drawn_cases.seed(), commands))
     failed: list[str] = []
     counts: Counter[str] = Counter()
-    took: Counter[str] = Counter()
+    took: dict[str, float] = defaultdict(float)
     with tempfile.TemporaryDirectory(prefix="faults-") as root:
         for case in sorted(cases, key=lambda case: case.command):
             began = time.monotonic()
@@ -674,12 +667,10 @@ def main(words: list[str]) -> int:
                 sys.stdout.write(f"{case}: {wrong}\n")
                 sys.stdout.flush()
             took[case.command] += time.monotonic() - began
-    each = ", ".join(f"{name} {number}" for name, number in sorted(counts.items()))
-    sys.stdout.write(f"{len(cases)} faults ({each}), {len(failed)} of them not withstood\n")
     times = ", ".join(f"{name} {took[name]:.0f}" for name in sorted(took))
     sys.stdout.write(f"seconds: {times}\n")
     if not again:
-        keep(failed)
+        sys.stdout.write(KEPT.ended(counts, failed))
     return int(bool(failed))
 
 

@@ -25,6 +25,7 @@ from pathlib import Path
 
 import drawn_cases
 import numpy as np
+from kept_failures import Campaign
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.catalogue import load_design, load_text
@@ -47,7 +48,11 @@ from dqforge.reports.output.recomputation import recompute
 from dqforge.reports.run import RunOutput, run_again
 from dqforge.reports.run_folder import INPUT, INPUT_DESIGN, MANIFEST
 
-CORPUS = Path(__file__).parent / "corpus" / "forged"
+KEPT = Campaign(
+    "forged",
+    "Forged folders, their list of hashes made again, are found by `verify`",
+    "`make forged`, `tests/reports/output/test_forged_folders.py`",
+)
 BENCH = "paper001-pmsm-bench"
 BOX = "control:\n  tolerances: {r_s: 30 %, l_d: 20 %, l_q: 20 %, v_dc: 10 %}\n"
 CYCLE = "time [s]; speed [rpm]; torque [N m]\n0; 500; 0.2\n2; 2000; 0.4\n5; 3000; -0.1\n9; 0; 0\n"
@@ -143,11 +148,11 @@ def at_hand() -> Iterator[None]:
                 return made.output
         return run_again(design, languages, there)
 
-    recomputation.run_again = again  # type: ignore[assignment]
+    vars(recomputation)["run_again"] = again
     try:
         yield
     finally:
-        recomputation.run_again = run_again
+        vars(recomputation)["run_again"] = run_again
 
 
 Change = tuple[dict[str, bytes | None], dict[str, object]]
@@ -393,18 +398,6 @@ def found(line: str, place: Path) -> bool:
         return bool(refused(place / "forged"))
 
 
-def kept() -> list[str]:
-    """Lines of all that were not found once."""
-    return CORPUS.read_text(encoding="ascii").splitlines() if CORPUS.is_file() else []
-
-
-def keep(lines: list[str]) -> None:
-    """Add to them."""
-    CORPUS.parent.mkdir(parents=True, exist_ok=True)
-    text = "".join(f"{line}\n" for line in sorted({*kept(), *lines}))
-    CORPUS.write_text(text, encoding="ascii")
-
-
 def main(words: list[str]) -> int:
     """So many over all folders, drawn by the commit, or the line that is given."""
     again = len(words) == 1 and not words[0].isdigit()
@@ -421,10 +414,8 @@ def main(words: list[str]) -> int:
                 missed.append(line)
                 sys.stdout.write(f"{line}: not found\n")
                 sys.stdout.flush()
-    each = ", ".join(f"{name} {number}" for name, number in sorted(tried.items()))
-    sys.stdout.write(f"{len(lines)} forged folders ({each}), {len(missed)} not found\n")
-    if not again and missed:
-        keep(missed)
+    if not again:
+        sys.stdout.write(KEPT.ended(tried, missed))
     return int(bool(missed))
 
 

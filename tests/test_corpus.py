@@ -24,7 +24,7 @@ def test_inputs_are_answered_or_refused(reader: str) -> None:
 
 def test_kept_inputs_belong_to_a_reader() -> None:
     kept = {path.name for path in CORPUS.iterdir()} if CORPUS.is_dir() else set()
-    assert kept <= {*READERS, faults.CORPUS.name, forged_folders.CORPUS.name}
+    assert kept <= {*READERS, faults.KEPT.name, forged_folders.KEPT.name}
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     "line",
     [
         pytest.param(line, marks=[] if line.startswith(QUICK) else [pytest.mark.slow])
-        for line in faults.kept()
+        for line in faults.KEPT.kept()
     ],
 )
 def test_faults_that_did_harm_once_do_none(line: str, place: Path) -> None:
@@ -44,6 +44,6 @@ def test_faults_that_did_harm_once_do_none(line: str, place: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("line", forged_folders.kept())
+@pytest.mark.parametrize("line", forged_folders.KEPT.kept())
 def test_forged_folders_that_passed_once_are_found(line: str, place: Path) -> None:
     assert forged_folders.found(line, place)

@@ -111,8 +111,8 @@ def undisturbed() -> Iterator[None]:
     finally:
         for number, old in heard.items():
             signal.signal(number, old)
-        for number in came[:1]:
-            signal.raise_signal(number)
+        for first in came[:1]:
+            signal.raise_signal(first)
 
 
 @contextmanager

@@ -444,7 +444,8 @@ def _retire(old: Path, folder: Path, own: Collection[str]) -> None:
                 there.parent.mkdir(parents=True, exist_ok=True)
                 left.replace(there)
                 continue
-        left.unlink()
+        with suppress(OSError):  # tried again below
+            left.unlink()
     shutil.rmtree(old, ignore_errors=True)
 
 
