@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import drawn_cases
 import pytest
 from faults import COMMANDS, FAULTS, Case, drawn, tried
+
+from dqforge.reports.command_line.flags import exit_code
+from dqforge.reports.operating_system.system import undisturbed
 
 QUICK = ("schema", "new")
 
@@ -16,6 +20,27 @@ def test_a_case_is_what_its_line_says() -> None:
     assert [str(Case.read(str(case))) for case in cases] == [str(case) for case in cases]
     assert {case.command for case in cases} == {*COMMANDS}
     assert {case.fault for case in cases} == {*FAULTS}
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "line"),
+    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "ended by SIGTERM")],
+)
+def test_what_ends_a_command_is_told_and_waits_for_its_files(
+    number: int, code: int, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    written = []
+
+    def command() -> None:
+        with undisturbed():
+            signal.raise_signal(number)
+            written.append("all")
+        written.append("more")
+
+    assert exit_code(command, lambda _: None) == code
+    assert capsys.readouterr().err == f"dqforge: {line}\n"
+    assert written == ["all"]
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
 def test_a_few_faults_leave_old_or_new(tmp_path: Path) -> None:
