@@ -396,7 +396,7 @@ class Place:
         return Ended(
             os.waitstatus_to_exitcode(status),
             err.read_text("utf-8", "replace") if err.exists() else "",
-            int(steps.read_text()) if steps.exists() else 0,
+            int(steps.read_text() or 0) if steps.exists() else 0,
             seconds,
         )
 
@@ -511,7 +511,7 @@ class Warm:
                 room(100.0)
             return wrong or self.next_run(case)
 
-    def judged(  # noqa: PLR0911 - one for each fault
+    def judged(  # noqa: PLR0911, PLR0912 - one for each fault
         self, case: Case, ended: Ended, *, two: bool = False
     ) -> str:
         """What is wrong with how a process ended, and what it left."""
@@ -547,7 +547,10 @@ class Warm:
             return f"left half moved: code {ended.code}, {ended.err!r}"
         if case.fault not in _STUCK and not two:
             hidden = found.keys() - shown(found).keys() - old.keys() - new.keys()
-            left = [path.name for path in (self.place.root / "tmp").iterdir()]
+            # a step that fails, or is cut off, may be the one that removes what is temporary
+            cut = case.fault in {"broken", "interrupt", "term", "terminated"}
+            folder = self.place.root / "tmp"
+            left = [path.name for path in folder.iterdir() if not (cut and path.is_dir())]
             if hidden or left:
                 return f"left behind: {sorted(hidden)} {left}"
         return ""
