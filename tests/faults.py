@@ -501,8 +501,8 @@ class Warm:
                     exchange=case.exchange,
                     tag="2",
                 )
-                wrong = self.judged(case, place.end(child, began), two=True)
-                wrong = wrong or self.judged(case, place.end(other, second, "2"), two=True)
+                both = (place.end(child, began), place.end(other, second, "2"))
+                wrong = "".join(self.judged(case, ended, two=True) for ended in both)
             else:
                 number = AT_A_MOMENT.get(case.fault, 0)
                 ended = place.end(child, began, "", (case.share * usual.seconds, number))
@@ -511,7 +511,7 @@ class Warm:
                 room(100.0)
             return wrong or self.next_run(case)
 
-    def judged(  # noqa: PLR0911, PLR0912 - one for each fault
+    def judged(  # noqa: PLR0911 - one for each fault
         self, case: Case, ended: Ended, *, two: bool = False
     ) -> str:
         """What is wrong with how a process ended, and what it left."""
