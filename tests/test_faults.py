@@ -43,6 +43,21 @@ def test_what_ends_a_command_is_told_and_waits_for_its_files(
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
+def test_what_comes_while_an_object_is_destroyed_is_not_lost(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    class Destroyed:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGTERM)
+
+    def command() -> None:
+        Destroyed()
+        signal.pause()
+
+    assert exit_code(command, lambda _: None) == 143
+    assert capsys.readouterr().err == "dqforge: ended by SIGTERM\n"
+
+
 def test_a_few_faults_leave_old_or_new(tmp_path: Path) -> None:
     """Drawn by the commit; `make faults` draws as many as one likes, of all commands."""
     failed = {

@@ -132,10 +132,24 @@ def asked_to_end() -> Iterator[list[int]]:
     if not here or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
         yield asked
         return
+    usual = sys.unraisablehook
+
+    def lost(report: sys.UnraisableHookArgs) -> None:
+        # it came while an object was destroyed, where nothing can be raised: once more, soon
+        if not isinstance(report.exc_value, KeyboardInterrupt) or WINDOWS:
+            usual(report)
+            return
+        signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+        signal.setitimer(signal.ITIMER_REAL, 0.01)
+
     signal.signal(signal.SIGTERM, end)
+    sys.unraisablehook = lost
     try:
         yield asked
     finally:
+        sys.unraisablehook = usual
+        if not WINDOWS and signal.getitimer(signal.ITIMER_REAL)[0]:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
