@@ -444,7 +444,7 @@ class Warm:
 
         def keep(command: str, ask: Callable[[], Any], *more: Any, **named: Any) -> int:
             answer = self.place.answers[words] = ask()
-            return original(command, lambda: answer, *more, **named)
+            return int(original(command, lambda: answer, *more, **named))
 
         original, here = vars(cli)["respond"], Path.cwd()
         vars(cli)["respond"] = keep
