@@ -37,7 +37,7 @@ from dqforge.reports import answers
 from dqforge.reports.browser import computed
 from dqforge.reports.command_line.designs import NEW_DESIGN
 from dqforge.reports.firmware.target import TARGETS
-from dqforge.reports.pages.answer import write_all
+from dqforge.reports.output.folder import put_files
 from dqforge.reports.pages.templating import render, resource
 
 # The one state of `dqforge serve`: a design file in a folder, with its flux map beside it.
@@ -83,7 +83,7 @@ class DesignFolder:
         self.require(revision)
         content = text.encode("utf-8")
         catalogue.load_text(content, str(self.path), self.folder)
-        write_all(self.folder, {NEW_DESIGN: content})
+        put_files(self.folder, {NEW_DESIGN: content})
 
     def change(self, settings: Sequence[str], revision: str) -> None:
         """Set keys of the design, as ``--set`` does; comments stay. Raises as `save`."""
@@ -97,13 +97,13 @@ class DesignFolder:
     def begin(self, contents: Mapping[str, bytes], revision: str) -> None:
         """Keep the files of a new design. Raises `ChangedElsewhereError` as `save`."""
         self.require(revision)
-        write_all(self.folder, contents)
+        put_files(self.folder, contents)
 
     def template(self, machine: str, revision: str) -> None:
         """Begin with a drive or motor of the library. Raises as `save`."""
         self.require(revision)
         text = catalogue.template(machine)
-        write_all(self.folder, answers.library.design_files(text).contents)
+        put_files(self.folder, answers.library.design_files(text).contents)
 
     def require(self, revision: str) -> None:
         """Raise `ChangedElsewhereError` where the file is not of a revision."""

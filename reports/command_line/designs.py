@@ -30,7 +30,6 @@ from dqforge.reports.pages.answer import (
     show,
     stage,
     status,
-    write_all,
 )
 
 if TYPE_CHECKING:
@@ -345,7 +344,7 @@ def _write(files: Files | None, out: Path | None) -> Written | None:
     if files is None or out is None:
         return None
     stage("writing the files")
-    from dqforge.reports.output.folder import Written, put_output
+    from dqforge.reports.output.folder import Written, put_files, put_output
 
     if files.part:
         return put_output(
@@ -357,7 +356,7 @@ def _write(files: Files | None, out: Path | None) -> Written | None:
             given=files.given,
         )
     there = tuple(name for name in files.contents if (out / name).exists())
-    return Written(write_all(out, files.contents), there)
+    return Written(put_files(out, files.contents), there)
 
 
 def _listed(files: Files | None, out: Path | None, written: Written | None) -> PlainData:

@@ -10,7 +10,7 @@ import os
 import shutil
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import wraps
 from pathlib import Path
@@ -25,7 +25,7 @@ from dqforge.machines.errors import DqforgeError
 from dqforge.machines.files.input_files import line_of
 from dqforge.machines.files.library_files import STUDIES, design_names
 from dqforge.reports.operating_system import system
-from dqforge.reports.operating_system.system import spell_out
+from dqforge.reports.operating_system.system import asked_to_end, spell_out
 
 # Faults of a file that are told beside the first.
 _MOST_FAULTS = 9
@@ -48,22 +48,25 @@ def exit_code(command: Callable[[], object], locate: Callable[[DqforgeError], No
 
     _open_streams()
     spell_out()
+    asked: Sequence[int] = ()
     try:
         with warnings.catch_warnings():
             # Numerical trouble ends in a message; what libraries remark on
             # themselves is nobody's business.
             warnings.simplefilter("ignore")
             warnings.simplefilter("error", RuntimeWarning)
-            code: object = command()
+            with asked_to_end() as asked:
+                code: object = command()
         sys.stdout.flush()
+        if code == INTERRUPTED:  # what the parser makes of Ctrl-C
+            code = _interrupted(asked)
     except DqforgeError as error:
         code = _refused(error, locate)
     except TyperException as error:
         tell(_usage_line(error))
         code = 2
     except (typer.Abort, KeyboardInterrupt):
-        tell("interrupted")
-        code = INTERRUPTED
+        code = _interrupted(asked)
     except (BrokenPipeError, SystemExit) as error:
         left = isinstance(error, BrokenPipeError) or isinstance(error.__context__, BrokenPipeError)
         if not left:
@@ -91,6 +94,11 @@ def exit_code(command: Callable[[], object], locate: Callable[[DqforgeError], No
             raise
         code = _refused(refusal, locate)
     return code if isinstance(code, int) else 0
+
+
+def _interrupted(asked: Sequence[int]) -> int:
+    tell("ended by SIGTERM" if asked else "interrupted")
+    return 128 + asked[0] if asked else INTERRUPTED
 
 
 def _left_on_windows(error: OSError) -> bool:

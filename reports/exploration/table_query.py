@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
@@ -31,7 +30,7 @@ from dqforge.reports.exploration.part_file import (
     PartColumns,
 )
 from dqforge.reports.exploration.part_store import PartStore, StudyHeader, label, value_text
-from dqforge.reports.pages.answer import Answer, Table
+from dqforge.reports.pages.answer import Answer, Table, write_atomically
 from dqforge.reports.plain_data import PlainData
 
 Operator = Literal["=", "!=", "<", "<=", ">", ">="]
@@ -443,23 +442,15 @@ def write_pieces(path: Path, pieces: Iterator[tuple[int, bytes]]) -> int:
     Raises:
         InputError: It cannot be written; what stood there is there as it was.
     """
-    temporary = path.parent / f".{path.name}.{os.getpid()}.new"
-    count = 0
-    try:
-        with temporary.open("xb") as file:
-            for rows, content in pieces:
-                count += rows
-                file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        raise InputError(
-            f"cannot write {path}: {error.strerror}; choose another file with --csv"
-        ) from error
-    finally:
-        temporary.unlink(missing_ok=True)
-    return count
+    counts: list[int] = []
+
+    def contents() -> Iterator[bytes]:
+        for rows, content in pieces:
+            counts.append(rows)
+            yield content
+
+    write_atomically(path, contents(), "--csv")
+    return sum(counts)
 
 
 # Rows of a study that a query looks for, part by part: memory holds one part and what is shown.

@@ -14,13 +14,15 @@ import shlex
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
-from dqforge.machines.errors import VerificationError
+from dqforge.machines.errors import VerificationError, WritingError
 from dqforge.machines.records import dataclass
 from dqforge.reports.operating_system import system
 
@@ -76,7 +78,8 @@ class HostCompiler:
 
     def environment(self, folder: Path) -> dict[str, str]:
         """The environment that it is started in; what it keeps of a source goes into ``folder``."""
-        found = os.environ | {"LC_ALL": "C"}  # whose messages are searched for "error"
+        # C, for its messages are searched for "error"; what one that is killed leaves goes as well
+        found = os.environ | {"LC_ALL": "C", "TMPDIR": str(folder)}
         if self.zig:
             found["ZIG_LOCAL_CACHE_DIR"] = str(folder / ".zig-cache")
             found.setdefault("ZIG_GLOBAL_CACHE_DIR", str(_libraries_of_zig(folder)))
@@ -206,9 +209,7 @@ def compile_program(
     program = program_path(folder, stem)
     sources = [source]
     if compiler.for_windows:
-        from dqforge.reports.pages.templating import resource
-
-        text = resource("operating_system/binary_streams.c")
+        text = system.c_source("binary_streams.c")
         (folder / _BINARY_STREAMS).write_text(text, encoding="ascii", newline="\n")
         sources.append(_BINARY_STREAMS)
     command = [*compiler.command, "-x", compiler.language, *flags, *compiler.flags]
@@ -241,6 +242,7 @@ def compile_program(
 # opens no folders: locked is a file in the folder for temporary files, whose name follows from the
 # path.
 
+_LONGEST_WAIT_S = 60.0
 _TAKEN = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
 
 
@@ -268,6 +270,39 @@ def lock_folder(folder: Path) -> int:
             os.close(handle)
             raise FolderTakenError from error
     return handle
+
+
+@contextmanager
+def alone(path: Path) -> Iterator[bool]:
+    """Keep other runs from the folder in which something is written beside ``path``; the lock goes
+    with the process, however that ends.
+
+    Yields whether there is a lock: a folder that cannot be read has none.
+
+    Raises:
+        WritingError: Another run has it for a minute.
+    """
+    handle = _awaited(path)
+    try:
+        yield handle is not None
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
+def _awaited(path: Path) -> int | None:
+    end = time.monotonic() + _LONGEST_WAIT_S
+    while True:
+        try:
+            return lock_folder(path.parent)
+        except FolderTakenError as error:
+            if time.monotonic() > end:
+                raise WritingError(
+                    f"another run is writing beside {path}; wait for it, or choose another place"
+                ) from error
+            time.sleep(0.01)
+        except OSError:
+            return None
 
 
 def _open_stand_in(folder: Path) -> int:

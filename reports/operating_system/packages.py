@@ -398,15 +398,13 @@ def _run(program: Path) -> None:
 
 def try_compiler(language: Language) -> Trial:
     """Compile and run a program with the compiler that would be taken."""
-    from dqforge.reports.pages.templating import resource
-
     name, path = "", ""
     try:
         compiler = require_compiler(language)
         name, path = compiler.name, compiler.command[0]
         with tempfile.TemporaryDirectory(prefix="dqforge-") as place:
             folder = Path(place)
-            source = resource("operating_system/trial.c")
+            source = system.c_source("trial.c")
             (folder / "trial.c").write_text(source, encoding="ascii", newline="\n")
             flags = (f"-std={_STANDARDS[language]}", *_FLAGS)
             _run(

@@ -7,13 +7,23 @@ import gc
 import io
 import os
 import platform
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 WINDOWS = os.name == "nt"
 
 LINUX = sys.platform == "linux"
 
 MACOS = sys.platform == "darwin"
+
+
+def c_source(name: str) -> str:
+    """The text of a program in C that lies beside this module."""
+    return (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8")
 
 
 def processors() -> int:
@@ -78,6 +88,69 @@ def prepare_drawing() -> None:
 
 def _without_help(_class: type) -> None:
     pass
+
+
+# Signals that ask a process to end.
+
+ENDING = (signal.SIGINT, signal.SIGTERM)
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Have what asks the process to end wait until the block is over."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = {number: signal.getsignal(number) for number in ENDING}
+    heard = {number: old for number, old in before.items() if old not in {signal.SIG_IGN, None}}
+    for number in heard:
+        signal.signal(number, lambda number, _frame: came.append(number))
+    try:
+        yield
+    finally:
+        for number, old in heard.items():
+            signal.signal(number, old)
+        for first in came[:1]:
+            signal.raise_signal(first)
+
+
+@contextmanager
+def asked_to_end() -> Iterator[list[int]]:
+    """Let SIGTERM end a command as Ctrl-C does, with what it began cleared up; which signal came.
+
+    Who ignores it, or has an answer of their own, keeps that.
+    """
+    asked: list[int] = []
+
+    def end(number: int, _frame: object) -> None:
+        signal.signal(number, signal.SIG_IGN)  # once: what clears up is not disturbed again
+        asked.append(number)
+        raise KeyboardInterrupt
+
+    here = threading.current_thread() is threading.main_thread()
+    if not here or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield asked
+        return
+    usual = sys.unraisablehook
+
+    def lost(report: sys.UnraisableHookArgs) -> None:
+        # it came while an object was destroyed, where nothing can be raised: once more, soon
+        if not isinstance(report.exc_value, KeyboardInterrupt) or WINDOWS:
+            usual(report)
+            return
+        signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+        signal.setitimer(signal.ITIMER_REAL, 0.01)
+
+    signal.signal(signal.SIGTERM, end)
+    sys.unraisablehook = lost
+    try:
+        yield asked
+    finally:
+        sys.unraisablehook = usual
+        if not WINDOWS and signal.getitimer(signal.ITIMER_REAL)[0]:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 # Text on streams that do not know every character: signs of the field are spelled out.

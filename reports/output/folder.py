@@ -10,13 +10,11 @@ import hashlib
 import json
 import os
 import platform
-import secrets
 import shutil
 import stat
-import time
 import zlib
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import field, replace
 from functools import cache
 from importlib import metadata
@@ -30,13 +28,19 @@ from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.records import dataclass
 from dqforge.reports.operating_system import system
 from dqforge.reports.operating_system.host_compiler import (
-    FolderTakenError,
+    alone,
     find_compiler,
     flush_folder,
-    lock_folder,
 )
-from dqforge.reports.operating_system.system import KERNEL
-from dqforge.reports.pages.answer import LARGEST_JSON, OUT, read_output
+from dqforge.reports.operating_system.system import KERNEL, undisturbed
+from dqforge.reports.pages.answer import (
+    LARGEST_JSON,
+    OUT,
+    beside,
+    left_beside,
+    read_output,
+    write_atomically,
+)
 from dqforge.reports.pages.templating import strict_json
 from dqforge.reports.run_folder import INPUT, MANIFEST, RESULT, input_files
 
@@ -60,7 +64,6 @@ VERIFIED = "verified"
 # Options of a part `FIRMWARE`: whose files, and the file whose other fields were kept.
 FIRMWARES, EXISTING = "for", "into"
 SWITCHED = "switched"  # Option of a part `SIMULATION` whose every switching instant was simulated.
-_LONGEST_WAIT_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,34 +95,6 @@ def _refusal(folder: Path, error: OSError) -> InputError:
     return WritingError(
         f"cannot write the folder {folder}: {error.strerror or error}; choose another one with -o"
     )
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Keep other runs from the folder above; its lock goes with the process, however that ends."""
-    try:
-        handle = _lock(folder)
-    except OSError:
-        # a folder above that cannot be read cannot be written either: the files go in from inside
-        yield
-        return
-    try:
-        yield
-    finally:
-        os.close(handle)
-
-
-def _lock(folder: Path) -> int:
-    end = time.monotonic() + _LONGEST_WAIT_S
-    while True:
-        try:
-            return lock_folder(folder.parent)
-        except FolderTakenError as error:
-            if time.monotonic() > end:
-                raise WritingError(
-                    f"another run is writing beside {folder}; wait for it, or choose another -o"
-                ) from error
-            time.sleep(0.01)
 
 
 def _is_there(folder: Path, part: Part) -> bool:
@@ -219,12 +194,9 @@ def put_output(
     inputs = input_files(None if design is None else design.given, input_root(part))
     inputs |= {f"{input_root(part)}/{name}": content for name, content in (given or {}).items()}
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        if place.exists() and not place.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
-        if place.is_dir() and not os.access(place, os.W_OK | os.X_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-        with _alone(place):
+        _require_writable(place)
+        # a folder above that cannot be read cannot be written either: the files go in from inside
+        with alone(place), undisturbed():
             _clear_up(place)
             old = find_manifest(place) or Manifest({})
             _refuse_foreign(folder, old, design)
@@ -245,10 +217,48 @@ def write_output(
     return put_output(folder, part, contents, design).paths
 
 
-def _clear_up(place: Path) -> None:
+def put_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
+    """Put files into a folder all at once, which is made if missing; their paths.
+
+    What lies there stays, unless it has the name of one of them.
+
+    Raises:
+        InputError: The folder cannot be written; it is as it was.
+    """
+    place, paths = Path(os.path.realpath(folder)), [folder / name for name in contents]
+    try:
+        _require_writable(place)
+        if len(paths) == 1 and place.is_dir():
+            _check_places(folder, contents)
+            write_atomically(paths[0], contents.values())
+            return paths
+        with alone(place), undisturbed():
+            *_, last = contents
+            _clear_up(place, last)
+            _check_places(folder, contents)
+            if place.is_dir():
+                _replace_inside(place, contents, (), last)
+            else:
+                _swap(place, contents, (), ())
+    except OSError as error:
+        raise _refusal(folder, error) from error
+    return paths
+
+
+def _require_writable(place: Path) -> None:
+    """Raise OSError unless files can be put into a folder; what is above it is made."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    if place.exists() and not place.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+    if place.is_dir() and not os.access(place, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+
+def _clear_up(place: Path, marker: str = MANIFEST) -> None:
     """Finish or remove what killed runs left."""
-    if (place / PENDING / MANIFEST).is_file():
-        finish_pending(place, MANIFEST)
+    if (place / PENDING).is_dir():
+        finish_pending(place, marker)
+    shutil.rmtree(place / _STAGED, ignore_errors=True)
     for sibling in siblings(place):
         left = find_manifest(sibling)
         clear_sibling(sibling, place, None if left is None else {*left.files, MANIFEST})
@@ -434,12 +444,9 @@ def _retire(old: Path, folder: Path, own: Collection[str]) -> None:
                 there.parent.mkdir(parents=True, exist_ok=True)
                 left.replace(there)
                 continue
-        left.unlink()
+        with suppress(OSError):  # tried again below
+            left.unlink()
     shutil.rmtree(old, ignore_errors=True)
-
-
-def _sibling_prefix(folder: Path) -> str:
-    return f".{folder.name}.dqforge-"
 
 
 def clear_sibling(sibling: Path, folder: Path, own: Collection[str] | None) -> None:
@@ -456,7 +463,7 @@ def clear_sibling(sibling: Path, folder: Path, own: Collection[str] | None) -> N
 
 def siblings(folder: Path) -> list[Path]:
     """What killed runs left beside a folder."""
-    return sorted(folder.parent.glob(f"{_sibling_prefix(folder)}*"))
+    return [path for path in left_beside(folder) if path.is_dir()]
 
 
 def _swap(
@@ -466,7 +473,7 @@ def _swap(
 
     Raises OSError with everything as it was.
     """
-    sibling = folder.parent / f"{_sibling_prefix(folder)}{secrets.token_hex(4)}"
+    sibling = beside(folder)
     exists = folder.is_dir()
     try:
         _fill(sibling, contents)
@@ -486,9 +493,11 @@ def _swap(
     except BaseException:
         shutil.rmtree(sibling, ignore_errors=True)
         raise
-    flush_folder(folder.parent)
-    if exists:
-        _retire(sibling, folder, own)
+    # It is new from here on: what cannot be flushed or removed any more is left to the next run.
+    with suppress(OSError):
+        flush_folder(folder.parent)
+        if exists:
+            _retire(sibling, folder, own)
 
 
 def finish_pending(folder: Path, marker: str) -> None:
@@ -510,10 +519,10 @@ def _replace_inside(
     shutil.rmtree(staged, ignore_errors=True)
     try:
         _fill(staged, contents)
+        staged.rename(pending)
     except BaseException:
         shutil.rmtree(staged, ignore_errors=True)
         raise
-    staged.rename(pending)
     flush_folder(folder)
     for name in superseded:
         (folder / name).unlink(missing_ok=True)

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import os
 import re
+import secrets
 import sys
-import tempfile
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import field, replace
 from pathlib import Path
@@ -113,44 +113,58 @@ def read_output(path: Path, wanted: str, most_bytes: int = LARGEST_FILE) -> byte
         raise InputError(f"cannot be read ({reason}); give {wanted}", source=str(path)) from None
 
 
-def write_atomically(path: Path, content: bytes) -> None:
+def write_atomically(path: Path, pieces: Iterable[bytes], option: str = "-o") -> None:
     """Write a file through a temporary one beside it: flushed to disk, then renamed over the
-    target.
+    target. What a killed run left beside it goes.
+
+    Args:
+        path: The file.
+        pieces: Its content, one after the other.
+        option: Which the message names.
 
     Raises:
-        InputError: The folder cannot be written.
+        InputError: The folder cannot be written; what stood there is there as it was.
     """
-    temporary = _beside(path, content)
+    from dqforge.reports.operating_system.host_compiler import alone
+    from dqforge.reports.operating_system.system import undisturbed
+
+    temporary = beside(path)
     try:
-        temporary.replace(path)
+        with alone(path) as locked:
+            for left in left_beside(path) if locked else ():
+                if not left.is_dir():
+                    left.unlink(missing_ok=True)
+            try:
+                with temporary.open("xb") as stream:
+                    for piece in pieces:
+                        stream.write(piece)
+                    stream.flush()
+                    os.fsync(stream.fileno())
+                with undisturbed():
+                    temporary.replace(path)
+            except BaseException:
+                with suppress(OSError):
+                    temporary.unlink(missing_ok=True)
+                raise
     except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise _refusal(path, error) from error
-
-
-def _refusal(path: Path, error: OSError) -> InputError:
-    return WritingError(f"cannot write {path}: {error.strerror}; choose another file with -o")
-
-
-def _beside(path: Path, content: bytes) -> Path:
-    """A temporary file beside a path with its content, flushed to disk."""
-    try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    except OSError as error:
+        reason = error.strerror or error
         raise WritingError(
-            f"cannot write {path}: {error.strerror}; choose another folder with -o"
+            f"cannot write {path}: {reason}; choose another file with {option}"
         ) from error
-    temporary = Path(name)
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.chmod(0o644)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise _refusal(path, error) from error
-    return temporary
+
+
+def beside(path: Path) -> Path:
+    """A new name for what is written beside a file or folder before it takes its place."""
+    return path.parent / f"{_prefix(path)}{secrets.token_hex(4)}"
+
+
+def left_beside(path: Path) -> list[Path]:
+    """What killed runs left there."""
+    return sorted(each for each in path.parent.iterdir() if each.name.startswith(_prefix(path)))
+
+
+def _prefix(path: Path) -> str:
+    return f".{path.name}.dqforge-"
 
 
 FIGURE_SUFFIXES = (".svg", ".png", ".pdf", ".csv")
@@ -176,37 +190,6 @@ def check_figure_path(path: Path, made: Path | None = None) -> None:
             f"cannot write {path}: there is no folder {path.parent}; make it, or choose another "
             "file"
         )
-
-
-def write_all(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
-    """Write several files into a folder, which is made if missing.
-
-    Nothing is replaced before all of them lie beside their places, flushed to disk.
-
-    Raises:
-        InputError: The folder cannot be made or written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WritingError(
-            f"cannot make the folder {folder}: {error.strerror}; choose another one with -o"
-        ) from error
-    paths = [folder / name for name in contents]
-    made: list[Path] = []
-    try:
-        for path, content in zip(paths, contents.values(), strict=True):
-            if path.is_dir():
-                raise WritingError(f"cannot write {path}: it is a folder; choose another with -o")
-            made.append(_beside(path, content))
-        for temporary, path in zip(made, paths, strict=True):
-            temporary.replace(path)
-    except OSError as error:
-        raise _refusal(folder, error) from error
-    finally:
-        for temporary in made:
-            temporary.unlink(missing_ok=True)
-    return paths
 
 
 # Tables for the terminal: results become rows of text here, and nowhere are they computed.

@@ -371,4 +371,4 @@ def save(figure: Figure, path: Path) -> None:
         ".csv": lambda: read_figure(figure).csv().encode(),
     }
     check_figure_path(path)
-    write_atomically(path, formats[path.suffix.lower()]())
+    write_atomically(path, [formats[path.suffix.lower()]()])

@@ -20,8 +20,7 @@ from dqforge.reports.firmware.design_made import (
 )
 from dqforge.reports.firmware.target import read_text_file
 from dqforge.reports.firmware.written_files import plain_explained, plain_fit
-from dqforge.reports.output.folder import sha256
-from dqforge.reports.pages.answer import write_all
+from dqforge.reports.output.folder import put_files, sha256
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.run import solved_files
 from dqforge.reports.session.drives import in_python
@@ -132,7 +131,7 @@ class FirmwareExport(Result):
 
     def write(self, folder: str | Path) -> list[Path]:
         """Put the files into a folder; each takes the place of an old one in one piece."""
-        return write_all(Path(folder), self.files)
+        return put_files(Path(folder), self.files)
 
     def plain(self) -> PlainData:
         """As ``dqforge export --for`` prints it, with the SHA-256 of each file."""

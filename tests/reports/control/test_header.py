@@ -36,7 +36,7 @@ from dqforge.reports.control.header import (
     plain_control,
 )
 from dqforge.reports.main_header import header_files
-from dqforge.reports.pages.answer import write_all
+from dqforge.reports.output.folder import put_files
 from dqforge.reports.run import export_design, plain_solution, read_folder, verify_folder
 from dqforge.reports.verification.host import verify_files
 
@@ -264,7 +264,7 @@ def test_a_bad_sample_makes_no_voltage_and_is_forgotten(
 @pytest.mark.slow
 def test_a_changed_sign_is_found_and_damage_is_refused(tmp_path: Path) -> None:
     output = export_design(bench(), verify=True)
-    write_all(tmp_path, output.files)
+    put_files(tmp_path, output.files)
     found = read_folder(tmp_path)
     assert f"{found.prefix}_control.h" in found.files
     verify_folder(tmp_path)

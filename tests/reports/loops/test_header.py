@@ -24,7 +24,7 @@ from dqforge.reports.loops.capability import (
     plain_evaluator,
     schedule_inputs,
 )
-from dqforge.reports.pages.answer import write_all
+from dqforge.reports.output.folder import put_files
 from dqforge.reports.run import RunOutput, export_design, read_folder, run_design, verify_folder
 from dqforge.reports.verification.host import WARNINGS
 
@@ -63,7 +63,7 @@ def test_run_writes_verified_headers_that_verify_reads_back(form: str, tmp_path:
     assert evaluator(form).form == form
     assert output.verification is not None
     assert output.verification.languages == ("c99", "c++11")
-    write_all(tmp_path, output.files)
+    put_files(tmp_path, output.files)
     found = read_folder(tmp_path)
     assert {f"{found.prefix}_gains.h", f"{found.prefix}_gains_vectors.h"} <= set(found.files)
     rebuilt = evaluator_from(json.loads(output.files["result.json"])["gains_header"])
@@ -90,7 +90,7 @@ def test_compiled_code_equals_the_model_bit_for_bit(
     form: str, language: tuple[str, ...], tmp_path: Path
 ) -> None:
     output, model = exported(form), evaluator(form)
-    write_all(tmp_path, output.files)
+    put_files(tmp_path, output.files)
     prefix = output.solution.design.export.prefix
     harness = GAIN_HARNESS.source(prefix)
     (tmp_path / "harness.c").write_text(harness, encoding="ascii")

@@ -20,7 +20,7 @@ from dqforge.optimizer.field_weakening.voltage_region import voltage_region
 from dqforge.optimizer.operating_points.characteristics import characteristics
 from dqforge.optimizer.operating_points.mtpa_locus import Active, mtpa_locus
 from dqforge.optimizer.operating_points.points import optimal_points
-from dqforge.reports.pages.answer import write_all
+from dqforge.reports.output.folder import put_files
 from dqforge.reports.run import export_design, read_folder, run_design, verify_folder
 from dqforge.reports.single_headers.field_weakening import weakening_tables
 
@@ -161,7 +161,7 @@ def test_headers_are_written_verified_rebuilt_and_a_changed_digit_is_found(tmp_p
     output = export_design(design("{}"), verify=True)
     assert output.verification is not None
     assert output.verification.languages == ("c99", "c++11")
-    write_all(tmp_path, output.files)
+    put_files(tmp_path, output.files)
     found = read_folder(tmp_path)
     assert "current reference with field weakening" in [part.name for part in found.further]
     assert {f"{found.prefix}_weakening.h", f"{found.prefix}_weakening_vectors.h"} <= set(
@@ -192,7 +192,7 @@ def test_headers_are_written_verified_rebuilt_and_a_changed_digit_is_found(tmp_p
 @pytest.mark.parametrize("damage", ["x", {}, {"flux_min": 1.0}])
 def test_a_damaged_result_is_refused(damage: object, tmp_path: Path) -> None:
     output = export_design(design("{}"), verify=False)
-    write_all(tmp_path, output.files)
+    put_files(tmp_path, output.files)
     document = json.loads(output.files["result.json"]) | {"weakening_header": damage}
     (tmp_path / "result.json").write_text(json.dumps(document), encoding="ascii")
     with pytest.raises(InputError, match="weakening_header is not what dqforge writes"):

@@ -31,7 +31,7 @@ from dqforge.reports.modulation_choice.text import (
     limits_text,
     rule_lines,
 )
-from dqforge.reports.pages.answer import write_all
+from dqforge.reports.output.folder import put_files
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.run import RunOutput, read_folder, run_design, verify_folder
 from dqforge.reports.verification.cortex_m import verify_on_target
@@ -106,7 +106,7 @@ def test_the_header_is_written_verified_rebuilt_and_a_changed_threshold_is_found
 ) -> None:
     assert output.verification is not None
     assert output.verification.languages == ("c99", "c++11")
-    write_all(tmp_path, output.files)
+    put_files(tmp_path, output.files)
     found = read_folder(tmp_path)
     assert {"ipm100_modulation.h", "ipm100_modulation_vectors.h"} <= set(found.files)
     model = choice_model(choice_of(output))
@@ -145,7 +145,7 @@ def test_the_rule_is_compared_where_the_map_was_made(output: RunOutput) -> None:
 
 @pytest.mark.parametrize("damage", ["x", {}, {"rule": {"choice": 0}}])
 def test_a_damaged_result_is_refused(damage: object, output: RunOutput, tmp_path: Path) -> None:
-    write_all(tmp_path, output.files)
+    put_files(tmp_path, output.files)
     document = json.loads(output.files["result.json"]) | {"modulation_header": damage}
     (tmp_path / "result.json").write_text(json.dumps(document), encoding="ascii")
     with pytest.raises(InputError, match="modulation_header is not what dqforge writes"):
