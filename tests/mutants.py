@@ -15,19 +15,21 @@ from __future__ import annotations
 import argparse
 import ast
 import hashlib
+import itertools
+import json
 import os
 import re
-import resource
+import select
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import drawn_cases
@@ -44,6 +46,10 @@ BINARY = {"+": "-", "-": "+", "*": "/", "/": "*", "**": "*", "//": "*", "%": "*"
 COMPARISONS = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
 OF_C = {" + ": " - ", " - ": " + ", " * ": " / ", " < ": " >= ", " > ": " <= ", " <= ": " > "}
 Span = Callable[["ast.expr | ast.stmt"], tuple[int, int]]
+# In place of a case, where the tests can no longer be loaded.
+LOADING = "loading"
+WAIT_S = 300.0
+SECONDS = itertools.count(1)
 NUMBER_OF_C = re.compile(r"(?<![\w.])\d+\.\d+F\b")
 
 
@@ -210,43 +216,137 @@ def nearest(path: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(test for test in by_distance if test in house.tests()))
 
 
-def _limit(seconds: int) -> None:
-    resource.setrlimit(resource.RLIMIT_CPU, (2 * seconds, 2 * seconds + 5))
+@cache
+def farther(path: str) -> tuple[str, ...]:
+    """The other tests that come to a file by way of what imports it, cheap ones first.
+
+    To a template they come by way of the modules beside it.
+    """
+    module, beside, _ = path.removesuffix(".py").replace("/", ".").partition(".templates.")
+    reached = {name for name in house.modules() if name == module or name.startswith(module + ".")}
+    if not beside:
+        reached = {module}
+    wider: set[str] = set()
+    while wider != reached:
+        reached |= wider
+        wider = reached | {name for name, used in house.imports().items() if used & reached}
+    coming = {test for test, loaded in house.tests().items() if loaded & reached}
+    cost = drawn_cases.kept_costs()
+    others = coming - set(nearest(path))
+    return tuple(sorted(others, key=lambda test: (cost.get(test, 0.0), test)))
 
 
-def _run(tree: Path, tests: Sequence[str], seconds: int) -> tuple[int, str]:
-    """Exit code of these tests, and the first that failed; -SIGKILL where time ran out."""
-    words = ["-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-m", "not slow and not benchmark"]
-    running = subprocess.Popen(
-        [sys.executable, "-m", "pytest", *words, *tests],
-        cwd=tree,
-        env=os.environ | {"PYTHONPATH": str(tree.parent), "OPENBLAS_NUM_THREADS": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        preexec_fn=partial(_limit, seconds),  # noqa: PLW1509 - one thread, POSIX alone
-        start_new_session=True,
-    )
-    said = ""
-    with suppress(subprocess.TimeoutExpired):
-        said, _ = running.communicate(timeout=4 * seconds)
-    if running.poll() is None:
-        os.killpg(running.pid, signal.SIGKILL)
-    failed = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
-    return running.wait(), failed.group(1) if failed else ""
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What tests say of a tree: the case that fails, "" for none, of how many; whether all of them
+    ran; whether what changed runs while modules load, so that a new process must be asked.
+    """
+
+    failed: str
+    cases: int
+    whole: bool
+    loads: bool
 
 
-def noticed(tree: Path, change: Change, seconds: int) -> bool | None:
-    """Whether a nearest test fails with the change, and not without it; None where time ran out."""
-    path = tree / change.path
+class Loaded:
+    """A tree with default tests collected, in a process that answers each question in a fork."""
+
+    def __init__(self, tree: Path, tests: Sequence[str]) -> None:
+        self.tree = tree
+        self.unfit: set[str] = set()
+        self._sound: set[str] = set()
+        asked, asking = os.pipe()
+        answers, answering = os.pipe()
+        loop = Path(__file__).with_name("planted.py")
+        self._running = subprocess.Popen(
+            # Without the folder of the programme: the helpers are those of the tree.
+            [sys.executable, "-P", str(loop), str(asked), str(answering), *tests],
+            cwd=tree,
+            env=os.environ | {"PYTHONPATH": str(tree.parent), "OPENBLAS_NUM_THREADS": "1"},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            pass_fds=(asked, answering),
+        )
+        os.close(asked)
+        os.close(answering)
+        self._from = os.fdopen(answers)
+        self._to = os.fdopen(asking, "w")
+
+    def ask(self, tests: Sequence[str], seconds: int, path: str = "", source: str = "") -> Answer:
+        """What tests say of the tree as it is, of which the module at ``path`` was ``source``."""
+        question = {"tests": tests, "seconds": seconds, "path": path, "source": source}
+        with suppress(BrokenPipeError):
+            self._to.write(json.dumps(question | {"unfit": sorted(self.unfit)}) + "\n")
+            self._to.flush()
+        ready, _, _ = select.select([self._from], [], [], WAIT_S + 10 * seconds)
+        said = self._from.readline() if ready else ""
+        return Answer(**json.loads(said)) if said else Answer(LOADING, 0, whole=False, loads=False)
+
+    def fails_anyway(self, case: str, seconds: int) -> bool:
+        """Whether a case fails in the tree as it is; it is left out from then on."""
+        if case not in self._sound | self.unfit:
+            failed = self.ask([case], seconds).failed
+            (self.unfit if failed else self._sound).add(case)
+        return case in self.unfit
+
+    def close(self) -> None:
+        """End the process."""
+        with suppress(BrokenPipeError):
+            self._to.close()
+        self._from.close()
+        self._running.kill()
+        self._running.wait()
+
+
+@contextmanager
+def _planted(path: Path, change: Change) -> Iterator[str]:
+    """The file with the change in it for as long; gives what it is without.
+
+    Byte code is told apart by the second of the file: no two changes have the same.
+    """
     source = path.read_text(encoding="utf-8")
+    since = path.stat().st_mtime
     path.write_text(change.planted(source), encoding="utf-8")
-    tests = [test for test in nearest(change.path) if (tree / test).is_file()]
-    code, failed = _run(tree, tests, seconds)
-    path.write_text(source, encoding="utf-8")
-    if code in {-signal.SIGXCPU, -signal.SIGKILL}:
-        return None
-    return code not in {0, 5} and not (failed and _run(tree, [failed], seconds)[0] not in {0, 5})
+    os.utime(path, (since, since + next(SECONDS)))
+    try:
+        yield source
+    finally:
+        path.write_text(source, encoding="utf-8")
+        os.utime(path, (since, since))
+
+
+def noticed(loaded: Loaded, change: Change, seconds: int) -> str:
+    """The case that fails with the change, and not without it; "" for none.
+
+    After the nearest tests those farther away are asked, for as long again; then, in a new process,
+    the nearest once more, for what modules compute as they load.
+    """
+    path = loaded.tree / change.path
+
+    def first(asked: Loaded, tests: Sequence[str]) -> Answer:
+        while True:
+            with _planted(path, change) as source:
+                answer = asked.ask(tests, seconds, change.path, source)
+            if not answer.failed or not loaded.fails_anyway(answer.failed, seconds):
+                return answer
+            asked.unfit = loaded.unfit
+
+    near = nearest(change.path)
+    for tests in (near, farther(change.path)):
+        answer = first(loaded, tests)
+        if answer.failed:
+            return answer.failed
+    if not answer.loads:
+        return ""
+    with _planted(path, change):
+        fresh = Loaded(loaded.tree, [test for test in near if (loaded.tree / test).is_file()])
+        fresh.ask([], seconds)
+    fresh.unfit = loaded.unfit
+    answer = first(fresh, near)
+    fresh.close()
+    missing = answer.cases != loaded.ask(near, 0).cases
+    return answer.failed or (LOADING if missing else "")
 
 
 def copied(root: Path, place: Path) -> Path:
@@ -259,6 +359,9 @@ def copied(root: Path, place: Path) -> Path:
     for name in filter(None, names):
         (tree / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(root / name, tree / name, follow_symlinks=False)
+        for compiled in (root / name).parent.glob(f"__pycache__/{Path(name).stem}.*.pyc"):
+            (tree / name).with_name("__pycache__").mkdir(exist_ok=True)
+            shutil.copy2(compiled, (tree / name).with_name("__pycache__"))
     shared = root.parent / "shared"
     if shared.is_dir():
         (place / "shared").symlink_to(shared)
@@ -272,14 +375,16 @@ def _say(line: str) -> None:
 
 def score(title: str, tree: Path, planted: list[Change], seconds: int) -> None:
     """Plant changes one by one and print the survivors, then the share that was noticed."""
+    loaded = Loaded(tree, ["tests"])
     killed: Counter[str] = Counter()
     for change in planted:
-        found = noticed(tree, change, seconds)
-        killed[change.kind] += found is True
-        if found is not True:
-            end = "not noticed" if found is False else "time ran out"
-            what = f"{change.old.strip()!r} -> {change.text.strip()!r}"
-            _say(f"{title}: {end}: {change.path}:{change.line}: {what}")
+        begun = time.monotonic()
+        case = noticed(loaded, change, seconds)
+        killed[change.kind] += bool(case)
+        what = f"{change.old.strip()!r} -> {change.text.strip()!r}"
+        took = time.monotonic() - begun
+        _say(f"{title}: {took:.1f} s {case or 'not noticed'}: {change.path}:{change.line}: {what}")
+    loaded.close()
     whole = Counter(change.kind for change in planted)
     for kind, number in sorted(whole.items()):
         _say(f"{title}: {kind}: {killed[kind]} of {number} noticed")
