@@ -2,12 +2,19 @@
 
 A change turns a sign, a factor, a comparison or a constant round, swaps two arguments, or drops a
 statement, in a place that a seed draws; the tests nearest to it then run in a copy of the tree, for
-so many seconds of processor time at most. A change that they do not notice is printed.
+so many seconds of processor time at most, and those farther away for as long again. What none of
+them notices is printed. What changes no number stands in `tests/equivalent_changes.toml`, with the
+reason, and is not counted.
 
     python tests/mutants.py 30                 thirty, drawn by the commit
+    python tests/mutants.py 30 --within 150    as many of them as are begun in 150 s
     python tests/mutants.py 200 --seed a --against OLD_CHECKOUT
+    python tests/mutants.py 100 --seed a --out OLD.json
+    python tests/mutants.py 100 --seed a --since OLD.json --evidence
 
 ``--against`` plants the same changes in another checkout too, where their lines stand there once.
+``--since`` asks first the case that noticed a change in an earlier run, and counts both runs;
+``--evidence`` writes the counts to `docs/project/evidence.md`.
 """
 
 from __future__ import annotations
@@ -17,6 +24,7 @@ import ast
 import hashlib
 import itertools
 import json
+import math
 import os
 import re
 import select
@@ -25,10 +33,11 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -45,6 +54,9 @@ KINDS = {
 BINARY = {"+": "-", "-": "+", "*": "/", "/": "*", "**": "*", "//": "*", "%": "*"}
 COMPARISONS = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
 OF_C = {" + ": " - ", " - ": " + ", " * ": " / ", " < ": " >= ", " > ": " <= ", " <= ": " > "}
+# Of these the order of the arguments does not matter.
+SYMMETRIC = {"min", "max", "minimum", "maximum", "fmin", "fmax", "hypot", "gcd", "lcm"}
+EQUIVALENT = Path(__file__).with_name("equivalent_changes.toml")
 Span = Callable[["ast.expr | ast.stmt"], tuple[int, int]]
 # In place of a case, where the tests can no longer be loaded.
 LOADING = "loading"
@@ -64,6 +76,17 @@ class Change:
     text: str
     old: str
     line: int
+    words: str
+
+    @property
+    def named(self) -> str:
+        """What becomes what, on one line."""
+        return " ".join(f"{self.old} -> {self.text}".split())
+
+    @property
+    def key(self) -> str:
+        """The change by the words of its line, wherever that stands in the file."""
+        return f"{self.path}: {self.words}: {self.named}"
 
     def planted(self, source: str) -> str:
         """The file with the change in it."""
@@ -76,14 +99,11 @@ class Change:
         if other.count(line) != 1:
             return None
         shift = other.index(line) - begin
-        return Change(
-            self.kind,
-            self.path,
-            self.start + shift,
-            self.end + shift,
-            self.text,
-            self.old,
-            other.count("\n", 0, self.start + shift) + 1,
+        return replace(
+            self,
+            start=self.start + shift,
+            end=self.end + shift,
+            line=other.count("\n", 0, self.start + shift) + 1,
         )
 
 
@@ -98,6 +118,11 @@ def _operator(source: str, left: int, right: int, swaps: dict[str, str]) -> tupl
     if found is None:
         raise KeyError(source[left:right])
     return left + found.start(), left + found.end(), swaps[found.group()]
+
+
+def _name(function: ast.expr) -> str:
+    """What a function is called, without where it comes from."""
+    return ast.unparse(function).rpartition(".")[2]
 
 
 def _swapped(a: tuple[int, int], b: tuple[int, int], source: str) -> tuple[int, int, str]:
@@ -120,7 +145,9 @@ def _of_node(node: ast.AST, where: Span, source: str) -> Iterator[tuple[int, int
             yield where(node)[0], where(operand)[0], ""
         case ast.Constant(value=float() as value):
             yield *where(node), repr(1.25 * value if value else 1.0)
-        case ast.Call(args=[first, second]) if not isinstance(second, ast.Starred):
+        case ast.Call(args=[first, second]) if not (
+            isinstance(second, ast.Starred) or _name(node.func) in SYMMETRIC
+        ):
             yield _swapped(where(first), where(second), source)
         case ast.AugAssign():
             yield *where(node), "pass"
@@ -174,11 +201,29 @@ def changes(root: Path) -> list[Change]:
             continue
         source = (root / name).read_text(encoding="utf-8")
         places = _in_python(source) if name.endswith(".py") else _in_template(source)
-        for start, end, text in places:
-            line = source.count("\n", 0, start) + 1
-            if text != source[start:end]:
-                found.append(Change(kind, name, start, end, text, source[start:end], line))
+        lines = source.splitlines()
+        # A function within another is met twice.
+        for start, end, text in dict.fromkeys(places):
+            line, old = source.count("\n", 0, start) + 1, source[start:end]
+            if text != old:
+                words = lines[line - 1].strip()
+                found.append(Change(kind, name, start, end, text, old, line, words))
     return found
+
+
+def equivalent(found: list[Change]) -> dict[str, str]:
+    """Why changes change no number, by their keys.
+
+    Raises:
+        ValueError: An entry of the list is no change that can be planted.
+    """
+    listed = tomllib.loads(EQUIVALENT.read_text(encoding="utf-8"))["change"]
+    keys = {change.key for change in found}
+    reasons = {f"{entry['path']}: {entry['line']}: {entry['change']}": entry for entry in listed}
+    for key in reasons:
+        if key not in keys:
+            raise ValueError(f"{EQUIVALENT.name}: no such change: {key}: take the entry out")
+    return {key: entry["reason"] for key, entry in reasons.items()}
 
 
 def drawn(found: list[Change], number: int, seed: str) -> list[Change]:
@@ -316,11 +361,11 @@ def _planted(path: Path, change: Change) -> Iterator[str]:
         os.utime(path, (since, since))
 
 
-def noticed(loaded: Loaded, change: Change, seconds: int) -> str:
+def noticed(loaded: Loaded, change: Change, seconds: int, hint: str = "") -> str:
     """The case that fails with the change, and not without it; "" for none.
 
-    After the nearest tests those farther away are asked, for as long again; then, in a new process,
-    the nearest once more, for what modules compute as they load.
+    ``hint`` is asked first. After the nearest tests those farther away are asked, for as long
+    again; then, in a new process, the nearest once more, for what modules compute as they load.
     """
     path = loaded.tree / change.path
 
@@ -333,7 +378,7 @@ def noticed(loaded: Loaded, change: Change, seconds: int) -> str:
             asked.unfit = loaded.unfit
 
     near = nearest(change.path)
-    for tests in (near, farther(change.path)):
+    for tests in ([hint] if hint else [], near, farther(change.path)):
         answer = first(loaded, tests)
         if answer.failed:
             return answer.failed
@@ -373,22 +418,54 @@ def _say(line: str) -> None:
     sys.stdout.flush()
 
 
-def score(title: str, tree: Path, planted: list[Change], seconds: int) -> None:
-    """Plant changes one by one and print the survivors, then the share that was noticed."""
+def score(
+    title: str,
+    tree: Path,
+    planted: list[Change],
+    asked: argparse.Namespace,
+    before: dict[str, str],
+) -> dict[str, str]:
+    """Plant changes one by one, print survivors and the share that was noticed; give the cases."""
     loaded = Loaded(tree, ["tests"])
-    killed: Counter[str] = Counter()
+    ending = time.monotonic() + asked.within
+    cases = {}
     for change in planted:
-        begun = time.monotonic()
-        case = noticed(loaded, change, seconds)
-        killed[change.kind] += bool(case)
-        what = f"{change.old.strip()!r} -> {change.text.strip()!r}"
-        took = time.monotonic() - begun
-        _say(f"{title}: {took:.1f} s {case or 'not noticed'}: {change.path}:{change.line}: {what}")
+        if time.monotonic() > ending:
+            break
+        case = noticed(loaded, change, asked.seconds, before.get(change.key, ""))
+        cases[change.key] = case
+        if asked.out and title == "here":
+            asked.out.write_text(json.dumps(cases, indent=1) + "\n", encoding="utf-8")
+        if asked.verbose or not case:
+            said = f"{change.path}:{change.line}: {change.named}"
+            _say(f"{title}: {case or 'not noticed'}: {said}")
     loaded.close()
-    whole = Counter(change.kind for change in planted)
-    for kind, number in sorted(whole.items()):
-        _say(f"{title}: {kind}: {killed[kind]} of {number} noticed")
-    _say(f"{title}: {killed.total()} of {whole.total()} noticed")
+    for kind, (count, whole) in tally(planted, cases).items():
+        _say(f"{title}: {kind}: {share(count, whole)}")
+    return cases
+
+
+def tally(planted: list[Change], cases: dict[str, str]) -> dict[str, tuple[int, int]]:
+    """How many changes of each kind were noticed, of how many that were tried; at last of all."""
+    tried = [change for change in planted if change.key in cases]
+    counts = {
+        kind: (
+            sum(bool(cases[change.key]) for change in tried if change.kind == kind),
+            sum(change.kind == kind for change in tried),
+        )
+        for kind in sorted({change.kind for change in tried})
+    }
+    return counts | {"all": (sum(map(bool, cases.values())), len(tried))}
+
+
+def share(count: int, whole: int) -> str:
+    """A share with Wilson's interval."""
+    from dqforge.optimizer.exploration.acceptance import wilson
+
+    if not whole:
+        return "0 of 0"
+    low, high = (100.0 * end for end in wilson(count, whole))
+    return f"{count} of {whole}, {100.0 * count / whole:.0f} % ({low:.0f} to {high:.0f} %)"
 
 
 def main() -> None:
@@ -396,10 +473,17 @@ def main() -> None:
     options = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     options.add_argument("number", type=int)
     options.add_argument("--seed", default=drawn_cases.seed())
-    options.add_argument("--seconds", type=int, default=60, help="processor time per change")
+    options.add_argument("--seconds", type=int, default=20, help="processor time per change")
+    options.add_argument("--within", type=float, default=math.inf, help="no new one after so long")
     options.add_argument("--against", type=Path, help="another checkout, for the same changes")
+    options.add_argument("--out", type=Path, help="keeps which case noticed which change")
+    options.add_argument("--since", type=Path, help="what an earlier run kept")
+    options.add_argument("--evidence", action="store_true", help="write the counts to the page")
+    options.add_argument("--verbose", action="store_true", help="print what was noticed, too")
     asked = options.parse_args()
-    found = drawn(changes(house.ROOT), 2 * asked.number, asked.seed)
+    every = changes(house.ROOT)
+    same = equivalent(every)
+    found = drawn(every, 2 * asked.number, asked.seed)
     sides = {"here": house.ROOT}
     planted = {"here": found[: asked.number]}
     if asked.against:
@@ -407,10 +491,13 @@ def main() -> None:
         pairs = [(change, _there(change, sides["there"])) for change in found]
         both = [(change, other) for change, other in pairs if other is not None][: asked.number]
         planted = {"here": [pair[0] for pair in both], "there": [pair[1] for pair in both]}
+    before = json.loads(asked.since.read_text(encoding="utf-8")) if asked.since else {}
     with tempfile.TemporaryDirectory() as place:
         for title, root in sides.items():
             tree = copied(root, Path(place) / title)
-            score(title, tree, planted[title], asked.seconds)
+            counted = [change for change in planted[title] if change.key not in same]
+            cases = score(title, tree, counted, asked, before)
+            _say(f"{title}: {len(planted[title]) - len(counted)} more change no number")
 
 
 def _there(change: Change, root: Path) -> Change | None:

@@ -108,6 +108,13 @@ def test_what_is_out_of_reach_is_said_with_what_is_reached() -> None:
             assert 3.9 < found.most[s, 0, 0] < 4.5
 
 
+@pytest.mark.parametrize("i_max", [0.3, 5.94])
+def test_no_torque_is_reached_by_every_machine(i_max: float) -> None:
+    """Without currents there is no limit to meet, however small it is."""
+    found = _solved(_design("six-leg", replace(SINE, i_max=i_max), (LoadPoint(0.0, 78.5),)))
+    assert np.all(found.reached)
+
+
 def test_where_the_link_ends_the_limited_currents_go_on() -> None:
     """3.9 N m at 2500 rpm: dqy needs more than 220 V, the currents within all limits do not."""
     fast = _design("four-leg", points=(LoadPoint(3.9, 2500.0 * np.pi / 30.0),))
