@@ -49,13 +49,15 @@ KINDS = {
     "proofs": r"optimizer/(certificates|box_proofs|axis_margins|speed_box|changing_loops)/",
     "number formats": r"optimizer/fixed_\w+/|optimizer/curves/",
     "formulas": r"optimizer/|machines/(\w+_machines|losses|modulation|plants|transforms|back_emf)",
-    "emitted code": r"reports/(?!pages/)\w+/templates/(?!.*(html|harness|vectors|main\.)).*\.j2$",
+    "emitted code": r"reports/(?!pages/)\w+/templates/(?!.*(harness|vectors|main\.)).*\.[ch]\.j2$",
 }
 BINARY = {"+": "-", "-": "+", "*": "/", "/": "*", "**": "*", "//": "*", "%": "*"}
 COMPARISONS = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
 OF_C = {" + ": " - ", " - ": " + ", " * ": " / ", " < ": " >= ", " > ": " <= ", " <= ": " > "}
 # Of these the order of the arguments does not matter.
 SYMMETRIC = {"min", "max", "minimum", "maximum", "fmin", "fmax", "hypot", "gcd", "lcm"}
+EVIDENCE = house.ROOT / "docs/project/evidence.md"
+MARKS = "<!-- planted changes -->", "<!-- end of planted changes -->"
 EQUIVALENT = Path(__file__).with_name("equivalent_changes.toml")
 Span = Callable[["ast.expr | ast.stmt"], tuple[int, int]]
 # In place of a case, where the tests can no longer be loaded.
@@ -468,6 +470,48 @@ def share(count: int, whole: int) -> str:
     return f"{count} of {whole}, {100.0 * count / whole:.0f} % ({low:.0f} to {high:.0f} %)"
 
 
+def lines_of_evidence(
+    every: list[Change],
+    planted: list[Change],
+    same: dict[str, str],
+    cases: dict[str, str],
+    before: dict[str, str],
+    seed: str,
+) -> str:
+    """Counts of each kind, before and now, and what no test notices."""
+    counted = {key: case for key, case in before.items() if key in cases}
+    places = Counter(change.kind for change in every)
+    left = Counter(change.kind for change in planted if change.key in same)
+    then, now = tally(planted, counted), tally(planted, cases)
+    rows = [
+        f"Seed `{seed}`; with Wilson's interval at 95 %.",
+        "",
+        "| code | changes that can be planted | drawn | change no number | noticed before | noticed |",
+        "|---|---|---|---|---|---|",
+    ]
+    for kind, (_, whole) in now.items():
+        of_all = kind == "all"
+        equal = left.total() if of_all else left[kind]
+        rows.append(
+            f"| {kind} | {places.total() if of_all else places[kind]} | {whole + equal} | {equal}"
+            f" | {share(*then[kind]) if counted else '-'} | {share(*now[kind])} |"
+        )
+    survivors = [change for change in planted if not cases.get(change.key, "tried")]
+    if survivors:
+        rows += ["", "What no default test notices:", ""]
+        rows += [f"* `{one.path}`: `{one.words}`: `{one.named}`" for one in survivors]
+    return "\n".join(rows)
+
+
+def write_evidence(lines: str) -> None:
+    """Put the lines between the marks of the page."""
+    page = EVIDENCE.read_text(encoding="utf-8")
+    start, _, rest = page.partition(MARKS[0])
+    _, _, after = rest.partition(MARKS[1])
+    text = f"{start}{MARKS[0]}\n\n{lines}\n\n{MARKS[1]}{after}"
+    EVIDENCE.write_text(text, encoding="utf-8")
+
+
 def main() -> None:
     """Read the options and count."""
     options = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -492,11 +536,16 @@ def main() -> None:
         both = [(change, other) for change, other in pairs if other is not None][: asked.number]
         planted = {"here": [pair[0] for pair in both], "there": [pair[1] for pair in both]}
     before = json.loads(asked.since.read_text(encoding="utf-8")) if asked.since else {}
+    if before:
+        planted = {"here": [change for change in planted["here"] if change.key in before]}
     with tempfile.TemporaryDirectory() as place:
         for title, root in sides.items():
             tree = copied(root, Path(place) / title)
             counted = [change for change in planted[title] if change.key not in same]
             cases = score(title, tree, counted, asked, before)
+            if asked.evidence and title == "here":
+                tried = [change for change in planted[title] if change.key in {*cases, *same}]
+                write_evidence(lines_of_evidence(every, tried, same, cases, before, asked.seed))
             _say(f"{title}: {len(planted[title]) - len(counted)} more change no number")
 
 
