@@ -13,8 +13,9 @@ reason, and is not counted.
     python tests/mutants.py 100 --seed a --since OLD.json --evidence
 
 ``--against`` plants the same changes in another checkout too, where their lines stand there once.
-``--since`` asks first the case that noticed a change in an earlier run, and counts both runs;
-``--evidence`` writes the counts to `docs/project/evidence.md`.
+``--out`` goes on where an earlier run with the same file ended. ``--since`` asks first the case
+that noticed a change in an earlier run, and counts both runs; ``--evidence`` writes the counts to
+`docs/project/evidence.md`.
 """
 
 from __future__ import annotations
@@ -430,14 +431,18 @@ def score(
     """Plant changes one by one, print survivors and the share that was noticed; give the cases."""
     loaded = Loaded(tree, ["tests"])
     ending = time.monotonic() + asked.within
-    cases = {}
+    keeps = asked.out if title == "here" else None
+    kept = json.loads(keeps.read_text(encoding="utf-8")) if keeps and keeps.is_file() else {}
+    cases = {change.key: kept[change.key] for change in planted if change.key in kept}
     for change in planted:
+        if change.key in cases:
+            continue
         if time.monotonic() > ending:
             break
         case = noticed(loaded, change, asked.seconds, before.get(change.key, ""))
         cases[change.key] = case
-        if asked.out and title == "here":
-            asked.out.write_text(json.dumps(cases, indent=1) + "\n", encoding="utf-8")
+        if keeps:
+            keeps.write_text(json.dumps(cases, indent=1) + "\n", encoding="utf-8")
         if asked.verbose or not case:
             said = f"{change.path}:{change.line}: {change.named}"
             _say(f"{title}: {case or 'not noticed'}: {said}")
@@ -486,7 +491,7 @@ def lines_of_evidence(
     rows = [
         f"Seed `{seed}`; with Wilson's interval at 95 %.",
         "",
-        "| code | changes that can be planted | drawn | change no number | noticed before | noticed |",
+        "| code | places | drawn | of which equivalent | noticed before | noticed |",
         "|---|---|---|---|---|---|",
     ]
     for kind, (_, whole) in now.items():
