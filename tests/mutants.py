@@ -36,7 +36,7 @@ import tempfile
 import time
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -80,6 +80,7 @@ class Change:
     old: str
     line: int
     words: str
+    place: int  # of the change in its words
 
     @property
     def named(self) -> str:
@@ -89,7 +90,7 @@ class Change:
     @property
     def key(self) -> str:
         """The change by the words of its line, wherever that stands in the file."""
-        return f"{self.path}: {self.words}: {self.named}"
+        return f"{self.path}: {self.words}: {self.place}: {self.named}"
 
     def planted(self, source: str) -> str:
         """The file with the change in it."""
@@ -192,11 +193,15 @@ def _in_template(source: str) -> Iterator[tuple[int, int, str]]:
         yield found.start(), found.end(), f"{1.25 * float(found.group()[:-1]) or 1.0}F"
 
 
-def changes(root: Path) -> list[Change]:
-    """Every change that can be planted."""
-    names = subprocess.run(
+def files(root: Path) -> list[str]:
+    """What git knows of a checkout."""
+    return subprocess.run(
         ["git", "ls-files"], cwd=root, capture_output=True, text=True, check=True
     ).stdout.split()
+
+
+def changes(root: Path, names: Iterable[str]) -> list[Change]:
+    """Every change that can be planted in these files."""
     found = []
     for name in names:
         kind = kind_of(name)
@@ -210,19 +215,22 @@ def changes(root: Path) -> list[Change]:
             line, old = source.count("\n", 0, start) + 1, source[start:end]
             if text != old:
                 words = lines[line - 1].strip()
-                found.append(Change(kind, name, start, end, text, old, line, words))
+                place = start - source.index(words, source.rfind("\n", 0, start) + 1)
+                found.append(Change(kind, name, start, end, text, old, line, words, place))
     return found
 
 
-def equivalent(found: list[Change]) -> dict[str, str]:
+def equivalent(found: list[Change], listed: list[dict[str, str]]) -> dict[str, str]:
     """Why changes change no number, by their keys.
 
     Raises:
         ValueError: An entry of the list is no change that can be planted.
     """
-    listed = tomllib.loads(EQUIVALENT.read_text(encoding="utf-8"))["change"]
     keys = {change.key for change in found}
-    reasons = {f"{entry['path']}: {entry['line']}: {entry['change']}": entry for entry in listed}
+    reasons = {
+        f"{entry['path']}: {entry['line']}: {entry['place']}: {entry['change']}": entry
+        for entry in listed
+    }
     for key in reasons:
         if key not in keys:
             raise ValueError(f"{EQUIVALENT.name}: no such change: {key}: take the entry out")
@@ -530,8 +538,8 @@ def main() -> None:
     options.add_argument("--evidence", action="store_true", help="write the counts to the page")
     options.add_argument("--verbose", action="store_true", help="print what was noticed, too")
     asked = options.parse_args()
-    every = changes(house.ROOT)
-    same = equivalent(every)
+    every = changes(house.ROOT, files(house.ROOT))
+    same = equivalent(every, tomllib.loads(EQUIVALENT.read_text(encoding="utf-8"))["change"])
     found = drawn(every, 2 * asked.number, asked.seed)
     sides = {"here": house.ROOT}
     planted = {"here": found[: asked.number]}
