@@ -549,8 +549,6 @@ def main() -> None:
         both = [(change, other) for change, other in pairs if other is not None][: asked.number]
         planted = {"here": [pair[0] for pair in both], "there": [pair[1] for pair in both]}
     before = json.loads(asked.since.read_text(encoding="utf-8")) if asked.since else {}
-    if before:
-        planted = {"here": [change for change in planted["here"] if change.key in before]}
     with tempfile.TemporaryDirectory() as place:
         for title, root in sides.items():
             tree = copied(root, Path(place) / title)
