@@ -260,13 +260,20 @@ def drawn(found: list[Change], number: int, seed: str) -> list[Change]:
 
 @cache
 def nearest(path: str) -> tuple[str, ...]:
-    """The tests of a file: its own first, then those that import it, then those of its room."""
+    """The tests of a file: its own first, then those that import it, then those of its room.
+
+    A template is imported with the modules that name it.
+    """
     module = path.removesuffix(".py").replace("/", ".")
-    room = path.split("/")[1]
+    room, name = path.split("/")[1], Path(path).name
+    loads = {module}
+    if path.endswith(".j2"):
+        texts = ((module, file.read_text("utf-8")) for module, file in house.modules().items())
+        loads = {module for module, text in texts if name in text}
     own = house.own_test(module)
-    loading = sorted(test for test, loaded in house.tests().items() if module in loaded)
-    beside = (test for test in house.tests() if test.split("/")[2:-1][:1] == [room])
     cost = drawn_cases.kept_costs()
+    loading = sorted(test for test, loaded in house.tests().items() if loads & loaded)
+    beside = (test for test in house.tests() if test.split("/")[2:-1][:1] == [room])
     ordered = sorted(beside, key=lambda test: (cost.get(test, 0.0), test))
     by_distance = [own, *sorted(loading, key=lambda test: cost.get(test, 0.0)), *ordered]
     return tuple(dict.fromkeys(test for test in by_distance if test in house.tests()))
