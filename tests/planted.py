@@ -17,7 +17,7 @@ import sys
 from collections import defaultdict
 from contextlib import suppress
 from pathlib import Path
-from types import CodeType, FunctionType
+from types import CodeType, FrameType, FunctionType
 from typing import Any, NoReturn
 
 import pytest
@@ -45,7 +45,11 @@ class Forks:
         self.answers = os.fdopen(answers, "w")
         self.at_load: set[CodeType] = set()
         # What runs while modules load cannot be exchanged afterwards.
-        sys.setprofile(lambda frame, event, _: event == "call" and self.at_load.add(frame.f_code))
+        sys.setprofile(self._called)
+
+    def _called(self, frame: FrameType, event: str, _: object) -> None:
+        if event == "call":
+            self.at_load.add(frame.f_code)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
