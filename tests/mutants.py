@@ -444,15 +444,14 @@ def score(
     before: dict[str, str],
 ) -> dict[str, str]:
     """Plant changes one by one, print survivors and the share that was noticed; give the cases."""
-    loaded = Loaded(tree, ["tests"])
     ending = time.monotonic() + asked.within
     keeps = asked.out if title == "here" else None
     kept = json.loads(keeps.read_text(encoding="utf-8")) if keeps and keeps.is_file() else {}
     cases = {change.key: kept[change.key] for change in planted if change.key in kept}
-    for change in planted:
-        if change.key in cases:
-            continue
-        if time.monotonic() > ending:
+    left = [change for change in planted if change.key not in cases]
+    loaded = Loaded(tree, ["tests"]) if left else None
+    for change in left:
+        if loaded is None or time.monotonic() > ending:
             break
         case = noticed(loaded, change, asked.seconds, before.get(change.key, ""))
         cases[change.key] = case
@@ -461,7 +460,8 @@ def score(
         if asked.verbose or not case:
             said = f"{change.path}:{change.line}: {change.named}"
             _say(f"{title}: {case or 'not noticed'}: {said}")
-    loaded.close()
+    if loaded is not None:
+        loaded.close()
     for kind, (count, whole) in tally(planted, cases).items():
         _say(f"{title}: {kind}: {share(count, whole)}")
     return cases

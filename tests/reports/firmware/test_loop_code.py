@@ -6,10 +6,12 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 import pytest
 from firmware_loops import (
+    CONSTANT,
     EVERY,
     INVERTER,
     MACHINE,
@@ -318,14 +320,15 @@ def test_duty_cycles_act_after_the_delay(program: Simulator) -> None:
 
 
 @pytest.mark.parametrize("reference", ["id-zero", "mtpa-linear", "table"])
-def test_a_small_command_keeps_its_sign(program: Simulator, reference: str) -> None:
+def test_a_small_command_keeps_its_sign(
+    program: Simulator, reference: Literal["id-zero", "mtpa-linear", "table"]
+) -> None:
     """Half an ampere, of which a table from 0 to 10 A holds a twentieth of its first piece."""
     table = ((0.0, 0.0, 0.0), (10.0, -1.0, 9.5), (30.0, -6.0, 28.0))
-    per_ampere = 1.5 * SALIENT.pole_pairs * SALIENT.psi_pm
     for command in (0.5, -0.5):
         profile = replace(vesc(), reference=reference, table=table)
         scenario = Scenario(
-            0.001, "torque", constant(command * per_ampere), shaft=constant(0.0), dead_time=0.0
+            0.001, "torque", constant(command * CONSTANT), shaft=constant(0.0), dead_time=0.0
         )
         run = simulate_profile(profile, SALIENT, DRIVE, scenario, program=program)
         np.testing.assert_allclose(run.i_q_reference[5:], command, rtol=0.06)
