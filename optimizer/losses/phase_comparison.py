@@ -216,7 +216,7 @@ def rule_currents(
         missing = np.full((torque.size, 3, drive.machine.angles), np.nan)
         return missing, np.zeros(torque.size, dtype=np.bool_)
     peak = np.max(np.abs(wanted), axis=(1, 2))
-    share = np.minimum(1.0, drive.i_max / np.where(peak > 0.0, peak, 1.0))
+    share = np.minimum(1.0, drive.i_max / np.where(peak > 0.0, peak, drive.i_max))
     return share[:, None, None] * wanted, np.asarray(share >= 1.0 - _EXCESS)
 
 

@@ -86,6 +86,17 @@ def test_the_load_angle_is_that_of_power_and_reactive_power() -> None:
     assert np.max(np.abs(found)) < np.pi / 6.0 + 1e-4
 
 
+@pytest.mark.parametrize(("length", "known"), [(100, False), (200, True), (400, True)])
+def test_little_power_has_no_load_angle(length: int, known: bool) -> None:
+    """Below 2^15, half of full scale, the product of both vectors says nothing."""
+    lag = np.array([0.3])
+    v = AlphaBeta(np.array([length]), np.array([0]))
+    i = AlphaBeta(*(np.rint(length * part(-lag)).astype(np.int64) for part in (np.cos, np.sin)))
+    turn = code_load_turn(Integers(), 16, v, i)
+    found = np.arctan2(turn.y.astype(float), turn.x.astype(float))
+    assert found == pytest.approx(lag if known else 0.0, abs=5e-3)
+
+
 def thesis(width: int) -> FixedControlFit:
     design = catalogue.load("paper001-pmsm-bench")
     gains = solve_gains(design)

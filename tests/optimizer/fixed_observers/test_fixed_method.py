@@ -97,6 +97,25 @@ def test_q15_stays_beside_double_precision_in_every_step(name: str) -> None:
     assert angle > 1e-4  # the codes are there
 
 
+SHORT = [
+    pytest.param(name, bits)
+    for name in FIXED_METHODS
+    for bits in (16, 32)
+    if (name, bits) != ("ekf", 16)
+]
+
+
+@pytest.mark.parametrize(("name", "bits"), SHORT)
+def test_every_observer_follows_a_short_ramp(name: str, bits: int) -> None:
+    """Every scale and gain of a method, for a salient machine while speed and load change."""
+    k = np.linspace(0.0, 1.0, 120)[:, None]
+    speeds, torque = np.hstack([0.4 - 0.2 * k, -0.3 - 0.1 * k]), np.hstack([0.5 - 0.8 * k] * 2)
+    drive = "abb-ipmsm-2k2"
+    angle, speed = beside(name, bits, motion(name, speeds, torque, drive), drive).apart(1)
+    assert angle <= (Q15_LIMITS[name][0] if bits == 16 else 1e-3)
+    assert speed <= (2.0 if bits == 16 else 5e-3)
+
+
 @pytest.mark.slow
 @EVERY
 def test_q31_stays_beside_double_precision_in_every_step(name: str) -> None:

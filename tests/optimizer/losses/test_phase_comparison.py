@@ -12,14 +12,18 @@ from phase_shapes import paper_machine
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.settings import LoadPoint, LossSettings
+from dqforge.machines.design.settings import AnyStrategy, LoadPoint, LossSettings
 from dqforge.machines.losses.machine_budget import Mission, WindingHeat, read_mission
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.losses.drive_budget import PARTS
+from dqforge.optimizer.losses.drive_budget import PARTS, BudgetOptions
 from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import solve_map
-from dqforge.optimizer.losses.phase_comparison import LossComparison
+from dqforge.optimizer.losses.phase_comparison import (
+    LossComparison,
+    PhaseDrive,
+    rule_currents,
+)
 from dqforge.optimizer.losses.solve import mission_comparison, require_losses
 from dqforge.reports.losses.map_tables import losses_tables, plain_losses
 
@@ -106,6 +110,29 @@ def test_what_is_out_of_reach_is_said_with_what_is_reached() -> None:
     for s, rule in enumerate(found.strategies):
         if rule != "limited":
             assert 3.9 < found.most[s, 0, 0] < 4.5
+
+
+@pytest.mark.parametrize("rule", ["dqx", "dqy"])
+def test_currents_make_the_torque_up_to_the_current_limit(rule: AnyStrategy) -> None:
+    """Mean torque of the machine's own equation; beyond the limit that is the peak."""
+    machine = paper_machine()
+    design = _design("six-leg", machine)
+    for limit, fits in ((5.94, True), (0.3, False)):
+        drive = PhaseDrive(machine, design.machine, IGBT, limit, BudgetOptions(), 0.0)
+        found, reached = rule_currents(drive, rule, np.array([1.5]), np.array([78.5]), 8e3)
+        made = float(np.mean(machine.torque(found[0])))
+        assert reached[0] == fits
+        if fits:
+            assert made == pytest.approx(1.5, rel=1e-9)
+        else:
+            assert float(np.max(np.abs(found))) == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("i_max", [0.3, 5.94])
+def test_no_torque_is_reached_by_every_machine(i_max: float) -> None:
+    """Without currents there is no limit to meet, however small it is."""
+    found = _solved(_design("six-leg", replace(SINE, i_max=i_max), (LoadPoint(0.0, 78.5),)))
+    assert np.all(found.reached)
 
 
 def test_where_the_link_ends_the_limited_currents_go_on() -> None:

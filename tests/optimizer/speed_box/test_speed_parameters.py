@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dqforge.machines.design import catalogue
+from dqforge.machines.design.settings import Tolerances
 from dqforge.optimizer.certificates.cell_queue import Cell
-from dqforge.optimizer.speed_box import SpeedBox
+from dqforge.optimizer.loops.robustness import DriveBox
+from dqforge.optimizer.speed_box import SpeedBox, speed_box
 
 BOX = SpeedBox(
     resistance=(0.7, 1.6),
@@ -74,3 +77,19 @@ def test_the_drive_of_a_cell_is_one_of_the_box(seed: int) -> None:
     fits &= (e * g >= -0.02 - 1e-9) & (e * g <= 0.05 + 1e-9)
     assert fits.any()
     assert 0.63 - 1e-9 <= j <= 1.43 + 1e-9
+
+
+def box_of(tolerances: Tolerances) -> SpeedBox:
+    design = catalogue.load("paper001-pmsm-bench")
+    machine = design.machine
+    return speed_box(DriveBox(design, tolerances, (machine.l_d, machine.l_q)))
+
+
+def test_a_torque_without_a_tolerance_is_exact() -> None:
+    """No share of rounding is added to what is not computed."""
+    assert box_of(Tolerances(r_s=0.2)).torque == (1.0, 1.0)
+
+
+def test_the_torque_of_a_magnet_is_just_held() -> None:
+    low, high = box_of(Tolerances(psi_pm=0.1)).torque
+    assert 0.9 - 1e-11 < low < 0.9 and 1.1 < high < 1.1 + 1e-11

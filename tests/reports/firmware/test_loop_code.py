@@ -6,10 +6,12 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 import pytest
 from firmware_loops import (
+    CONSTANT,
     EVERY,
     INVERTER,
     MACHINE,
@@ -315,6 +317,21 @@ def test_duty_cycles_act_after_the_delay(program: Simulator) -> None:
             if k - delay <= 1.0:
                 expected = voltage / 0.05 * -math.expm1(-acted * 0.05 / 1e-4)
                 assert run.i_q[k] == pytest.approx(expected, rel=1e-4, abs=1e-6)
+
+
+@pytest.mark.parametrize("reference", ["id-zero", "mtpa-linear", "table"])
+def test_a_small_command_keeps_its_sign(
+    program: Simulator, reference: Literal["id-zero", "mtpa-linear", "table"]
+) -> None:
+    """Half an ampere, of which a table from 0 to 10 A holds a twentieth of its first piece."""
+    table = ((0.0, 0.0, 0.0), (10.0, -1.0, 9.5), (30.0, -6.0, 28.0))
+    for command in (0.5, -0.5):
+        profile = replace(vesc(), reference=reference, table=table)
+        scenario = Scenario(
+            0.001, "torque", constant(command * CONSTANT), shaft=constant(0.0), dead_time=0.0
+        )
+        run = simulate_profile(profile, SALIENT, DRIVE, scenario, program=program)
+        np.testing.assert_allclose(run.i_q_reference[5:], command, rtol=0.06)
 
 
 def test_one_period_of_delay_is_what_our_own_header_has() -> None:

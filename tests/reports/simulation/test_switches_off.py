@@ -117,6 +117,17 @@ def test_both_plants_let_the_same_currents_die(program: Path, omega_m: float) ->
     np.testing.assert_allclose(switched[:, :3], phases[:, :3], atol=2e-3 * scale)
 
 
+@pytest.mark.parametrize("phases", [False, True])
+def test_diodes_carry_from_the_speed_on_at_which_two_phases_reach_the_link(
+    program: Path, phases: bool
+) -> None:
+    """sqrt(3) 0.05 p omega_m = 100 V: below it what floats stays between the rails."""
+    first = 100.0 / (np.sqrt(3.0) * MACHINE.psi_pm * MACHINE.pole_pairs)
+    for share, carries in ((0.97, False), (-0.97, False), (1.05, True)):
+        found = run(program, share * first, "switched", phases=phases)
+        assert (np.max(np.abs(found[40:80, :3])) > 1e-3) == carries
+
+
 def test_fast_rotor_charges_the_link_through_the_diodes(program: Path) -> None:
     """EMF between two phases of sqrt(3) 0.05 400 p = 138 V over a link of 100 V."""
     found, phases = (run(program, 400.0, "switched", phases=each) for each in (False, True))
