@@ -223,7 +223,7 @@ def read_flux_points(
             raise InputError(
                 f"the unit {unit!r} is not known; write {EXPECTED[kind]}", source=source
             )
-    arrays = _reader(content, source)(content, source)
+    arrays = named_arrays(content, source)
     if companions:
         arrays = _together(arrays, source, companions)
     chosen = map_names.choose(arrays, columns or {}, source, torque)
@@ -349,6 +349,11 @@ def _unused(others: Sequence[str]) -> tuple[str, ...]:
         + ", ".join(others[:_MOST_OTHERS])
         + (f" and {more} more" if more > 0 else ""),
     )
+
+
+def named_arrays(content: bytes, source: str) -> list[NamedArray]:
+    """Arrays of a file of any layout, by its suffix and first bytes; raises `InputError`."""
+    return _reader(content, source)(content, source)
 
 
 def _signature(content: bytes) -> str:
