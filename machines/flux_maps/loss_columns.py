@@ -5,7 +5,6 @@ frequency or at several, become a loss map.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -21,31 +20,16 @@ from dqforge.machines.flux_maps.flux_points import SAME, FluxPoints
 from dqforge.machines.flux_maps.map_files import named_arrays
 from dqforge.machines.flux_maps.map_names import (
     EXPECTED,
+    PARTS,
     advice,
-    is_unit,
+    loss_named,
     named_by_user,
-    plain_name,
     recognised,
-    split_name,
 )
 from dqforge.machines.losses.loss_map import LossMap
 from dqforge.machines.names import FluxAxes, FluxScaling
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
-
-PARTS = ("iron", "hysteresis", "eddy", "magnet", "mechanical")
-
-_WORD = r"(?:loss(?:es)?|verluste?|verlustleistung)"
-_NAMES = {
-    kind: re.compile(rf"(?:p|{_WORD})*(?:{words})(?:current)?s?{_WORD}?(?:total|tot|avg|mean)?")
-    for kind, words in {
-        "iron": "iron|core|fe|eisen|fer",
-        "hysteresis": "hysteresis|hyst|hy|hys",
-        "eddy": "eddy|ec|wirbelstrom",
-        "magnet": "magnets?|pm|mag|magnete?",
-        "mechanical": "mechanical|mech|friction|windage|reibung",
-    }.items()
-}
 
 # Difference of a sum from its parts over it beyond which they contradict each other.
 _SUM = 0.01
@@ -223,7 +207,7 @@ def _chosen(
     for array in arrays:
         if not array.numeric or any(array is one for one in taken):
             continue
-        name = _loss_named(array)
+        name = loss_named(array.name, array.unit)
         for quantity in (name,) if name else recognised(array):
             if quantity in ("i_d", "i_q", "frequency", "speed", *PARTS) and quantity not in columns:
                 found.setdefault(quantity, []).append(array)
@@ -242,16 +226,6 @@ def _chosen(
             message = f"{len(group)} columns may be the {name}: {listed(group)}"
             raise InputError(f"{message}; write columns: {{{name}: NAME}}", source=source)
     return {name: group[0] for name, group in found.items()}
-
-
-def _loss_named(array: NamedArray) -> str:
-    """Which loss a column's name stands for, '' for none."""
-    stem, unit = split_name(array.name)
-    unit = unit or array.unit
-    if unit and not is_unit("power", unit):
-        return ""
-    plain = plain_name(stem)
-    return next((kind for kind, pattern in _NAMES.items() if pattern.fullmatch(plain)), "")
 
 
 def _speed(

@@ -344,10 +344,12 @@ def _unused(others: Sequence[str]) -> tuple[str, ...]:
     if not others:
         return ()
     more = len(others) - _MOST_OTHERS
+    losses = any(map(map_names.loss_named, others))
     return (
         "not used of the file: "
         + ", ".join(others[:_MOST_OTHERS])
-        + (f" and {more} more" if more > 0 else ""),
+        + (f" and {more} more" if more > 0 else "")
+        + ("; losses over the currents are read by machine.loss_map" if losses else ""),
     )
 
 

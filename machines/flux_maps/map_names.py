@@ -131,6 +131,22 @@ _NOT_OF_THE_DRIVE = re.compile(
 _MEAN = re.compile(r"(?:avg|mean|ave|average)\s*\((.*)\)\s*", re.IGNORECASE)
 
 
+# Losses over the currents, of which a loss map is made.
+PARTS = ("iron", "hysteresis", "eddy", "magnet", "mechanical")
+
+_LOSS = r"(?:loss(?:es)?|verluste?|verlustleistung)"
+_LOSSES = {
+    kind: re.compile(rf"(?:p|{_LOSS})*(?:{words})(?:current)?s?{_LOSS}?(?:total|tot|avg|mean)?")
+    for kind, words in {
+        "iron": "iron|core|fe|eisen|fer",
+        "hysteresis": "hysteresis|hyst|hy|hys",
+        "eddy": "eddy|ec|wirbelstrom",
+        "magnet": "magnets?|pm|mag|magnete?",
+        "mechanical": "mechanical|mech|friction|windage|reibung",
+    }.items()
+}
+
+
 def recognised(array: NamedArray) -> tuple[str, ...]:
     """Quantities that an array's name stands for: one, both axes of a complex array, or none."""
     if len(array.name) > _LONGEST_NAME:
@@ -144,6 +160,16 @@ def recognised(array: NamedArray) -> tuple[str, ...]:
             if axes and (len(axes) == 1 or np.iscomplexobj(array.values)):
                 return tuple(f"{kind}_{axis}" for axis in axes)
     return _single(array, stem, unit)
+
+
+def loss_named(name: str, unit: str = "") -> str:
+    """Which loss over the currents the name of an array stands for, '' for none."""
+    stem, in_name = split_name(name)
+    unit, plain = unit or in_name, plain_name(stem)
+    # Without a unit of power fe and mag are much else.
+    if not is_unit("power", unit) and (unit or not re.match(rf"p|.*{_LOSS}", plain)):
+        return ""
+    return next((kind for kind, pattern in _LOSSES.items() if pattern.fullmatch(plain)), "")
 
 
 def _single(array: NamedArray, stem: str, unit: str) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ import pytest
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.flux_maps.loss_columns import DeclaredLoss, LossMapReading, read_loss_map
+from dqforge.machines.flux_maps.map_names import loss_named
 
 I_D, I_Q = np.linspace(-100.0, 40.0, 8), np.linspace(0.0, 100.0, 6)
 PLAIN = DeclaredLoss(4)
@@ -144,7 +145,11 @@ GOOD = table({"P_iron [W]": iron}, (100.0, 300.0))
         (GOOD, AT_200, "has a column for it"),
         (GOOD, DeclaredLoss(4, exponent=1.5), "several frequencies, which tell it"),
         (GOOD.replace(b"P_iron [W]", b"other"), PLAIN, "no loss found"),
-        (table({"P_fe": iron, "core": iron}, (100.0, 300.0)), PLAIN, "2 columns may be the iron"),
+        (
+            table({"P_fe": iron, "core loss": iron}, (100.0, 300.0)),
+            PLAIN,
+            "2 columns may be the iron",
+        ),
         (GOOD.rpartition(b"\n")[0], PLAIN, r"i_d = 40 A, i_q = 100 A is missing at 300 Hz"),
         (GOOD.replace(b"\n-100;0;100;", b"\n-100;0;100;-"), PLAIN, "below zero at i_d = -100 A"),
         (re.sub(rb"(\n-100;20;100;).*", rb"\1nan", GOOD), PLAIN, "no number for the iron loss"),
@@ -157,3 +162,24 @@ def test_faults_are_refused_in_one_line(
     with pytest.raises(InputError, match=message) as raised:
         read_loss_map(content, "fe.csv", declared)
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "kind"),
+    [
+        ("P_fe", "W", "iron"),
+        ("Fe", "kW", "iron"),
+        ("fe", "", ""),  # a frequency
+        ("fe", "Hz", ""),
+        ("Core Loss", "", "iron"),
+        ("P_hyst [W]", "", "hysteresis"),
+        ("Eddy current loss", "W", "eddy"),
+        ("Magnet Losses", "W", "magnet"),
+        ("P_mech", "W", "mechanical"),
+        ("pm", "Wb", ""),
+        ("P_cu", "W", ""),
+        ("Total loss", "W", ""),
+    ],
+)
+def test_names_of_losses(name: str, unit: str, kind: str) -> None:
+    assert loss_named(name, unit) == kind
