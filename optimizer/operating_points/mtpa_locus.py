@@ -337,15 +337,17 @@ class LossCoefficients:
 
     def spread(self, shape: tuple[int, ...]) -> LossCoefficients:
         """Coefficients of points of a shape, one by one, shape (N,)."""
-        columns = (self.square, self.linear, self.iron, np.asarray(self.omega_e))
-        each = (np.broadcast_to(values, shape).ravel() for values in columns)
-        return LossCoefficients(*each, self.mapped)
+        square, linear, iron, omega_e = (
+            np.broadcast_to(values, shape).ravel()
+            for values in (self.square, self.linear, self.iron, self.omega_e)
+        )
+        return LossCoefficients(square, linear, iron, omega_e, self.mapped)
 
     def take(self, index: np.ndarray[tuple[int, ...], np.dtype[np.intp]]) -> LossCoefficients:
         """Coefficients of some points of those that `spread` gives."""
-        columns = (values[index] for values in (self.square, self.linear, self.iron))
+        square, linear, iron = self.square[index], self.linear[index], self.iron[index]
         speed = self.omega_e if self.mapped is None else np.asarray(self.omega_e)[index]
-        return LossCoefficients(*columns, speed, self.mapped)
+        return LossCoefficients(square, linear, iron, speed, self.mapped)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.losses.drive_comparison import Alternatives, compare_drives
 from dqforge.optimizer.losses.loss_map import budget_options
+from dqforge.reports.answers.losses import LossRequest, answer_losses
 
 TEXT = """\
 dqforge: 1
@@ -136,3 +137,24 @@ def test_faults_are_refused_with_their_place(tmp_path: Path, loss: str, message:
     with pytest.raises(InputError, match=message) as raised:
         made(tmp_path, loss)
     assert raised.value.line is not None
+
+
+def test_losses_tell_the_formula_beside_the_map(tmp_path: Path) -> None:
+    design = made(tmp_path, MAP, extra=2.0)
+    found = answer_losses(
+        design,
+        LossRequest(points="30 N m 3000 rpm", modulations="svpwm"),
+        choice=False,
+    )
+    assert "fe.csv: the iron loss by |psi|^2 (fitted to the map) differs" in found.notes[-1]
+    plain = found.plain["iron_loss_map"]
+    assert plain["frequency_Hz"] == pytest.approx(400.0)
+    assert plain["misfit"] > 0.2
+    assert plain["least"]["left_W"] < 0.0
+    # The worst point, by the map's own numbers.
+    i_d, i_q = plain["least"]["i_d_A"], plain["least"]["i_q_A"]
+    square = (0.08 + 0.3e-3 * i_d) ** 2 + (0.7e-3 * i_q) ** 2
+    omega = 2.0 * np.pi * 400.0
+    by_map = (300.0 * 4.0 + 200.0 * 16.0) * (square / 0.01 + 2.0 * (i_d / 100.0) ** 2)
+    by_formula = (plain["hysteresis"] * omega + plain["eddy"] * omega**2) * square
+    assert plain["least"]["left_W"] == pytest.approx(by_map - by_formula, rel=1e-9)
