@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import minimize
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import FluxMap
+from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.losses.loss_map import LossMap
 from dqforge.machines.losses.machine_budget import MachineLoss, machine_budget
@@ -193,3 +193,43 @@ def test_a_loss_that_a_spline_takes_below_zero_counts_as_zero() -> None:
     zero = np.zeros(1)
     assert loss.losses(zero - 10.0, zero, zero + OMEGA)[0][0] == 0.0
     assert loss.jet(zero - 10.0, zero, zero + OMEGA).d[0] == 0.0
+
+
+@pytest.mark.slow
+def test_a_bumpy_loss_of_a_saturated_machine_against_its_torque_curves() -> None:
+    """Along the curve of each torque, i_q by interpolation on a fine line for each of many i_d."""
+    axis = np.linspace(-160.0, 160.0, 33)
+    d, q = np.meshgrid(axis, axis, indexing="ij")
+    psi_d = 0.08 + 0.03 * np.arctan(d / 80.0) * np.cos(q / 300.0) + 1e-5 * d
+    machine = SaturatedMachine(
+        4, 0.05, FluxMap(axis, axis, psi_d, 0.09 * np.arctan(q / 120.0) + 1e-5 * q), 150.0
+    )
+    first, second, _ = whole(d, q)
+    first = first + 5.0 * np.cos(d / 25.0) * np.cos(q / 30.0)
+    second = second + 5.0 * np.sin(d / 30.0) * np.cos(q / 25.0)
+    loss = LossMap(FluxMap(axis, axis, first, second), None, OMEGA)
+    generator = np.random.default_rng(5)
+    torque, omega_m = generator.uniform(2.0, 50.0, 40), generator.uniform(20.0, 400.0, 40)
+    extra = MachineLoss(mapped=loss)
+    found = optimal_points(
+        machine, torque, omega_m, v_max=90.0, loss=loss_coefficients(machine, omega_m, extra=extra)
+    )
+    i_d, line = np.linspace(-150.0, 0.0, 601), np.linspace(0.0, 150.0, 601)
+    along, across = np.meshgrid(i_d, line, indexing="ij")
+    made = machine.torque(along, across)
+    checked = 0
+    for k in np.flatnonzero(found.reached):
+        i_q = np.array([np.interp(torque[k], row, line, right=np.nan) for row in made])
+        omega = machine.pole_pairs * omega_m[k]
+        of_d, of_q = machine.flux(i_d, i_q)
+        volts = np.hypot(0.05 * i_d - omega * of_q, 0.05 * i_q + omega * of_d)
+        watts = 1.5 * 0.05 * (i_d**2 + i_q**2) + loss.losses(i_d, i_q, i_d * 0.0 + omega)[0]
+        fits = (volts <= 90.0) & (np.hypot(i_d, i_q) <= 150.0)
+        if not fits.any():
+            continue
+        checked += 1
+        best = float(np.nanmin(np.where(fits, watts, np.nan)))
+        assert found.loss[k] <= best * (1.0 + 1e-5), (torque[k], omega_m[k])
+    assert checked > 20
+    assert found.kkt_residual.max() < 1e-8
+    assert len(set(found.active[found.reached].tolist())) >= 2
