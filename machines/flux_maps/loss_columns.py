@@ -183,7 +183,7 @@ def _rows(
     )
     for name, part in (("i_d", rows.i_d), ("i_q", rows.i_q), ("frequency", rows.omega)):
         if not np.all(np.isfinite(part)):
-            raise rows.error(f"{name} is no number", int(np.argmin(np.isfinite(part))))
+            raise rows.error(f"{name} is not a number", int(np.argmin(np.isfinite(part))))
     if np.any(rows.omega <= 0.0):
         raise rows.error("the frequency is not positive", int(np.argmax(rows.omega <= 0.0)))
     for name, part in rows.losses.items():
@@ -239,7 +239,7 @@ def _speed(
     if not name:
         if not declared.frequency:
             raise InputError(
-                "nothing says at which frequency the losses hold; write frequency: 200 Hz, or add "
+                "the frequency of the losses is not given; write frequency: 200 Hz, or add "
                 "a column frequency [Hz]",
                 source=source,
             )
@@ -333,7 +333,7 @@ def _at_one(
     if "iron" in losses and not {"hysteresis", "eddy"} & losses.keys():
         if declared.exponent is None:
             raise InputError(
-                "the iron loss is at one frequency, and nothing says how it grows; write exponent: "
+                "the iron loss is given at one frequency, without its exponent; write exponent: "
                 "1.6 (1 hysteresis, 2 eddy currents), or add columns P_hysteresis and P_eddy, or "
                 "points at other frequencies",
                 source=source,

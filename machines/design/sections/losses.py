@@ -192,8 +192,8 @@ def _loss_map(
     )
     if mapped.iron.region.reach < machine.i_max * (1.0 - ROUNDING_OF_DATA):
         reading.remarks.append(
-            f"{given.file}: the loss map ends within the current limit; beyond, its losses go on "
-            "along their tangents"
+            f"{given.file}: the loss map ends within the current limit; beyond it losses are "
+            "extrapolated along tangents"
         )
     if found.mechanical is not None:
         omega_m = mapped.omega / machine.pole_pairs

@@ -140,7 +140,7 @@ GOOD = table({"P_iron [W]": iron}, (100.0, 300.0))
 @pytest.mark.parametrize(
     ("content", "declared", "message"),
     [
-        (GOOD.replace(b"frequency [Hz]", b"thing"), PLAIN, "nothing says at which frequency"),
+        (GOOD.replace(b"frequency [Hz]", b"thing"), PLAIN, "frequency of the losses is not given"),
         (GOOD.replace(b"frequency [Hz]", b"frequency"), PLAIN, "has no unit"),
         (GOOD, AT_200, "has a column for it"),
         (GOOD, DeclaredLoss(4, exponent=1.5), "several frequencies, which tell it"),
