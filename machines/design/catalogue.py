@@ -319,7 +319,7 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
         name=file.name,
         about=file.about,
         machine=machine,
-        machine_loss=read_machine_loss(file.machine, reading),
+        machine_loss=read_machine_loss(file.machine, machine, reading),
         phase_machine=found.phases,
         inverter=inverter,
         control=control,

@@ -258,6 +258,9 @@ SpeedIntegralGain = Annotated[Quantity, QuantityRule("speed-integral-gain", 0.0,
 Ratio = Annotated[Quantity, QuantityRule("number", 1.0, 100.0)]
 
 
+LossExponent = Annotated[Quantity, QuantityRule("number", 1.0, 2.0)]
+
+
 MapFactor = Annotated[Quantity, QuantityRule("number", 0.2, 5.0)]
 
 

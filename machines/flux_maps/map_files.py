@@ -223,7 +223,7 @@ def read_flux_points(
             raise InputError(
                 f"the unit {unit!r} is not known; write {EXPECTED[kind]}", source=source
             )
-    arrays = _reader(content, source)(content, source)
+    arrays = named_arrays(content, source)
     if companions:
         arrays = _together(arrays, source, companions)
     chosen = map_names.choose(arrays, columns or {}, source, torque)
@@ -344,11 +344,18 @@ def _unused(others: Sequence[str]) -> tuple[str, ...]:
     if not others:
         return ()
     more = len(others) - _MOST_OTHERS
+    losses = any(map(map_names.loss_named, others))
     return (
         "not used of the file: "
         + ", ".join(others[:_MOST_OTHERS])
-        + (f" and {more} more" if more > 0 else ""),
+        + (f" and {more} more" if more > 0 else "")
+        + ("; losses over the currents are read by machine.loss_map" if losses else ""),
     )
+
+
+def named_arrays(content: bytes, source: str) -> list[NamedArray]:
+    """Arrays of a file of any layout, by its suffix and first bytes; raises `InputError`."""
+    return _reader(content, source)(content, source)
 
 
 def _signature(content: bytes) -> str:

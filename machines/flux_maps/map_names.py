@@ -131,6 +131,22 @@ _NOT_OF_THE_DRIVE = re.compile(
 _MEAN = re.compile(r"(?:avg|mean|ave|average)\s*\((.*)\)\s*", re.IGNORECASE)
 
 
+# Losses over the currents, of which a loss map is made.
+PARTS = ("iron", "hysteresis", "eddy", "magnet", "mechanical")
+
+_LOSS = r"(?:loss(?:es)?|verluste?|verlustleistung)"
+_LOSSES = {
+    kind: re.compile(rf"(?:p|{_LOSS})*(?:{words})(?:current)?s?{_LOSS}?(?:total|tot|avg|mean)?")
+    for kind, words in {
+        "iron": "iron|core|fe|eisen|fer",
+        "hysteresis": "hysteresis|hyst|hy|hys",
+        "eddy": "eddy|ec|wirbelstrom",
+        "magnet": "magnets?|pm|mag|magnete?",
+        "mechanical": "mechanical|mech|friction|windage|reibung",
+    }.items()
+}
+
+
 def recognised(array: NamedArray) -> tuple[str, ...]:
     """Quantities that an array's name stands for: one, both axes of a complex array, or none."""
     if len(array.name) > _LONGEST_NAME:
@@ -139,11 +155,21 @@ def recognised(array: NamedArray) -> tuple[str, ...]:
     unit = unit or array.unit
     for kind, pattern in _AXES:
         for name in (array.name, stem) if is_unit(kind, unit) else (array.name,):
-            found = pattern.fullmatch(_plain(name))
+            found = pattern.fullmatch(plain_name(name))
             axes = next(filter(None, found.groups()), "") if found else ""
             if axes and (len(axes) == 1 or np.iscomplexobj(array.values)):
                 return tuple(f"{kind}_{axis}" for axis in axes)
     return _single(array, stem, unit)
+
+
+def loss_named(name: str, unit: str = "") -> str:
+    """Which loss over the currents the name of an array stands for, '' for none."""
+    stem, in_name = split_name(name)
+    unit, plain = unit or in_name, plain_name(stem)
+    # Without a unit of power fe and mag are much else.
+    if not is_unit("power", unit) and (unit or not re.match(rf"p|.*{_LOSS}", plain)):
+        return ""
+    return next((kind for kind, pattern in _LOSSES.items() if pattern.fullmatch(plain)), "")
 
 
 def _single(array: NamedArray, stem: str, unit: str) -> tuple[str, ...]:
@@ -152,7 +178,7 @@ def _single(array: NamedArray, stem: str, unit: str) -> tuple[str, ...]:
         return ("torque",)
     for quantity, pattern in _ONE.items():
         known = is_unit(KINDS[quantity], unit)
-        plain = _plain(stem if known else array.name)
+        plain = plain_name(stem if known else array.name)
         if (pattern.fullmatch(plain) and (known or not unit)) or (
             known and plain in _BY_UNIT.get(quantity, ())
         ):
@@ -180,7 +206,7 @@ def _is_torque(array: NamedArray, stem: str, unit: str) -> bool:
         return False
     if _TORQUE_WORD.search(words):
         return True
-    return not unit and (array.name in ("T", "M") or bool(_TORQUE_SIGN.fullmatch(_plain(name))))
+    return not unit and (array.name in ("T", "M") or bool(_TORQUE_SIGN.fullmatch(plain_name(name))))
 
 
 def _torque_rank(array: NamedArray, torque: FluxTorque) -> tuple[bool, bool, bool]:
@@ -190,14 +216,14 @@ def _torque_rank(array: NamedArray, torque: FluxTorque) -> tuple[bool, bool, boo
     stem, unit = split_name(array.name)
     unit = unit or array.unit
     known = is_unit("torque", unit)
-    name = _plain(stem if known else array.name)
+    name = plain_name(stem if known else array.name)
     inner, shaft = bool(_INNER.search(name)), bool(_SHAFT.search(name))
     right, wrong = (shaft, inner) if torque == "shaft" else (inner, shaft)
     other = bool(_NOT_OF_THE_DRIVE.search(name))
     return other or bool(unit and not known), wrong and not right, not right
 
 
-def _plain(name: str) -> str:
+def plain_name(name: str) -> str:
     """A name in small letters without signs and accents, averages and what it says of peak
     values.
     """
@@ -233,7 +259,7 @@ def choose(
         raise InputError(
             f"columns: unknown key {wrong[0]!r}; write {', '.join(KINDS)}", source=source
         )
-    chosen = {quantity: _named(arrays, name, source) for quantity, name in columns.items()}
+    chosen = {quantity: named_by_user(arrays, name, source) for quantity, name in columns.items()}
     free = [array for array in arrays if not any(array is taken for taken in chosen.values())]
     everywhere: dict[str, list[NamedArray]] = {}
     groups: dict[str, dict[str, list[NamedArray]]] = {}
@@ -372,7 +398,7 @@ def _rank(group: str) -> tuple[bool, int]:
     return not re.search(r"fluxmap_dq[./]$", group.lower()), group.count(".") + group.count("/")
 
 
-def _named(arrays: Sequence[NamedArray], name: str, source: str) -> NamedArray:
+def named_by_user(arrays: Sequence[NamedArray], name: str, source: str) -> NamedArray:
     """The array that a user named by its path, by the last part of it, or
     by a heading with its unit.
     """
@@ -405,7 +431,9 @@ def stated_pole_pairs(arrays: Sequence[NamedArray]) -> int:
     """Pole pairs that a file states beside its map, 0 where it states none or several."""
     found = set()
     for array in arrays:
-        match = _PAIRS.fullmatch(_plain(array.name)) if len(array.name) <= _LONGEST_NAME else None
+        match = (
+            _PAIRS.fullmatch(plain_name(array.name)) if len(array.name) <= _LONGEST_NAME else None
+        )
         if (
             match
             and array.numeric

@@ -16,6 +16,7 @@ from dqforge.machines.dq_machines.machine_batch import MachineOrBatch
 from dqforge.machines.dq_machines.synchronous import torque_from_flux
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.text_table import TextTable, read_table
+from dqforge.machines.losses.loss_map import LossMap
 from dqforge.machines.modulation.modulators import PhaseWaveforms, sector_waveforms
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
@@ -269,12 +270,15 @@ class MachineLoss:
             |omega_e| + k_c omega_e^2) |psi|^2 with the peak dq flux linkage.
         magnet: k_m in W s^2/(rad^2 A^2): eddy-current loss k_m omega_e^2 |i|^2 of the magnets under
             the field of the winding, with the peak dq current.
+        mapped: Core and magnet loss over the currents; with it ``hysteresis`` and ``eddy`` are what
+            it is compared with, and ``eddy`` serves the loss of the switching alone.
     """
 
     ac_copper: float = 0.0
     hysteresis: float = 0.0
     eddy: float = 0.0
     magnet: float = 0.0
+    mapped: LossMap | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is no loss."""
@@ -290,6 +294,21 @@ class MachineLoss:
     def iron_factor(self, omega_e: FloatArray) -> FloatArray:
         """Iron loss over |psi|^2 in W/Wb^2 at electrical speeds in rad/s, any shape."""
         return self.hysteresis * np.abs(omega_e) + self.eddy * omega_e * omega_e
+
+    def core_losses(
+        self, i_d: FloatArray, i_q: FloatArray, square: FloatArray, omega_e: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Iron loss, and what a map gives of the magnets, in W, shape (...).
+
+        Args:
+            i_d, i_q: Currents in A (peak), shape (...).
+            square: |psi|^2 there in Wb^2, shape (...).
+            omega_e: Electrical speed in rad/s, shape (...).
+        """
+        if self.mapped is not None:
+            return self.mapped.losses(i_d, i_q, omega_e)
+        iron = self.iron_factor(omega_e) * square
+        return iron, np.zeros_like(iron)
 
     @classmethod
     def measured(
@@ -456,6 +475,8 @@ def machine_budget(
         v     = (R + 2/3 k_m omega_e^2) i_t + e
         3/2 Re(v i_t*) = 3/2 R |i_t|^2 + k_m omega_e^2 |i_t|^2 + P_iron + T omega_m
 
+    The magnet loss of a `LossMap` stands beside P_iron: it is a loss at the currents given, too.
+
     Args:
         machine: Any machine, or one per point.
         i_d, i_q, omega_m: Currents in A (peak) that make the torque, and mechanical speed in rad/s,
@@ -470,10 +491,15 @@ def machine_budget(
     omega_e = machine.pole_pairs * omega_m
     psi_d, psi_q = machine.flux(i_d, i_q)
     square = psi_d * psi_d + psi_q * psi_q
-    iron = loss.iron_factor(omega_e) * square
-    # e P / (3/2 |e|^2) with e = j omega psi: the flux linkage cancels.
+    iron, in_magnets = loss.core_losses(i_d, i_q, square, omega_e)
+    # e P / (3/2 |e|^2) with e = j omega psi: of the loss by |psi|^2 the flux linkage cancels.
     turning = np.where(omega_e == 0.0, 1.0, omega_e)
-    conductance = np.where(omega_e == 0.0, 0.0, loss.iron_factor(omega_e) / (1.5 * turning))
+    if loss.mapped is None:
+        conductance = np.where(omega_e == 0.0, 0.0, loss.iron_factor(omega_e) / (1.5 * turning))
+    else:
+        still = (omega_e == 0.0) | (square == 0.0)
+        per_flux = (iron + in_magnets) / np.where(still, 1.0, 1.5 * turning * square)
+        conductance = np.where(still, 0.0, per_flux)
     t_d, t_q = i_d - conductance * psi_q, i_q + conductance * psi_d
     current = t_d * t_d + t_q * t_q
     extra = loss.ac_copper * omega_e * omega_e
@@ -493,7 +519,7 @@ def machine_budget(
         shaft_power=torque * omega_m,
         copper=1.5 * resistance * current,
         iron=iron,
-        magnet=loss.magnet * omega_e * omega_e * current,
+        magnet=loss.magnet * omega_e * omega_e * current + in_magnets,
         resistance=resistance,
         winding_temperature=temperature,
         steady=steady,

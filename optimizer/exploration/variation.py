@@ -560,6 +560,8 @@ def batch_losses(rows: BatchRows) -> Filled | None:
     base, losses = rows.base, rows.base.losses
     if rows.saturates or losses is None or not losses.points:
         return None
+    if base.machine_loss.mapped is not None:  # What is fitted to its map depends on the machine.
+        return None
     strategies = [name for name in STRATEGIES if name in losses.strategies]
     if len(strategies) != len(losses.strategies):
         return None

@@ -146,21 +146,12 @@ def strategy_currents(
         if not over.size:
             break
         volts[over] *= v_max / amplitude[over] * (1.0 - AIM)
-        part = None if loss is None else _chosen(loss, torque.shape, over)
+        part = None if loss is None else loss.spread(torque.shape).take(over)
         again = optimal_points(
             machine, torque[over], omega_m[over], v_max=volts[over], i_max=i_max, loss=part
         )
         i_d[over], i_q[over], reached[over] = again.i_d, again.i_q, again.reached
     return i_d, i_q, reached
-
-
-def _chosen(
-    loss: LossCoefficients, shape: tuple[int, ...], places: NDArray[np.intp]
-) -> LossCoefficients:
-    columns = [
-        np.broadcast_to(values, shape)[places] for values in (loss.square, loss.linear, loss.iron)
-    ]
-    return LossCoefficients(*columns)
 
 
 def compare_drives(

@@ -19,6 +19,7 @@ from dqforge.machines.dq_machines.synchronous import (
     torque_from_flux,
 )
 from dqforge.machines.errors import InputError
+from dqforge.machines.losses.loss_map import LossMap
 from dqforge.machines.records import dataclass
 
 _LEVELS = 160
@@ -322,18 +323,31 @@ class LossCoefficients:
     """Loss in W as a function of currents and flux linkage at each point's speed,
     arrays of shape (N,) or scalars.
 
-    P = square |i|^2 + linear |i| + iron |psi|^2, with ``square`` in W/A^2 (copper, with its AC
-    factor, and what of the inverter is proportional to the squared current), ``linear`` in W/A
-    (switching, thresholds) and ``iron`` in W/Wb^2.
+    P = square |i|^2 + linear |i| + iron |psi|^2 + mapped(i, omega_e), with ``square`` in W/A^2
+    (copper, with its AC factor, and what of the inverter is proportional to the squared current),
+    ``linear`` in W/A (switching, thresholds), ``iron`` in W/Wb^2, and with a loss map that map at
+    the electrical speed ``omega_e`` in rad/s.
     """
 
     square: FloatArray
     linear: FloatArray
     iron: FloatArray
+    omega_e: FloatArray | float = 0.0
+    mapped: LossMap | None = None
+
+    def spread(self, shape: tuple[int, ...]) -> LossCoefficients:
+        """Coefficients of points of a shape, one by one, shape (N,)."""
+        square, linear, iron, omega_e = (
+            np.broadcast_to(values, shape).ravel()
+            for values in (self.square, self.linear, self.iron, self.omega_e)
+        )
+        return LossCoefficients(square, linear, iron, omega_e, self.mapped)
 
     def take(self, index: np.ndarray[tuple[int, ...], np.dtype[np.intp]]) -> LossCoefficients:
-        """Coefficients of some points."""
-        return LossCoefficients(self.square[index], self.linear[index], self.iron[index])
+        """Coefficients of some points of those that `spread` gives."""
+        square, linear, iron = self.square[index], self.linear[index], self.iron[index]
+        speed = self.omega_e if self.mapped is None else np.asarray(self.omega_e)[index]
+        return LossCoefficients(square, linear, iron, speed, self.mapped)
 
 
 @dataclass(frozen=True, slots=True)
@@ -465,7 +479,7 @@ def loss_terms(
     slope = linear / magnitude
     bend = slope / (magnitude * magnitude)
     psi_d, psi_q = jet.psi_d, jet.psi_q
-    return Terms(
+    terms = Terms(
         value=square * (i_d * i_d + i_q * i_q)
         + linear * (magnitude - soft)
         + iron * (psi_d * psi_d + psi_q * psi_q),
@@ -484,6 +498,10 @@ def loss_terms(
         - bend * i_q * i_q
         + 2.0 * iron * (jet.l_dq**2 + jet.l_qq**2 + psi_d * jet.d_qq + psi_q * jet.q_qq),
     )
+    if coefficients.mapped is None:
+        return terms
+    more = coefficients.mapped.jet(i_d, i_q, np.asarray(coefficients.omega_e))
+    return Terms(*(getattr(terms, name) + getattr(more, name) for name in more._fields))
 
 
 def current_terms(i_d: FloatArray, i_q: FloatArray) -> Terms:

@@ -138,12 +138,9 @@ def optimal_points(
     if not (limit > 0.0 and np.all(volts > 0.0)):
         raise InputError("current and voltage limits must be positive")
     coefficients = copper_only(machine) if loss is None else loss
-    spread = LossCoefficients(
-        *(
-            _as_points(values, shape, "loss")
-            for values in (coefficients.square, coefficients.linear, coefficients.iron)
-        )
-    )
+    for values in (coefficients.square, coefficients.linear, coefficients.iron):
+        _as_points(values, shape, "loss")
+    spread = coefficients.spread(shape)
     sign = np.where(request < 0.0, -1.0, 1.0)
     whole = Problem(
         machine,
@@ -384,6 +381,8 @@ _MEAN_OF_RECTIFIED_SINE = 2.0 / math.pi
 class DriveLosses:
     """Losses of machine and inverter in W at operating points, arrays of one shape.
 
+    ``iron`` holds the magnets, too, where a loss map has them.
+
     Without device data ``conduction`` and ``switching`` are zero and ``with_inverter`` is False.
     Where the junction runs away ``conduction``, ``junction_temperature`` (degC) and ``total`` are
     NaN.
@@ -413,14 +412,14 @@ def loss_coefficients(
 
         square  3/2 R (1 + k_ac omega_e^2)  +  3/2 R_on (MOSFET)  or  3/4 (r_CE + r_F) (IGBT)
         linear  6/pi f_sw (E_on + E_off + E_rr) v_dc / (I_ref V_ref)  +  3/pi (V_CE0 + V_F0) (IGBT)
-        iron    k_h |omega_e| + k_c omega_e^2
+        iron    k_h |omega_e| + k_c omega_e^2, or 0 beside the loss map of the machine
 
     Args:
         machine: Any machine.
         omega_m: Mechanical speed in rad/s of each point, shape (N,) or broadcastable to the points
             that are solved.
         inverter: None, or an inverter without device, leaves the inverter out.
-        extra: AC copper and iron loss.
+        extra: AC copper and iron loss, or a loss map of iron and magnets.
         modulation: The modulator; only its share of switched current matters.
         junction_temperature: In degC, at which the on resistance of the transistors is taken.
 
@@ -443,8 +442,10 @@ def loss_coefficients(
         on, threshold = _conduction(inverter, junction_temperature)
         square = square + on
         linear = linear + threshold + _switching(inverter, modulation)
+    mapped = extra.mapped
+    iron = extra.iron_factor(omega_e) if mapped is None else np.zeros_like(omega_e)
     return LossCoefficients(
-        np.asarray(square), np.asarray(linear), np.asarray(extra.iron_factor(omega_e))
+        np.asarray(square), np.asarray(linear), np.asarray(iron), omega_e, mapped
     )
 
 
@@ -502,7 +503,8 @@ def drive_losses(
     omega_e = machine.pole_pairs * omega_m
     psi_d, psi_q = machine.flux(i_d, i_q)
     copper = copper_loss(machine.r_s, i_d, i_q) * extra.copper_factor(omega_e)
-    iron = extra.iron_factor(omega_e) * (psi_d * psi_d + psi_q * psi_q)
+    iron, in_magnets = extra.core_losses(i_d, i_q, psi_d * psi_d + psi_q * psi_q, omega_e)
+    iron = iron + in_magnets
     if inverter.device is None:
         zero, unknown = np.zeros_like(copper), np.full_like(copper, np.nan)
         return DriveLosses(copper, iron, zero, zero, unknown, copper + iron, with_inverter=False)
@@ -608,6 +610,9 @@ def _best_on_curve(problem: Problem) -> tuple[FloatArray, FloatArray, BoolArray]
     loss = problem.loss
     lost = loss.square[:, np.newaxis] * length**2 + loss.linear[:, np.newaxis] * length
     lost += loss.iron[:, np.newaxis] * (psi_d**2 + psi_q**2)
+    if loss.mapped is not None:
+        iron, magnet = loss.mapped.losses(on_d, on_q, np.asarray(loss.omega_e)[:, np.newaxis])
+        lost += iron + magnet
     # The grid's own error must not exclude the point that touches the limit.
     kept = above.any(axis=2) & (volts <= problem.v_max[:, np.newaxis] * (1.0 + 1e-3))
     lost = np.where(kept, lost, np.inf)

@@ -37,6 +37,7 @@ from dqforge.reports.losses.map_tables import (
     map_tables,
     measured_tables,
     mission_tables,
+    plain_iron_map,
     plain_losses,
     plain_losses_over,
     plain_map,
@@ -74,6 +75,11 @@ def answer_losses(design: Design, request: LossRequest, *, choice: bool) -> Answ
         stage("choosing modulator and frequency")
         return answer_choice(design)
     stage("comparing the losses")
+    return _with_iron_map(design, _compared(design, request))
+
+
+def _compared(design: Design, request: LossRequest) -> Answer:
+    """The losses that are asked for."""
     if request.measured is not None:
         if request != LossRequest(measured=request.measured):
             raise InputError(
@@ -84,6 +90,16 @@ def answer_losses(design: Design, request: LossRequest, *, choice: bool) -> Answ
     if request.chart is not None or request.mission is not None:
         return answer(design, request)
     return _points(design, request)
+
+
+def _with_iron_map(design: Design, answered: Answer) -> Answer:
+    """The answer with what the iron loss by |psi|^2 makes of the design's loss map."""
+    mapped = design.machine_loss.mapped
+    if mapped is None or mapped.compared is None:
+        return answered
+    note = f"{mapped.source}: {mapped.compared.sentence}"
+    plain = {**answered.plain, "iron_loss_map": plain_iron_map(mapped)}
+    return replace(answered, plain=plain, notes=(*answered.notes, note))
 
 
 # What tells torque from speed in one point: the number that a blank stands before.

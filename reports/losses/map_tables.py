@@ -10,6 +10,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
+from dqforge.machines.losses.loss_map import LossMap as MappedLoss
 from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.losses.drive_budget import PARTS
@@ -609,6 +610,25 @@ def plain_losses_over(found: Sequence[LossComparison], frequencies: Sequence[flo
         s, m = divmod(flat, len(found[k].modulations))
         best.append([found[k].strategies[s], found[k].modulations[m], frequencies[k]])
     return each[0] | {"rows": rows, "best": best}
+
+
+def plain_iron_map(mapped: MappedLoss) -> PlainData:
+    """The iron loss by |psi|^2 held against the loss map of a design, for JSON."""
+    held = mapped.compared
+    if held is None:
+        return {}
+    least, i_d, i_q = held.least
+    return {
+        "file": mapped.source,
+        "frequency_Hz": mapped.omega / (2.0 * math.pi),
+        "coefficients": "map" if held.fitted else "machine.iron_loss",
+        "hysteresis": held.hysteresis,
+        "eddy": held.eddy,
+        "misfit": held.misfit,
+        "points": held.points,
+        "below_zero": held.below,
+        "least": {"left_W": least, "i_d_A": i_d, "i_q_A": i_q},
+    }
 
 
 # Measured losses beside the budget.

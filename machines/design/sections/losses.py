@@ -4,12 +4,14 @@ and where they are compared.
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Annotated
 
 from pydantic import Field
 
-from dqforge.machines.design.design import ROUNDING_OF_DATA, Reading
-from dqforge.machines.design.sections.machine_schema import MachineSection
+from dqforge.machines.design.design import ROUNDING_OF_DATA, InputValue, Reading
+from dqforge.machines.design.sections.machine_schema import LossMapSection, MachineSection
 from dqforge.machines.design.settings import (
     LoadPoint,
     LossSettings,
@@ -27,7 +29,9 @@ from dqforge.machines.entries.kinds import (
     Section,
 )
 from dqforge.machines.entries.rules import si_of
+from dqforge.machines.errors import InputError
 from dqforge.machines.files.positioned_yaml import YamlDocument
+from dqforge.machines.losses.loss_map import LossMap, held_against_flux
 from dqforge.machines.losses.machine_budget import (
     COPPER_COEFFICIENT,
     MOST_BYTES,
@@ -75,11 +79,11 @@ class LossSection(Section):
 _REFERENCE = 20.0
 
 
-def read_machine_loss(section: MachineSection, reading: Reading) -> MachineLoss:
-    """Losses of the machine beyond the dc copper loss.
+def read_machine_loss(section: MachineSection, machine: Machine, reading: Reading) -> MachineLoss:
+    """Losses of the machine beyond the dc copper loss; a loss map is held against their formula.
 
     Raises:
-        InputError: The iron loss has no part, or no flux linkage.
+        InputError: The iron loss has no part, or no flux linkage, or the loss map cannot be used.
     """
     iron, resistance, magnet, document = (
         section.iron_loss,
@@ -96,7 +100,7 @@ def read_machine_loss(section: MachineSection, reading: Reading) -> MachineLoss:
             "hold",
             ("machine", "iron_loss", "flux"),
         )
-    return MachineLoss.measured(
+    formula = MachineLoss.measured(
         frequency=iron.frequency.si if iron else 0.0,
         flux=reading.phase_flux(iron.flux, "machine.iron_loss.flux") if iron else 0.0,
         hysteresis=(si_of(iron.hysteresis) or 0.0) if iron else 0.0,
@@ -109,6 +113,98 @@ def read_machine_loss(section: MachineSection, reading: Reading) -> MachineLoss:
         if magnet
         else 1.0,
     )
+    given = section.loss_map
+    if given is None:
+        return formula
+    mapped = _loss_map(section, given, machine, reading)
+    coefficients = None if iron is None else (formula.hysteresis, formula.eddy)
+    compared = held_against_flux(mapped, machine.flux, machine.i_max, coefficients)
+    if compared is None:
+        return replace(formula, mapped=mapped)
+    reading.remarks.append(f"{given.file}: {compared.sentence}")
+    reading.derived.append(
+        InputValue(
+            "machine.loss_map.flux_misfit",
+            "",
+            compared.misfit,
+            "",
+            note=f"{given.file}: r.m.s. difference of the loss by |psi|^2 over that of the map",
+        )
+    )
+    return replace(
+        formula,
+        hysteresis=compared.hysteresis,
+        eddy=compared.eddy,
+        mapped=replace(mapped, compared=compared),
+    )
+
+
+_MAP = ("machine", "loss_map")
+
+
+def _loss_map(
+    section: MachineSection, given: LossMapSection, machine: Machine, reading: Reading
+) -> LossMap:
+    """The loss map of a file, its findings among the remarks."""
+    # A design without a map starts faster without the readers.
+    from dqforge.machines.flux_maps.loss_columns import DeclaredLoss, read_loss_map
+
+    document, flux_map = reading.document, section.flux_map
+    why = ""
+    if section.model == "waveform":
+        why = "model: waveform, whose currents are no dq currents"
+    elif section.connection == "delta":
+        why = "connection: delta; convert its currents to those of the equivalent star"
+    if why:
+        raise document.error(f"machine.loss_map does not go with {why}", _MAP, key=True)
+    if section.magnet_loss is not None:
+        raise document.error(
+            "machine.magnet_loss: the loss of the magnets is that of machine.loss_map; remove the "
+            "key",
+            ("machine", "magnet_loss"),
+            key=True,
+        )
+    stated = flux_map is not None and "scaling" in flux_map.model_fields_set
+    columns = {key: value for key, value in given.columns if value is not None}
+    frequency = si_of(given.frequency)
+    declared = DeclaredLoss(
+        machine.pole_pairs,
+        0.0 if frequency is None else 2.0 * math.pi * frequency,
+        si_of(given.exponent),
+        given.axes or ("magnet-d" if flux_map is None else flux_map.axes),
+        given.scaling or (flux_map.scaling if flux_map is not None and stated else None),
+    )
+    path = (*_MAP, "file")
+    content = reading.read_beside(given.file, path)
+    try:
+        found = read_loss_map(content, given.file, declared, columns)
+    except InputError as error:
+        if error.line is not None:
+            raise
+        about = error.message if given.file in error.message else f"{given.file}: {error.message}"
+        raise document.error(f"machine.loss_map: {about}", path) from None
+    mapped = found.loss_map
+    hertz = mapped.omega / (2.0 * math.pi)
+    reading.remarks.extend(f"{given.file}: {finding}" for finding in found.findings)
+    reading.remarks.append(
+        f"{given.file}: iron and magnet loss over the currents are those of the map, at up to "
+        f"{hertz:.4g} Hz"
+    )
+    if mapped.iron.region.reach < machine.i_max * (1.0 - ROUNDING_OF_DATA):
+        reading.remarks.append(
+            f"{given.file}: the loss map ends within the current limit; beyond it losses are "
+            "extrapolated along tangents"
+        )
+    if found.mechanical is not None:
+        omega_m = mapped.omega / machine.pole_pairs
+        friction = format_quantity(machine.friction * omega_m**2, "W", 3)
+        reading.remarks.append(
+            f"{given.file}: the mechanical loss of the map, up to "
+            f"{format_quantity(found.mechanical, 'W', 3)} at "
+            f"{format_quantity(omega_m, 'rpm', 4)}, is compared alone: machine.friction makes "
+            f"{friction} there"
+        )
+    return mapped
 
 
 def read_winding_heat(section: MachineSection, coolant: float) -> WindingHeat | None:

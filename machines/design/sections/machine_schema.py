@@ -22,6 +22,7 @@ from dqforge.machines.entries.kinds import (
     Inductance,
     Inertia,
     Listing,
+    LossExponent,
     MachineCurrent,
     MapFactor,
     MutualInductance,
@@ -400,6 +401,54 @@ class MagnetLossSection(Section):
     current: MachineCurrent = Field(description="phase current (A); kind peak (default) or rms")
 
 
+class LossColumnsSection(Section):
+    """What a file calls the columns of a loss map, where their names are not recognised."""
+
+    i_d: ColumnName | None = Field(default=None, description="name of the d current")
+    i_q: ColumnName | None = Field(default=None, description="name of the q current")
+    iron: ColumnName | None = Field(default=None, description="name of the whole iron loss")
+    hysteresis: ColumnName | None = Field(default=None, description="name of the hysteresis loss")
+    eddy: ColumnName | None = Field(default=None, description="name of the eddy-current loss")
+    magnet: ColumnName | None = Field(default=None, description="name of the loss in the magnets")
+    mechanical: ColumnName | None = Field(default=None, description="name of the mechanical loss")
+    frequency: ColumnName | None = Field(
+        default=None, description="name of the electrical frequency"
+    )
+    speed: ColumnName | None = Field(
+        default=None, description="name of the mechanical speed, in place of frequency"
+    )
+
+
+class LossMapSection(Section):
+    """Iron and magnet loss over the currents, in a file with a column for each: of finite
+    elements.
+    """
+
+    file: FileName = Field(description="file beside the design file, that of the flux map or other")
+    frequency: Frequency | None = Field(
+        default=None,
+        description="electrical frequency of the losses (Hz), where the file has no column for it",
+    )
+    exponent: LossExponent | None = Field(
+        default=None,
+        description=(
+            "growth of the iron loss with the frequency, where the file has it as one sum at one "
+            "frequency: 1 hysteresis to 2 eddy currents"
+        ),
+    )
+    axes: FluxAxes | None = Field(
+        default=None, description="magnet-d or reluctance; default that of flux_map, else magnet-d"
+    )
+    scaling: FluxScaling | None = Field(
+        default=None,
+        description="of the currents: peak, rms, power-invariant; default as flux_map, else peak",
+    )
+    columns: LossColumnsSection = Field(
+        default_factory=LossColumnsSection,
+        description="names in the file, where they are not recognised",
+    )
+
+
 class AcResistanceSection(Section):
     """Rise of the resistance with the frequency, (R_ac - R_dc) proportional to f^2."""
 
@@ -540,6 +589,12 @@ class MachineSection(Section):
         description="for models flux-map and saturation: factors of the map, for tolerances",
     )
     iron_loss: IronLossSection | None = Field(default=None, description="iron loss, optional")
+    loss_map: LossMapSection | None = Field(
+        default=None,
+        description=(
+            "iron and magnet loss over the currents, in a file; iron_loss is then compared with it"
+        ),
+    )
     ac_resistance: AcResistanceSection | None = Field(
         default=None, description="AC resistance, optional"
     )
