@@ -337,11 +337,14 @@ class LossCoefficients:
 
     def spread(self, shape: tuple[int, ...]) -> LossCoefficients:
         """Coefficients of points of a shape, one by one, shape (N,)."""
-        square, linear, iron, omega_e = (
+        square, linear, iron, speed = (
             np.broadcast_to(values, shape).ravel()
             for values in (self.square, self.linear, self.iron, self.omega_e)
         )
-        return LossCoefficients(square, linear, iron, omega_e, self.mapped)
+        # Only a map has a speed of each point.
+        return LossCoefficients(
+            square, linear, iron, 0.0 if self.mapped is None else speed, self.mapped
+        )
 
     def take(self, index: np.ndarray[tuple[int, ...], np.dtype[np.intp]]) -> LossCoefficients:
         """Coefficients of some points of those that `spread` gives."""

@@ -442,11 +442,12 @@ def loss_coefficients(
         on, threshold = _conduction(inverter, junction_temperature)
         square = square + on
         linear = linear + threshold + _switching(inverter, modulation)
-    mapped = extra.mapped
-    iron = extra.iron_factor(omega_e) if mapped is None else np.zeros_like(omega_e)
-    return LossCoefficients(
-        np.asarray(square), np.asarray(linear), np.asarray(iron), omega_e, mapped
-    )
+    if extra.mapped is None:
+        return LossCoefficients(
+            np.asarray(square), np.asarray(linear), np.asarray(extra.iron_factor(omega_e))
+        )
+    iron = np.zeros_like(omega_e)
+    return LossCoefficients(np.asarray(square), np.asarray(linear), iron, omega_e, extra.mapped)
 
 
 def _conduction(inverter: Inverter, junction_temperature: float) -> tuple[float, float]:
