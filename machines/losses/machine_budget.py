@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import re
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,12 +17,14 @@ from dqforge.machines.dq_machines.machine_batch import MachineOrBatch
 from dqforge.machines.dq_machines.synchronous import torque_from_flux
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.text_table import TextTable, read_table
-from dqforge.machines.losses.loss_map import LossMap
 from dqforge.machines.modulation.modulators import PhaseWaveforms, sector_waveforms
 from dqforge.machines.names import ModulationName
 from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import overmodulation_of
 from dqforge.machines.units.quantities import Reading, read_quantity
+
+if TYPE_CHECKING:
+    from dqforge.machines.losses.loss_map import LossMap
 
 # What files call the columns; single letters count with their case, T is a torque and t a time.
 _NAMES: dict[str, tuple[str, ...]] = {

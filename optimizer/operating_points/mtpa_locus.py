@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,10 @@ from dqforge.machines.dq_machines.synchronous import (
     torque_from_flux,
 )
 from dqforge.machines.errors import InputError
-from dqforge.machines.losses.loss_map import LossMap
 from dqforge.machines.records import dataclass
+
+if TYPE_CHECKING:
+    from dqforge.machines.losses.loss_map import LossMap
 
 _LEVELS = 160
 _ANGLES = 121

@@ -31,11 +31,11 @@ def test_constant_inductances_are_said_of_linear_machines_alone() -> None:
     assert "harmonics" not in said("paper002-pmsm-nonsinusoidal")
 
 
-@pytest.mark.parametrize("name", ["hysteresis", "eddy"])
-def test_iron_loss_is_denied_only_where_there_is_none(name: str) -> None:
+@pytest.mark.parametrize("loss", [MachineLoss(hysteresis=1e-3), MachineLoss(eddy=1e-3)])
+def test_iron_loss_is_denied_only_where_there_is_none(loss: MachineLoss) -> None:
     design = make_design()
     assert "The design gives no iron loss, and none is counted." in machine_lines(design)
-    lossy = machine_lines(replace(design, machine_loss=MachineLoss(**{name: 1e-3})))
+    lossy = machine_lines(replace(design, machine_loss=loss))
     assert not any("no iron loss" in line for line in lossy)
     assert any(line.startswith("Iron loss is counted") for line in lossy)
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
@@ -31,7 +31,6 @@ from dqforge.machines.entries.kinds import (
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.positioned_yaml import YamlDocument
-from dqforge.machines.losses.loss_map import LossMap, held_against_flux
 from dqforge.machines.losses.machine_budget import (
     COPPER_COEFFICIENT,
     MOST_BYTES,
@@ -41,6 +40,9 @@ from dqforge.machines.losses.machine_budget import (
     read_mission,
 )
 from dqforge.machines.units.quantities import format_quantity
+
+if TYPE_CHECKING:
+    from dqforge.machines.losses.loss_map import LossMap
 
 _LOSSES = LossSettings(points=())
 
@@ -118,6 +120,8 @@ def read_machine_loss(section: MachineSection, machine: Machine, reading: Readin
         return formula
     mapped = _loss_map(section, given, machine, reading)
     coefficients = None if iron is None else (formula.hysteresis, formula.eddy)
+    from dqforge.machines.losses.loss_map import held_against_flux
+
     compared = held_against_flux(mapped, machine.flux, machine.i_max, coefficients)
     if compared is None:
         return replace(formula, mapped=mapped)
@@ -147,7 +151,7 @@ def _loss_map(
 ) -> LossMap:
     """The loss map of a file, its findings among the remarks."""
     # A design without a map starts faster without the readers.
-    from dqforge.machines.flux_maps.loss_columns import DeclaredLoss, read_loss_map
+    from dqforge.machines.losses.loss_columns import DeclaredLoss, read_loss_map
 
     document, flux_map = reading.document, section.flux_map
     why = ""

@@ -374,9 +374,7 @@ def test_least_total_loss_is_below_mtpa_and_below_its_neighbours(name: str) -> N
     both = points.reached & plain.reached
 
     def loss(i_d: FloatArray, i_q: FloatArray) -> FloatArray:
-        wide = LossCoefficients(
-            *(np.full(i_d.size, float(v)) for v in (square, coefficients.linear, iron))
-        )
+        wide = coefficients.spread(i_d.shape)
         return loss_terms(wide, machine.jet(i_d, i_q), i_d, i_q, 1e-6 * machine.i_max).value
 
     ours, copper = loss(points.i_d, points.i_q), loss(plain.i_d, plain.i_q)

@@ -10,8 +10,8 @@ import pytest
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.machines.flux_maps.loss_columns import DeclaredLoss, LossMapReading, read_loss_map
 from dqforge.machines.flux_maps.map_names import loss_named
+from dqforge.machines.losses.loss_columns import DeclaredLoss, LossMapReading, read_loss_map
 
 I_D, I_Q = np.linspace(-100.0, 40.0, 8), np.linspace(0.0, 100.0, 6)
 PLAIN = DeclaredLoss(4)
