@@ -386,11 +386,15 @@ def change(line: str, made: Made, others: list[Made]) -> Change:  # noqa: PLR091
     return {name: new}, {}
 
 
+def _others(made: Made) -> list[Made]:
+    return [each for each in SOLVED if each is not made]
+
+
 def found(line: str, place: Path) -> bool:
     """Whether a forged folder is told from one that is not; True where the line changes nothing."""
     kind = line.partition(" ")[0]
     made = solved(kind, place)
-    files, altered = change(line, made, [each for each in SOLVED if each is not made])
+    files, altered = change(line, made, _others(made))
     if not files and not altered:
         return True
     made.forge(place / "forged", files, **altered)
@@ -405,9 +409,11 @@ def main(words: list[str]) -> int:
     missed, tried = [], Counter[str]()
     with tempfile.TemporaryDirectory(prefix="forged-") as folder:
         lines = list(words) if again else []
-        for number, kind in enumerate(() if again else KINDS):
+        whole = {} if again else {kind: solved(kind, Path(folder)) for kind in KINDS}
+        for number, (kind, made) in enumerate(whole.items()):
             share = (count + number) // len(KINDS)
-            lines += lines_drawn(kind, solved(kind, Path(folder)), share, drawn_cases.seed())
+            drawn = lines_drawn(kind, made, 2 * share, drawn_cases.seed())
+            lines += [line for line in drawn if any(change(line, made, _others(made)))][:share]
         for line in lines:
             tried[line.split()[1]] += 1
             if not found(line, Path(folder)):
