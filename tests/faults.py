@@ -518,8 +518,9 @@ class Warm:
         silent = case.fault in _SILENT and ended.code == -signal.SIGKILL
         if "Traceback" in ended.err:
             return f"a traceback: {ended.err.strip().splitlines()[-1]}"
-        if case.fault == "terminated" and ended.code == -signal.SIGTERM:  # before it began
-            silent = tree(self.place.work) == self.before[case.over]
+        # Before the command began, or when it had ended, nothing of it is there to say so.
+        if case.fault == "terminated" and ended.code == -signal.SIGTERM:
+            silent = tree(self.place.work) in (self.before[case.over], self.after[case.over])
         if ended.code < 0 and not silent:
             return f"ended by signal {-ended.code} and said {ended.err!r}"
         if ended.code > 0 and not (ended.err.startswith("dqforge") and ended.err.count("\n") == 1):
