@@ -198,7 +198,7 @@ def _without_each(
                 continue
             others = [one for one in runs if one is not run]
             try:
-                less = [_analysed(bench, others, analyses)[0]] if others else []
+                less = [_analysed(bench, others, analyses[:place])[0]] if others else []
             except NoSolutionError:
                 continue
             left = {

@@ -278,7 +278,7 @@ def _base(model: _Model, *, reference: bool) -> list[str]:
     columns = np.column_stack([model.columns[term] for term in with_error])
     if reference and bool(separable(columns).all()):
         terms = with_error
-    return [*terms, *(term for term in ("encoder_angle",) if term in model.columns)]
+    return [*terms, "encoder_angle"] if "encoder_angle" in model.columns else terms
 
 
 def _regression(model: _Model, terms: Sequence[str]) -> Regression:
