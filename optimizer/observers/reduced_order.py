@@ -183,7 +183,7 @@ def _check(machine: Machine, g: float, t_s: float) -> None:
         )
 
 
-def _plant(machine: Machine) -> tuple[FloatArray, FloatArray]:
+def plant_of(machine: Machine) -> tuple[FloatArray, FloatArray]:
     """Continuous (A, B) with the state (i_q, omega) and the inputs (u_q, load torque)."""
     inertia, back_emf = _inertia(machine), machine.pole_pairs * machine.psi_pm
     a = np.array(
@@ -222,7 +222,7 @@ def reduced_order_observer(machine: Machine, g: float, t_s: float) -> ReducedOrd
     _check(machine, g, t_s)
     inertia, back_emf = _inertia(machine), machine.pole_pairs * machine.psi_pm
     damping = machine.friction / inertia
-    held = discretise(*_plant(machine), t_s)
+    held = discretise(*plant_of(machine), t_s)
     phi, gamma = held.phi, held.gamma0[:, 0]
     if not phi[0, 1] < 0.0:
         raise NoSolutionError(
@@ -286,7 +286,7 @@ def simulate_observer(
         omega_0, error_0: True speed at the start and error of the first estimate, in rad/s; the
             current starts at 0 A.
     """
-    held = discretise(*_plant(machine), observer.t_s)
+    held = discretise(*plant_of(machine), observer.t_s)
     inputs = np.stack([u_q, torque_load], axis=1) @ held.gamma0.T
     states = np.empty((len(u_q), 2))
     state = np.array([0.0, omega_0])

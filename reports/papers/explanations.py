@@ -145,7 +145,7 @@ def explanation_table(found: Explanation) -> Table:
         f"Scanned: {found.bounds}, {len(found.alternatives)} alternatives.",
         f"Best: {winner.assumed}.",
         f"Not explained by it: {', '.join(misses)}." if misses else "It explains all of them.",
-        f"As good: {len(found.as_good)} others." if found.as_good else "No other is as good.",
+        _as_good(len(found.as_good)),
     ]
     if found.beyond(winner) <= 0:
         said.append("None explains more numbers than it was fitted to: the question stays open.")
@@ -156,6 +156,12 @@ def explanation_table(found: Explanation) -> Table:
         rows,
         tuple(textwrap.wrap(" ".join(said), _WIDTH, break_on_hyphens=False)),
     )
+
+
+def _as_good(others: int) -> str:
+    if not others:
+        return "No other is as good."
+    return "As good: 1 other." if others == 1 else f"As good: {others} others."
 
 
 def plain_explanation(found: Explanation) -> PlainData:

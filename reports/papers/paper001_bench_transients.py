@@ -30,6 +30,7 @@ from dqforge.reports.papers.paper001_bench_sensorless import (
     Estimator,
     MethodFound,
     estimator_errors,
+    explain_start,
     methods_found,
 )
 from dqforge.reports.papers.paper001_emitted_control import (
@@ -40,6 +41,7 @@ from dqforge.reports.papers.paper001_emitted_control import (
     Alignment,
     Constants,
     EmittedControl,
+    ProgramBench,
     ProgramRuns,
     ProgramTransient,
     alignments,
@@ -121,7 +123,8 @@ class Runs:
     """Recorded transients: start and reversal, sine reference, steps, and starts without sensor.
 
     ``sensorless`` has the speed from the exact observer, ``estimator`` angle and speed
-    with the errors of the bench; ``encoder`` is the start without an estimator.
+    with the errors of the bench, in the program's integers; ``encoder`` is the start without an
+    estimator.
     """
 
     reversal: Simulation
@@ -142,7 +145,8 @@ class Reproduction:
     key; ``estimator`` the errors of angle and speed without encoder; ``program`` is what
     the program of the thesis does with its own integers, ``emitted`` what the design's own control
     does in each format; ``methods`` are those of chapter 7 on the bench, ``alignment`` the start of
-    section 8.3, ``figures`` what is read off the runs of Figures 8.29 to 8.33.
+    section 8.3, ``figures`` what is read off the runs of Figures 8.29 to 8.33, ``start`` what the
+    numbers of Figure 8.29 follow from.
     """
 
     integers: dict[str, int]
@@ -160,6 +164,7 @@ class Reproduction:
     methods: tuple[MethodFound, ...]
     alignment: tuple[Alignment, ...]
     figures: tuple[Finding, ...]
+    start: Explanation
 
 
 def _integers(solution: Solution) -> dict[str, int]:
@@ -362,13 +367,13 @@ def reproduce_paper() -> Reproduction:
         VerificationError: There is no compiler for the simulation.
     """
     design = bench_design()
-    with bench(design) as place:
+    with bench(design) as place, program_bench(design) as program:
         transients, reversal = _transients(place)
         sine, amplitude, lag = _sine(place)
         steps, step_time = _steps(place)
         sensorless, error = _sensorless(place)
         plain = _to_1500(place, Encoder(ENCODER_LINES))
-        estimator, wrong = estimator_errors(thesis_gains(place, REVERSAL_CURRENT))
+        estimator, wrong = estimator_errors(thesis_gains(place, REVERSAL_CURRENT), program)
         return Reproduction(
             integers=_integers(place.solution),
             transients=transients,
@@ -380,11 +385,12 @@ def reproduce_paper() -> Reproduction:
             sensorless=_stated_errors(place),
             estimator=estimator,
             runs=Runs(reversal, sine, steps, sensorless, wrong, plain),
-            program=program_results(design),
+            program=program_results(program),
             emitted=emitted_control(),
             methods=methods_found(DESIGN_NAME),
-            alignment=alignments(design),
+            alignment=alignments(program),
             figures=sensorless_findings(plain, sensorless, wrong),
+            start=explain_start(design),
         )
 
 
@@ -638,16 +644,11 @@ def _faster(sine: Simulation, steps: Simulation) -> Iterable[Finding]:
     )
 
 
-def program_results(design: Design) -> Program:
-    """Runs and findings on the bench of a design.
-
-    Raises:
-        VerificationError: There is no compiler for the simulation.
-    """
-    with program_bench(design) as place:
-        runs = simulated_runs(place)
-        transients = program_transients(place, runs.reversal)
-        explanation = explain_transients(place)
+def program_results(place: ProgramBench) -> Program:
+    """Runs and findings on the bench with the program of the thesis."""
+    runs = simulated_runs(place)
+    transients = program_transients(place, runs.reversal)
+    explanation = explain_transients(place)
     start, reversal = transients[:2]
     findings = (
         Finding("8.1, 8.2", "digitising the currents; the control", "diagrams, nothing to compute"),
@@ -679,7 +680,7 @@ def sensorless_findings(
     Args:
         without: The start with the speed of the encoder.
         observed: The start with the speed of the exact observer.
-        bench: The drive on its estimator, with the errors of the bench.
+        bench: The program of the thesis on its estimator, with the errors of the bench.
     """
     target = float(bench.reference[-1])
     last = np.asarray(bench.t >= _STEADY)

@@ -21,11 +21,15 @@ from dqforge.machines.plants.scenario import (
     CurrentSensor,
     Encoder,
     InverterModel,
+    PlantErrors,
     Profile,
     Scenario,
+    Sensorless,
     constant,
 )
 from dqforge.machines.records import dataclass
+from dqforge.optimizer.loops.integer_gains import to_q
+from dqforge.optimizer.observers.reduced_order import reduced_order_observer
 from dqforge.optimizer.solution import Solution, solve_control
 from dqforge.reports.control.header import gain_bytes, plain_control
 from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, TEAL, new_figure, style
@@ -87,14 +91,18 @@ def has_speed_control(files: dict[str, bytes], number_format: NumberFormat) -> b
 
 
 def _run(
-    solution: Solution, files: dict[str, bytes], number_format: NumberFormat, gains: bytes = b""
-) -> Simulation:
+    solution: Solution,
+    files: dict[str, bytes],
+    number_format: NumberFormat,
+    gains: Sequence[bytes] = (b"",),
+) -> list[Simulation]:
+    """A run for each set of gains, empty for those of the header."""
     design = solution.design
     reference = Profile((0.0, _REVERSAL), (_TARGET * RPM, -_TARGET * RPM))
     scenario = Scenario(_END, "speed", reference, encoder=Encoder(1024), sensor=CONVERTER)
     observers = observers_of(solution)[1] if number_format == "float32" else ()
     with simulator(files, design.export.prefix, observers, number_format=number_format) as program:
-        return simulate(program, drive_of(design), scenario, gains=gains)
+        return [simulate(program, drive_of(design), scenario, gains=own) for own in gains]
 
 
 def _held(solution: Solution) -> bytes:
@@ -136,11 +144,14 @@ def emitted_control() -> EmittedControl:
     for number_format in FORMATS:
         files = emitted_files(solution, number_format)
         if has_speed_control(files, number_format):
-            runs.append(_figures(_run(solution, files, number_format), number_format))
+            held = [_held(solution)] if number_format == "float32" else []
+            found = _run(solution, files, number_format, [b"", *held])
+            runs += [
+                _figures(run, name) for run, name in zip(found, (number_format, HELD), strict=False)
+            ]
         else:
             left_out.append(number_format)
-    held = _run(solution, emitted_files(solution, "float32"), "float32", _held(solution))
-    runs.append(_figures(held, HELD))
+    runs.sort(key=lambda run: run.name == HELD)
     return EmittedControl(tuple(runs), tuple(left_out))
 
 
@@ -174,7 +185,10 @@ _SINE_ENTRIES = 256
 
 @dataclass(frozen=True, slots=True)
 class Constants:
-    """Integers of the program: gains in Q10, Q10, Q10, Q15 and limits in Q15."""
+    """Integers of the program: gains in Q10, Q10, Q10, Q15 and limits in Q15; periods for which the
+    first phase is fed before it begins, after which the encoder's count is set to zero, 0 for a
+    program that knows the angle.
+    """
 
     kp_w: int = 20000
     kih_w: int = 2500
@@ -182,6 +196,7 @@ class Constants:
     kih_iq: int = 26
     max_w: int = 32000
     max_iq: int = 13000
+    align: int = 0
 
     def content(self) -> bytes:
         """Bytes of the structure in C."""
@@ -212,15 +227,60 @@ def dead_band(constants: Constants) -> float:
     return BASE_CURRENT / constants.kih_iq
 
 
-def program_files(torque_per_ampere: float, period: float, align: int = 0) -> dict[str, bytes]:
-    """The two headers by name.
+@dataclass(frozen=True, slots=True)
+class EstimatorWords:
+    """Integers of the estimator of section 8.5: coefficients in Q15 of codes of current, speed and
+    voltage.
+    """
+
+    a: int
+    b: int
+    k: int
+    c: int
+    l_d: int
+    l_q: int
+    r_s: int
+    kp: int
+    kih: int
+
+
+ESTIMATOR = "estimator"  # Its name in C.
+_WIDTH = 200.0  # rad/s: of the correction, as `usual_matsui` has it
+
+
+def estimator_words(design: Design) -> EstimatorWords:
+    """The estimator of the bench in the words of the program: the reduced-order observer of the
+    design, and the correction of the angle with both poles at `_WIDTH` at 1500 rpm.
+    """
+    known = design.control.observer
+    assert known is not None
+    assert known.pole is not None
+    machine, t_s = design.machine, design.control.t_s
+    own = reduced_order_observer(machine, known.pole, t_s)
+    speed, volt = BASE_RPM * RPM, design.control.bases.voltage
+    electrical = machine.pole_pairs * speed
+    emf = machine.pole_pairs * 1500.0 * RPM * machine.psi_pm
+    values = (
+        1.0 - own.a,
+        own.b_u * volt / speed,
+        own.b_i * BASE_CURRENT / speed,
+        own.c * BASE_CURRENT / speed,
+        machine.l_d * electrical * BASE_CURRENT / volt,
+        machine.l_q * electrical * BASE_CURRENT / volt,
+        machine.r_s * BASE_CURRENT / volt,
+        2.0 * _WIDTH / emf * volt / electrical,
+        _WIDTH**2 / emf * t_s * volt / electrical,
+    )
+    return EstimatorWords(*(to_q(value, 15) for value in values))
+
+
+def program_files(design: Design) -> dict[str, bytes]:
+    """The three headers by name: the program, what stands around it, its estimator.
 
     Args:
-        torque_per_ampere: Of the machine in N m/A, for the recorded torque reference.
-        period: Of the interrupt in s.
-        align: Periods for which the first phase is fed before the program begins, and after which
-            the encoder's count is set to zero; 0 for a program that knows the angle.
+        design: The bench.
     """
+    electrical = design.machine.pole_pairs * BASE_RPM * RPM
     turn = 2.0 * np.pi * np.arange(_SINE_ENTRIES + 1) / _SINE_ENTRIES
     context = {
         "prefix": PREFIX,
@@ -230,16 +290,23 @@ def program_files(torque_per_ampere: float, period: float, align: int = 0) -> di
         "inverse_base": INVERSE_BASE,
         "encoder_lines": float(ENCODER.lines),
         "clock": CLOCK,
-        "period": period,
+        "period": design.control.t_s,
         "constants": list(asdict(Constants()).values()),
-        "align": align,
-        "torque_per_ampere": torque_per_ampere,
+        "torque_per_ampere": design.machine.torque_per_ampere,
+        "estimator": list(asdict(estimator_words(design)).values()),
+        "current": BASE_CURRENT,
+        "voltage": design.control.bases.voltage,
+        "speed_codes": 32768.0 / electrical,
+        "step": round(electrical / 32768.0 * design.control.t_s / (2.0 * np.pi) * 2.0**32),
+    }
+    names = {
+        "thesis_program.h": "thesis_program",
+        f"{PREFIX}_control.h": "thesis_control",
+        f"{PREFIX}_observer.h": "thesis_observer",
     }
     return {
-        "thesis_program.h": render("papers/paper001/thesis_program.h.j2", context).encode("ascii"),
-        f"{PREFIX}_control.h": render("papers/paper001/thesis_control.h.j2", context).encode(
-            "ascii"
-        ),
+        name: render(f"papers/paper001/{text}.h.j2", context).encode("ascii")
+        for name, text in names.items()
     }
 
 
@@ -259,10 +326,14 @@ class ProgramBench:
         inverter: InverterModel = "averaged",
         theta_e: float = 0.0,
         friction: float = 0.0,
+        errors: PlantErrors | None = None,
+        *,
+        encoderless: bool = False,
     ) -> Simulation:
         """One run from standstill: seconds, reference in rad/s, other integers or dead time in s
         where they are given, duty cycles as voltages or every switching instant; the electrical
-        angle in rad at which the rotor lies, and a torque in N m that resists and holds it.
+        angle in rad at which the rotor lies, and a torque in N m that resists and holds it; how the
+        machine differs; whether the program runs on its estimator above 500 rpm.
         """
         scenario = Scenario(
             duration,
@@ -275,21 +346,21 @@ class ProgramBench:
             theta_e=theta_e,
             load=constant(friction),
             load_kind="friction" if friction else "active",
+            errors=errors or PlantErrors(),
+            sensorless=Sensorless(500.0 * RPM, 300.0 * RPM) if encoderless else None,
         )
         gains = (constants or Constants()).content()
         return simulate(self.program, self.drive, scenario, gains=gains)
 
 
 @contextmanager
-def program_bench(design: Design, align: int = 0) -> Iterator[ProgramBench]:
-    """The bench of a design with the program of the thesis, as long as the block; with its
-    alignment over so many periods, where it is to find the angle itself.
+def program_bench(design: Design) -> Iterator[ProgramBench]:
+    """The bench of a design with the program of the thesis, as long as the block.
 
     Raises:
         VerificationError: There is no compiler.
     """
-    files = program_files(design.machine.torque_per_ampere, design.control.t_s, align)
-    with simulator(files, PREFIX) as program:
+    with simulator(program_files(design), PREFIX, (ESTIMATOR,)) as program:
         yield ProgramBench(program, drive_of(design))
 
 
@@ -610,7 +681,10 @@ class Alignment:
 
 def _aligned_run(place: ProgramBench, angle: int, friction: float, after: float) -> Simulation:
     reference = Profile((0.0,), (TARGET * RPM,))
-    return place.run(SECONDS + after, reference, theta_e=np.radians(angle), friction=friction)
+    constants = Constants(align=round(SECONDS / place.drive.t_s))
+    return place.run(
+        SECONDS + after, reference, constants, theta_e=np.radians(angle), friction=friction
+    )
 
 
 def _missed(run: Simulation) -> float:
@@ -641,15 +715,7 @@ def _aligned(place: ProgramBench, friction: float, torque_per_ampere: float) -> 
     )
 
 
-def alignments(design: Design) -> tuple[Alignment, ...]:
-    """The start of section 8.3 against every friction.
-
-    Args:
-        design: The bench.
-
-    Raises:
-        VerificationError: There is no compiler for the simulation.
-    """
-    with program_bench(design, round(SECONDS / design.control.t_s)) as place:
-        torque = design.machine.torque_per_ampere
-        return tuple(_aligned(place, friction, torque) for friction in FRICTIONS)
+def alignments(place: ProgramBench) -> tuple[Alignment, ...]:
+    """The start of section 8.3 against every friction."""
+    torque = place.drive.machine.torque_per_ampere
+    return tuple(_aligned(place, friction, torque) for friction in FRICTIONS)

@@ -149,6 +149,7 @@ def reproduction_tables(found: Reproduction) -> list[Table]:
         ),
         _estimator_table(found.estimator),
         sensorless_table(found.figures),
+        explanation_table(found.start),
     ]
 
 
@@ -191,6 +192,7 @@ def plain_reproduction(found: Reproduction) -> PlainData:
         "methods": plain_methods(found.methods),
         "alignment": plain_alignment(found.alignment),
         "figures_without_encoder": plain_findings(found.figures),
+        "figure_8_29_explanation": plain_explanation(found.start),
     }
 
 
@@ -364,10 +366,10 @@ def sensorless_table(rows: tuple[Finding, ...]) -> Table:
         ("figure", "shows", "stated", "found"),
         lines,
         _notes(
-            "In float32: the thesis prints no integers of its estimator. 8.29 with exact data; its "
-            "1 % is not explained, the simplified model is not given. 8.31 to 8.33 with the dead "
-            "time of the program and 0.7 % more magnet flux: the speed is as printed, the position "
-            "is not; the table above has what would make it so."
+            "8.29 with exact data in float32; what its numbers follow from is below. 8.31 to 8.33 "
+            "in the program's integers, its estimator in the same words (the thesis prints the "
+            "equations alone), with its dead time and 0.7 % more magnet flux: the speed is as "
+            "printed, the position is not; the table above has what would make it so."
         ),
     )
 

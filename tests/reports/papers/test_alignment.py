@@ -14,13 +14,14 @@ from dqforge.reports.papers.paper001_emitted_control import (
     SECONDS,
     Alignment,
     alignments,
-    program_files,
+    program_bench,
 )
 
 
 @pytest.fixture(scope="module")
 def found() -> tuple[Alignment, ...]:
-    return alignments(bench_design())
+    with program_bench(bench_design()) as place:
+        return alignments(place)
 
 
 def test_the_current_is_that_of_three_quarters_and_a_half(found: tuple[Alignment, ...]) -> None:
@@ -57,13 +58,6 @@ def test_half_a_turn_off_it_stays_and_runs_away(found: tuple[Alignment, ...]) ->
     for row in found:
         assert row.stuck_deg == (180,)
         assert row.backwards_rpm < -2000.0
-
-
-def test_the_program_that_knows_the_angle_is_as_ever() -> None:
-    plain, aligned = (program_files(0.27, 2e-4, align) for align in (0, 2000))
-    assert b"aligned" not in plain["thesis_control.h"]
-    assert plain["thesis_program.h"] == aligned["thesis_program.h"]
-    assert b"control->aligned < 2000" in aligned["thesis_control.h"]
 
 
 def test_table_and_plain_data_show_it(found: tuple[Alignment, ...]) -> None:

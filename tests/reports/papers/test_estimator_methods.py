@@ -7,7 +7,13 @@ from math import isfinite, isnan
 import pytest
 
 from dqforge.reports.papers import paper001_tables as estimator_tables
-from dqforge.reports.papers.paper001_bench_sensorless import CAUSES, METHODS, MethodFound
+from dqforge.reports.papers.paper001_bench_sensorless import (
+    BENCH,
+    CAUSES,
+    INTEGERS,
+    METHODS,
+    MethodFound,
+)
 from dqforge.reports.papers.paper001_bench_transients import Reproduction
 
 
@@ -43,6 +49,11 @@ def test_figures_8_29_to_8_33_are_found_or_named(reproduced: Reproduction) -> No
     assert values["8.31", "apart"] == pytest.approx(60.0, abs=3.0)
     assert 2.0 < values["8.33", "mean"] < 5.0
     assert values["8.33", "mechanical, mean"] == pytest.approx(values["8.33", "mean"] / 3.0)
+    # the words of the program change little of what float32 has
+    errors = {row.name: row for row in reproduced.estimator}
+    single, words = errors[BENCH], errors[INTEGERS]
+    assert words.speed_error == pytest.approx(single.speed_error, abs=1e-3)
+    assert words.angle_error == pytest.approx(single.angle_error, abs=1e-3)
     turn = 60e3 / 3.0 / values["8.31", "measured"]
     assert values["8.32", "electrical turn"] == pytest.approx(turn, rel=1e-3)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
@@ -24,6 +25,7 @@ from dqforge.reports.papers.paper000_stated_method import (
     PRINTED_TABLE_1,
     PRINTED_TABLE_2,
 )
+from dqforge.reports.papers.paper001_bench_sensorless import explain_start
 from dqforge.reports.papers.paper001_bench_transients import Reproduction
 
 BREAKPOINTS = {degree: row[:2] for degree, row in PRINTED_TABLE_1.items()}
@@ -167,3 +169,50 @@ def test_times_and_speed_of_the_bench_follow_together(reproduced: Reproduction) 
     assert start > inertia * speed / (torque - 0.2)
     assert reversal > inertia * speed * (1.0 / (torque - 0.2) + 1.0 / (torque + 0.2))
     assert found.winner.found[3] == pytest.approx(2700.0 * 155 / 155.3445, rel=2e-4)
+
+
+def test_figure_8_29_follows_from_the_observer_as_printed() -> None:
+    """The winner by scipy's integration, and the steady error in closed form."""
+    design = catalogue.load("paper001-pmsm-bench")
+    found = explain_start(design)
+    assert found.winner.assumed == "K_0 and A_0 as printed; g = 40 1/s; no load"
+    assert all(found.explained(found.winner))
+    assert all("K_0 and A_0 as printed" in one.assumed for one in found.as_good)
+    # zeta decays with g - B/J where it should with g + B/J; 900 in place of 1350 for the torque
+    r, l_q, p_psi, inertia, friction, g = 2.35, 1.74e-3, 0.18, 2e-4, 4e-5, 40.0
+    loss = friction / inertia
+    k = g**2 * l_q / p_psi + g * (loss * l_q - r) / p_psi + 900.0
+    a = np.array(
+        [
+            [-r / l_q, -p_psi / l_q, 0.0],
+            [1350.0, -loss, 0.0],
+            [k, 0.0, loss - g],
+        ]
+    )
+    b = np.array([1.0 / l_q, 0.0, g / p_psi])
+    steady = np.linalg.solve(a, -b)
+    seen = steady[2] - g * l_q / p_psi * steady[0]
+    assert found.winner.found[1] == pytest.approx(100.0 * abs(steady[1] / seen - 1.0), abs=0.02)
+    until = _last_significant(a, b, g * l_q / p_psi)
+    assert found.winner.found[0] == pytest.approx(until, abs=0.004)
+
+
+def _last_significant(a: np.ndarray, b: np.ndarray, c: float) -> float:
+    """Time in s from which the estimate stays within 2 %, the start integrated period by period."""
+    state, asked, voltage, error, missing, last = np.zeros(3), 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(1500):
+        estimate = state[2] - c * state[0]
+        if abs(estimate - state[1]) > 0.02 * 50.0 * np.pi:
+            last = k * 2e-4
+        if k % 10 == 0:
+            before, error = error, 50.0 * np.pi - estimate
+            moved = 20000 / 1024 * (error - before) + 2500 / 1024 * error
+            asked = float(np.clip(asked + moved * 12.8 / (225.0 * np.pi), -12.5, 12.5))
+        before, missing = missing, asked - state[0]
+        moved = 136 / 1024 * (missing - before) + 26 / 32768 * missing
+        most = 214.0 / np.sqrt(3.0)
+        moved *= most / 12.8
+        voltage = float(np.clip(voltage + moved, -13 / 32.768 * most, 13 / 32.768 * most))
+        run = solve_ivp(lambda _, x, u: a @ x + b * u, (0.0, 2e-4), state, args=(voltage,))
+        state = run.y[:, -1]
+    return last

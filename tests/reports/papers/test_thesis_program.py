@@ -32,6 +32,7 @@ from dqforge.reports.papers.paper001_emitted_control import (
     reference_code,
 )
 from dqforge.reports.papers.transients import RPM
+from dqforge.reports.simulation.recorded_run import Simulation
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +52,7 @@ def test_the_integers_are_those_of_table_8_1() -> None:
     assert int(32767 * 200e-6 * 3.967285) == LISTED_LINE.kih_iq
     assert (
         constants.content()
-        == np.array([20000, 2500, 136, 26, 32000, 13000], dtype=np.int32).tobytes()
+        == np.array([20000, 2500, 136, 26, 32000, 13000, 0], dtype=np.int32).tobytes()
     )
 
 
@@ -136,6 +137,40 @@ def test_the_program_in_c_gives_the_start_of_the_program_in_python() -> None:
     assert np.max(np.abs(here[:size] - speeds[:size])) < 6.0
     assert np.max(np.abs(run.i_q[1 : size + 1] - currents[:size])) < 0.05
     assert speeds[size - 1] > 800.0
+
+
+def test_the_program_runs_on_its_estimator_and_errs_by_what_the_dead_time_takes() -> None:
+    """The hypothetical d axis sees v_d of the dead time's square waves, 4/pi of their height along
+    the current, as back-EMF; without a dead time codes and counts are all that is left.
+    """
+    with program_bench(bench_design()) as place:
+        reference = Profile((0.0,), (1500.0 * RPM,))
+        ideal, lossy = (
+            place.run(0.9, reference, dead_time=time, encoderless=True) for time in (0.0, 4.88e-6)
+        )
+    for run, lag, tolerance in ((ideal, 0.0, 0.15), (lossy, _lag_of_dead_time(lossy), 1.0)):
+        late = run.t > 0.7
+        gap = np.degrees(np.angle(np.exp(1j * (run.theta_e - run.theta_e_observed)[late])))
+        assert np.all(run.sensorless[late] == 1.0)
+        assert np.mean(gap) == pytest.approx(lag, abs=tolerance)
+    last = ideal.t > 0.7
+    apart = np.mean((ideal.omega_m_observed - ideal.omega_m)[last]) / RPM
+    assert abs(apart) < 6750.0 / 32768.0 * 2.0
+
+
+def _lag_of_dead_time(run: Simulation) -> float:
+    """Degrees by which no d voltage is left: v_q of the dead time turns the back-EMF's direction.
+
+    At no load the current is small and in quadrature parts: the whole voltage that the dead time
+    takes has the current's direction, whose angle the run tells.
+    """
+    late = run.t > 0.7
+    lost = 4.0 / np.pi * 214.0 * 4.88e-6 / 200e-6
+    current = np.mean((run.i_d + 1j * run.i_q)[late])
+    drop = lost * current / abs(current)
+    emf = 3.0 * float(np.mean(run.omega_m[late])) * 0.06
+    whole = 1j * emf + drop
+    return float(np.degrees(-np.angle(whole / 1j)))
 
 
 @pytest.mark.slow
@@ -230,8 +265,10 @@ def test_the_program_never_overflows_where_the_figures_are(tmp_path: Path) -> No
     most = 2 * reference_code(2700.0)
     assert 20000 * 2 * most < 2**31
     assert 136 * 4 * 32768 < 2**31
-    for name, content in program_files(0.27, 2e-4).items():
+    for name, content in program_files(bench_design()).items():
         (tmp_path / name).write_bytes(content)
-    (tmp_path / "only.c").write_text('#include "thesis_control.h"\nint main(void) { return 0; }\n')
+    (tmp_path / "only.c").write_text(
+        '#include "thesis_control.h"\n#include "thesis_observer.h"\nint main(void) { return 0; }\n'
+    )
     flags = ["-std=c99", "-Wall", "-Wextra", "-Wno-unused-function", "-Werror", "-fsyntax-only"]
     subprocess.run(["cc", *flags, "only.c"], cwd=tmp_path, check=True)
