@@ -230,12 +230,18 @@ def tuned(
         scales: Of the controllers.
     """
     begin = np.array(first)
-    pi = _sought(pi_change, np.asarray, begin, learn, scales)
+
+    def least(
+        change: Change, numbers: FloatArray, whole: Callable[[FloatArray], FloatArray] = np.asarray
+    ) -> FloatArray:
+        return sought(lambda x: run(change, whole(x), learn, scales).criterion, numbers)
+
+    pi = least(pi_change, begin)
     line = linear_table(*pi)
     # Neurons that bend little are PI: v w e with w small.
     neurons = np.ravel([(1.0 / HIDDEN / 0.2, 0.2 * pi[0], 0.2 * pi[1])] * HIDDEN)
-    fuzzy = odd_table(_sought(fuzzy_change, odd_table, line, learn, scales))
-    neural = _sought(neural_change, np.asarray, neurons, learn, scales)
+    fuzzy = odd_table(least(fuzzy_change, line, odd_table))
+    neural = least(neural_change, neurons)
     return tuple(
         SpeedController(
             name,
@@ -253,21 +259,20 @@ def tuned(
     )
 
 
-def _sought(
-    change: Change,
-    whole: Callable[[FloatArray], FloatArray],
-    begin: FloatArray,
-    learn: SpeedDrives,
-    scales: SpeedScales,
-) -> FloatArray:
-    """Numbers with the least criterion, from what is there already on."""
+def sought(criterion: Callable[[FloatArray], FloatArray], begin: FloatArray) -> FloatArray:
+    """Numbers with the least criterion, from what is there already on.
+
+    Args:
+        criterion: Shape (K, S) to (S,).
+        begin: Shape (K,).
+    """
     size = np.maximum(np.abs(begin), 0.2 * np.max(np.abs(begin)))
     low, high = begin - _SPREAD * size, begin + _SPREAD * size
     rng = np.random.default_rng(begin.size)
     crowd = begin + size * rng.normal(0.0, 0.4, (_CROWD, begin.size))
     crowd[0] = begin
     found = differential_evolution(
-        lambda x: run(change, whole(x), learn, scales).criterion,
+        criterion,
         np.column_stack([low, high]),
         init=np.clip(crowd, low, high),
         maxiter=_GENERATIONS,
@@ -343,6 +348,13 @@ def sources(change: Change, numbers: FloatArray) -> dict[str, bytes]:
     return {"step.h": "\n".join([*lines, ""]).encode("ascii")}
 
 
+def instructions(change: Change, numbers: FloatArray) -> float:
+    """Of a controller on a Cortex-M4F."""
+    errors = np.linspace(-1.5, 1.5, 64).astype(np.float32)
+    made = sources(change, numbers)
+    return cost_on_target(made, "step.h", "speed_at", "cortex-m4", errors).instructions
+
+
 def speed_controllers() -> Iterator[tuple[str, ...]]:
     """Three kinds of controller on drives that the search did not see."""
     first, mechanical, delay, scales = bench()
@@ -351,16 +363,12 @@ def speed_controllers() -> Iterator[tuple[str, ...]]:
         "controller", "numbers", "instructions M4F", "error, mean / worst",
         "overshoot, mean / worst",
     )  # fmt: skip
-    errors = np.linspace(-1.5, 1.5, 64).astype(np.float32)
     for one in tuned(first, learn, other, scales):
-        cost = cost_on_target(
-            sources(one.change, one.numbers), "step.h", "speed_at", "cortex-m4", errors
-        )
         error, over = one.other.error, 100.0 * one.other.overshoot
         yield (
             one.name,
             str(one.numbers.size),
-            f"{cost.instructions:.0f}",
+            f"{instructions(one.change, one.numbers):.0f}",
             f"{error.mean():.2f} / {error.max():.2f}",
             f"{over.mean():.1f} / {over.max():.0f} %",
         )

@@ -19,6 +19,7 @@ from benchmarks import sensorless_samples
 from benchmarks.sensorless_samples import KEPT, METHODS, read
 from fixed_phase_loop import Loop
 from interrupt_steps import interrupts
+from learned_parameters import parameter_estimators
 from learned_speed import speed_controllers
 from measuring_mistakes import measuring
 from phase_drives import near_sinusoidal
@@ -332,6 +333,7 @@ NUMBERS: dict[str, Numbers] = {
     "interrupt-cost": Numbers("reference/control-cost.md", interrupt_cost),
     "measuring": Numbers("how-to/measure-a-motor.md", measuring, 0.02),
     "observed-rule": Numbers("methods/observed-loops.md", observed_rule, 0.05),
+    "parameter-estimators": Numbers("methods/online-estimation.md", parameter_estimators, 0.05),
     "speed-controllers": Numbers("methods/current-and-speed-loops.md", speed_controllers, 0.05),
     "closed-regulators": Numbers("methods/current-feedback-pwm.md", closed_regulators, 0.2),
     "sensorless-samples": Numbers(
