@@ -40,8 +40,7 @@ from dqforge.optimizer.observers.judgement import (
     DEAD_TIME,
     PARAMETERS,
     SPEED_LIMIT,
-    ObserverJudgement,
-    judge_at,
+    judge_loads,
 )
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import Disturbances, Load, ObserverMethod, steady_observer
@@ -355,7 +354,10 @@ def tuned_observer(asked: Question, name: str) -> PositionObserver:
 
 def _figures(asked: Question, name: str) -> EstimatorFigures:
     observer = tuned_observer(asked, name)
-    judged = [_judged(asked, observer, m) for m in range(len(asked.loads))]
+    known = replace(asked.disturbances, loads=asked.loads)
+    judged, _ = judge_loads(
+        observer.method, observer.gains, observer.t_s, observer.machine, known, asked.omega[1:]
+    )
 
     def over(values: list[FloatArray], standstill: float) -> FloatArray:
         """Of all speeds and loads: standstill, where an observer sees nothing, then the rest."""
@@ -372,14 +374,6 @@ def _figures(asked: Question, name: str) -> EstimatorFigures:
         slopes=slopes_of(observer, load, np.array(SLOPE_SHARES) * asked.omega_max),
         capture=None if asked.steady else capture_of(asked.design, observer),
         observer=observer,
-    )
-
-
-def _judged(asked: Question, observer: PositionObserver, load: int) -> ObserverJudgement:
-    """At one load, over the speeds from the first above standstill."""
-    alone = replace(asked.disturbances, loads=(asked.loads[load],))
-    return judge_at(
-        observer.method, observer.gains, observer.t_s, observer.machine, alone, asked.omega[1:]
     )
 
 

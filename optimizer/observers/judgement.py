@@ -145,6 +145,18 @@ def judge_at(
     omega: FloatArray,
 ) -> ObserverJudgement:
     """Judge an observer at electrical speeds in rad/s, ascending, shape (S,)."""
+    return _worst(omega, *judge_loads(method, gains, t_s, machine, disturbances, omega))
+
+
+def judge_loads(
+    method: ObserverMethod,
+    gains: Any,
+    t_s: float,
+    machine: LinearMachine,
+    disturbances: Disturbances,
+    omega: FloatArray,
+) -> tuple[list[LoadJudgement], FloatArray]:
+    """The same at each load, and the lag at the first one in rad, shape (S,)."""
     loads = disturbances.loads or (Load.on(machine, disturbances.i_load),)
     count, cases = len(omega), _cases(disturbances, len(loads))
 
@@ -176,11 +188,11 @@ def judge_at(
     judged = [
         _at_load(names, theta[rows], speed[rows], noise[rows], poles[rows]) for rows in blocks
     ]
-    return _worst(omega, judged, lag)
+    return judged, lag
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _AtLoad:
+class LoadJudgement:
     """Errors at one load; as in `ObserverJudgement`."""
 
     bias: dict[str, FloatArray]
@@ -193,7 +205,7 @@ class _AtLoad:
 
 def _at_load(
     names: list[str], theta: FloatArray, speed: FloatArray, noise: FloatArray, poles: ComplexArray
-) -> _AtLoad:
+) -> LoadJudgement:
     """Rows: exact data, then pairs of each cause to either side."""
 
     def causes(rows: FloatArray) -> dict[str, FloatArray]:
@@ -204,10 +216,12 @@ def _at_load(
 
     bias, speed_bias = causes(theta), causes(speed)
     steady = _root([noise[0], *bias.values()])
-    return _AtLoad(bias, speed_bias, noise[0], steady, _root(list(speed_bias.values())), poles[0])
+    return LoadJudgement(
+        bias, speed_bias, noise[0], steady, _root(list(speed_bias.values())), poles[0]
+    )
 
 
-def _worst(omega: FloatArray, judged: list[_AtLoad], lag: FloatArray) -> ObserverJudgement:
+def _worst(omega: FloatArray, judged: list[LoadJudgement], lag: FloatArray) -> ObserverJudgement:
     """The worst load at each speed."""
     angle = np.argmax([part.steady for part in judged], axis=0)
     slip = np.argmax([part.speed_total for part in judged], axis=0)
