@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -208,6 +209,12 @@ def run(
     return ParameterRuns(*(off / still))
 
 
+def _criterion(
+    trusts: tuple[Change, Change], design: Design, plant: WarmDrives, numbers: FloatArray
+) -> FloatArray:
+    return run(trusts, numbers, design, plant).criterion
+
+
 # All three by the same search, and the table of the page.
 
 
@@ -252,7 +259,7 @@ def estimators(design: Design, learn: WarmDrives) -> Iterator[Estimator]:
         ("fuzzy", (fuzzy_trust, fuzzy_trust), table),
         ("neural", (neural_trust, neural_trust), neurons),
     ):
-        found = sought(lambda x, own=trusts: run(own, x, design, learn).criterion, first)
+        found = sought(partial(_criterion, trusts, design, learn), first)
         yield name, trusts, found
 
 

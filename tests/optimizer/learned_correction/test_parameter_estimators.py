@@ -5,6 +5,7 @@ they see.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,7 +45,8 @@ def test_the_gates_open_where_the_emitted_step_moves() -> None:
         turn = w * design.control.t_s
         for k in range(2):
             at = AlphaBeta(-i * np.sin(k * turn), i * np.cos(k * turn))
-            step(sought, EXACT, gains, state, AlphaBeta(0.0, 0.0), at, k * turn, w)
+            none: Any = 0.0
+            step(sought, EXACT, gains, state, AlphaBeta(none, none), at, k * turn, w)
         assert int(state.status) == int(opened[0][n] + 2 * opened[1][n])
 
 
