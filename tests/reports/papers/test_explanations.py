@@ -17,6 +17,7 @@ from dqforge.reports.papers.explanations import (
     explain,
     explain_coefficients,
     explain_largest_error,
+    explain_transients,
     explanation_table,
     plain_explanation,
 )
@@ -26,7 +27,8 @@ from dqforge.reports.papers.paper000_stated_method import (
     PRINTED_TABLE_2,
 )
 from dqforge.reports.papers.paper001_bench_sensorless import explain_start
-from dqforge.reports.papers.paper001_bench_transients import Reproduction
+from dqforge.reports.papers.paper001_bench_transients import bench_design
+from dqforge.reports.papers.paper001_emitted_control import program_bench
 
 BREAKPOINTS = {degree: row[:2] for degree, row in PRINTED_TABLE_1.items()}
 
@@ -156,9 +158,10 @@ def test_an_error_of_figure_4_follows_from_three_points(
     assert one.found == pytest.approx(worst, rel=5e-3)
 
 
-def test_times_and_speed_of_the_bench_follow_together(reproduced: Reproduction) -> None:
+def test_times_and_speed_of_the_bench_follow_together() -> None:
     """220 V rectified, dry friction and a limit of 3 A: both times and the speed of the figures."""
-    found = reproduced.program.explanation
+    with program_bench(bench_design()) as place:
+        found = explain_transients(place)
     assert found.explained(found.winner) == (True, True, True, True, False)
     assert found.winner.fitted == 2
     assert found.winner.assumed.startswith("311 V")
