@@ -20,16 +20,18 @@ import sys
 from fractions import Fraction
 from math import isqrt
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-if __package__:
+if TYPE_CHECKING or __package__:
     from . import check_loops as base
 else:  # run alone: it lies beside this one
     sys.path.insert(0, str(Path(__file__).resolve().parent))
     import check_loops as base
 
 BITS, ONE = base.BITS, base.ONE
-Block, Fault, Header = base.Block, base.Fault, base.Header
+Block = base.Block
+Fault = base.Fault
+Header = base.Header
 Rows = list[list[int]]
 Point = tuple[Fraction, ...]
 Span = tuple[Fraction, Fraction]
@@ -130,7 +132,9 @@ class Box:
     def _as_said(self, header: Header) -> None:
         """Where the header names the drives of the current loops, these must be the same."""
         said = base.STATED.search(header.said)
-        for name in ("r_s", "dead_time", "l_q", "gain") if said and self.promised else ():
+        if said is None or not self.promised:
+            return
+        for name in ("r_s", "dead_time", "l_q", "gain"):
             words = said[name] or "0"
             shown = words.split(" to ") if " to " in words else [words, words]
             for text, end in zip(shown, self.spans[name]):
@@ -446,11 +450,11 @@ def shrunk(box: Box, low: Point, high: Point) -> tuple[Point, Point] | None:
             return None
         gain, inductance = outward(*gain), outward(*inductance)
     first, last = reach(box, gain, inductance)
-    ends = [common(*pair) for pair in zip(zip(low, high), zip(first, last))]
-    if any(a > b for a, b in ends):
+    found = [common(*pair) for pair in zip(zip(low, high), zip(first, last))]
+    if any(a > b for a, b in found):
         return None
-    ends = [span if span[0] == span[1] else outward(*span) for span in ends]
-    return tuple(a for a, _ in ends), tuple(b for _, b in ends)
+    found = [span if span[0] == span[1] else outward(*span) for span in found]
+    return tuple(a for a, _ in found), tuple(b for _, b in found)
 
 
 def check_tree(loop: Loop, tree: list[Any]) -> list[str]:

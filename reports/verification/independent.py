@@ -16,34 +16,38 @@ from pathlib import Path
 from typing import Any
 
 from dqforge.checker import check_certificate as checker
-from dqforge.checker import check_loops, check_speed
+from dqforge.checker import check_loops, check_observer, check_speed
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.loops.firmware_text import CERTIFICATE
+from dqforge.reports.observers.position_text import rounded_up
 from dqforge.reports.plain_data import PlainData
 
-SUFFIX, SPEED_SUFFIX = "_certificate.json", "_speed.json"
+SUFFIX, SPEED_SUFFIX, OBSERVER_SUFFIX = "_certificate.json", "_speed.json", "_observer.json"
 _MOST_BOXES = 1500  # Boxes that are looked at before the claim is left.
 _NARROWEST = Fraction(1, 2**64)  # Of the domain: a box that is not confirmed there is left.
 
 # What the header's certificate leaves to the one beside it.
-_LOOPS, _SPEED = (f"left to {name}.py" for name in ("check_loops", "check_speed"))
+_LOOPS, _SPEED, _OBSERVER = (
+    f"left to {name}.py" for name in ("check_loops", "check_speed", "check_observer")
+)
 
 # The programs, with the certificate that each reads, what that is about, and who has one.
 _PROGRAMS = (
     (checker, SUFFIX, "the current reference", "with constant inductances"),
     (check_loops, CERTIFICATE, "both current loops", "with tolerances and a largest speed"),
     (check_speed, SPEED_SUFFIX, "the speed loop", "with tolerances, a speed loop and a sensor"),
+    (check_observer, OBSERVER_SUFFIX, "the position observer", "with method flux"),
 )
 
 Boxes = list[tuple[Fraction, Fraction]]
 
 
 def certificate_files(solution: Solution, files: Mapping[str, bytes]) -> dict[str, bytes]:
-    """The certificates of the main header and of the speed loop, by their names; none where no
-    claim is confirmed.
+    """The certificates of the main header, the speed loop and the position observer, by their
+    names; none of those of which no claim is confirmed.
 
     Args:
         solution: What was solved.
@@ -54,7 +58,9 @@ def certificate_files(solution: Solution, files: Mapping[str, bytes]) -> dict[st
     header = checker.Header(text, prefix)
     further = files.get(f"{prefix}_control.h", b"").decode("utf-8")
     speed = _speed_claim(solution, check_loops.Header(text, prefix, further), further)
-    found = {} if speed is None else {f"{prefix}{SPEED_SUFFIX}": speed}
+    observer = _observer_claim(solution, files.get(f"{prefix}_observer.h", b"").decode("utf-8"))
+    rest = {SPEED_SUFFIX: speed, OBSERVER_SUFFIX: observer}
+    found = {f"{prefix}{suffix}": claim for suffix, claim in rest.items() if claim is not None}
     claims, left = [], _not_covered(solution)
     machine = _machine(solution)
     if solution.certificate is not None:
@@ -80,6 +86,28 @@ def _speed_claim(solution: Solution, header: check_loops.Header, control: str) -
     text = f'{{\n"format": 1, "inputs": {inputs},\n"tree": [\n{tree}\n]\n}}\n'
     try:
         check_speed.check_speed(json.loads(text, parse_float=Fraction), header, control)
+    except check_loops.Fault:
+        return None
+    return text.encode("ascii")
+
+
+def _observer_claim(solution: Solution, header: str) -> bytes | None:
+    """The certificate of the position observer; None where its checker does not confirm it."""
+    proof = solution.observer_proof
+    if proof is None or proof.contraction is None or not proof.matrix or not header:
+        return None
+    matrix = [float(f"{row[k]:.12g}") for n, row in enumerate(proof.matrix) for k in range(n, 4)]
+    plain = {
+        "format": 1,
+        "omega_e": [proof.omega_low, proof.omega_high],
+        "i_q": proof.i_q,
+        "contraction": rounded_up(proof.contraction),
+        "matrix": matrix,
+    }
+    text = json.dumps(plain) + "\n"
+    try:
+        stated = json.loads(text, parse_float=Fraction)
+        check_observer.check_observer(stated, header, solution.design.export.prefix)
     except check_loops.Fault:
         return None
     return text.encode("ascii")
@@ -114,7 +142,7 @@ def _not_covered(solution: Solution) -> list[str]:
         "ranges of the control in fixed point": solution.fixed or None,
         f"current loops over the tolerances ({_LOOPS})": robust,
         f"speed loop over the tolerances ({_SPEED})": None if loops is None else loops.speed,
-        "position observer": solution.observer_proof,
+        f"position observer ({_OBSERVER})": solution.observer_proof,
     }
     return [name for name, there in parts.items() if there is not None]
 
