@@ -227,7 +227,7 @@ def check_independently(folder: Path) -> str:
         found = sorted(folder.glob(f"*{suffix}"))
         if len(found) > 1:
             raise InputError(f"--independent: {folder} has {len(found)} files *{suffix}; keep one")
-        said += [_confirmed(Path(program.__file__), path) for path in found]
+        said += [_confirmed(Path(str(program.__file__)), path) for path in found]
         if not found:
             missing.append(f"{about} (no *{suffix}, which a design has {who})")
     if not said:

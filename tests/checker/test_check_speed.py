@@ -363,6 +363,16 @@ def put(row: int, verdict: Any) -> Change:
     return rows(lambda tree: tree.__setitem__(row, verdict))
 
 
+def without(row: int) -> Change:
+    """A verdict left out."""
+    return rows(lambda tree: tree.pop(row))
+
+
+def repeated(row: int) -> Change:
+    """A verdict twice."""
+    return rows(lambda tree: tree.insert(row, tree[row]))
+
+
 def entry(row: int, matrix: int, place: int) -> Change:
     """An entry of a matrix with the other sign."""
     return rows(lambda tree: tree[row][matrix].__setitem__(place, -tree[row][matrix][place]))
@@ -390,9 +400,8 @@ def planted(tree: list[Any]) -> dict[str, tuple[Change, str]]:
         faults[f"{name} larger"] = stated(name, 100.0), "row"
     for row, verdict in enumerate(tree):
         here = f"row {row} |row {row + 1} |left out at its end"
-        faults[f"row {row} left out"] = rows(lambda tree, k=row: tree.pop(k)), "row|left out"
-        again = rows(lambda tree, k=row: tree.insert(k, tree[k]))
-        faults[f"row {row} repeats"] = again, "row|left out|cut already"
+        faults[f"row {row} left out"] = without(row), "row|left out"
+        faults[f"row {row} repeats"] = repeated(row), "row|left out|cut already"
         faults[f"row {row} empty"] = put(row, "empty"), f"row {row} .*holds drives"
         if not isinstance(verdict[0], list):
             faults[f"cut {row} far off"] = put(row, [verdict[0], 1e9]), f"row {row} .*outside"
