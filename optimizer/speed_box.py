@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -47,6 +48,8 @@ class SpeedProof:
         box: The drives, as the loop sees them.
         unstable: Deviations of a drive that is unstable, None where none was found.
         tree: The search, with a chain of matrices per proven cell.
+        certificate: The same with control and drives in SI units, as it is stored; None where
+            nothing is proven.
     """
 
     share: float
@@ -56,6 +59,7 @@ class SpeedProof:
     box: SpeedBox
     unstable: Mapping[str, float] | None
     tree: Tree[Chain]
+    certificate: Mapping[str, Any] | None = None
 
     @property
     def complete(self) -> bool:
@@ -152,15 +156,84 @@ def prove_speed_loop(
     cells = _THOROUGH // per_cell if thorough else min(_QUICK // per_cell, _LARGEST)
     tree = SpeedSearch(loop, drives, Effort(cells)).run()
     point = tree.counterexample
+    leaves = sum(isinstance(node.verdict, Proven) for node in tree.nodes)
+    certificate = None
+    if leaves and point is None:
+        inputs = _plain_inputs(box, drives, gains, current_gains)
+        # its units of flux linkage and speed
+        inputs |= {"inductance_scale": box.nominal[1], "speed_scale": loop.scale / gains.kp}
+        r_s, inertia = box.design.machine.r_s, box.design.machine.inertia
+        assert inertia is not None
+        units = np.array([1.0, r_s, 1.0 / inertia, 1.0])
+        certificate = plain_certificate(inputs, units, tree)
     return SpeedProof(
         share=_share(drives, tree),
         cells=tree.examined,
-        leaves=sum(isinstance(node.verdict, Proven) for node in tree.nodes),
+        leaves=leaves,
         ratio=loop.ratio,
         box=drives,
         unstable=None if point is None else drives.named(point),
         tree=tree,
+        certificate=certificate,
     )
+
+
+def _plain_inputs(
+    box: DriveBox, drives: SpeedBox, gains: LoopGains, current_gains: LoopGains
+) -> dict[str, Any]:
+    """Control and drives in SI units, a range as its least and largest value.
+
+    ``torque`` is what is made over what is commanded, ``dead_time`` the resistance that it adds at
+    a gain of the voltage of 1, ``back_emf`` what the feedforward leaves, in V s/rad.
+    """
+    machine, settings = box.design.machine, box.design.control.speed_loop
+    inertia = machine.inertia
+    assert settings is not None
+    assert inertia is not None
+
+    def times(factor: float, span: Interval) -> list[float]:
+        return [factor * side for side in span]
+
+    return {
+        "t_s": box.design.control.t_s,
+        "kp": current_gains.kp,
+        "ki_ts": current_gains.ki_ts,
+        "speed_kp": gains.kp,
+        "speed_ki_ts": gains.ki_ts,
+        "ratio": settings.ratio,
+        "filter_time": settings.filter_time,
+        "friction": machine.friction,
+        "r_s": times(machine.r_s, drives.resistance),
+        "dead_time": times(machine.r_s, drives.dead_time),
+        "l_q": times(box.nominal[1], drives.inductance),
+        "gain": list(drives.gain),
+        "torque": list(drives.torque),
+        "inertia": [inertia / drives.inertia[1], inertia / drives.inertia[0]],
+        "back_emf": list(drives.back_emf),
+    }
+
+
+def plain_certificate(
+    inputs: Mapping[str, Any], units: FloatArray, tree: Tree[Chain]
+) -> dict[str, Any]:
+    """A tree as JSON has it: a cut is its parameter (b, s, n, e by number) and value, followed by
+    all below and all above; a proven cell the upper triangles of its matrices.
+
+    Args:
+        inputs: Control and drives in SI units.
+        units: Of the parameters b, c, j, e, to have them as b, (R + d g) L'/L, f/J and e, shape
+            (4,).
+        tree: Its cells, none of them refuted.
+    """
+
+    def plain(verdict: Verdict[Chain]) -> Any:
+        if isinstance(verdict, Cut):
+            return [verdict.axis, float(verdict.value * units[verdict.axis])]
+        if isinstance(verdict, Proven):
+            return [matrix[np.triu_indices(len(matrix))].tolist() for matrix in verdict.payload]
+        return "open" if isinstance(verdict, Open) else "empty"
+
+    return {"inputs": dict(inputs), "tree": [plain(verdict) for verdict in tree.preorder()]}
 
 
 def _share(drives: SpeedBox, tree: Tree[Chain]) -> float:

@@ -402,8 +402,8 @@ class ObserverMethod:
             many are nil, so that their own size tells nothing. None without scalars.
         certify: (gains, least and largest electrical speed in rad/s, largest |i_q| in A) -> factor
             by which a norm of a small error shrinks at least in every sample, however the speed
-            changes in between, proven without gaps; `NoSolutionError` where none is found. None for
-            a method whose step is checked at many speeds instead.
+            changes in between, proven without gaps, and the matrix of the norm; `NoSolutionError`
+            where none is found. None for a method whose step is checked at many speeds instead.
         unproven: Why neither is sought; empty where one is.
         train: (gains of ``design``, machine, settings, box, largest electrical speed in rad/s) ->
             gains with what was learned in them, and what that gains. None for a method that learns
@@ -427,7 +427,7 @@ class ObserverMethod:
     settle: int = 0
     rest: Callable[[Any, FloatArray, ComplexArray, ComplexArray], FloatArray] | None = None
     sizes: Callable[[FloatArray, FloatArray], FloatArray] | None = None
-    certify: Callable[[Any, float, float, float], float] | None = None
+    certify: Callable[[Any, float, float, float], tuple[float, FloatArray]] | None = None
     unproven: str = ""
     train: (
         Callable[[Any, LinearMachine, ObserverSettings, TrainingBox, float], tuple[Any, Training]]

@@ -232,6 +232,8 @@ class ObserverProof:
             method that can have none.
         points: Speeds and currents at which the contraction was checked; nil where it is exact for
             all of them.
+        matrix: Of the norm, in the coordinates of
+            `dqforge.optimizer.observers.methods.lpv_certificate`; empty where it is not exact.
     """
 
     contraction: float | None
@@ -241,6 +243,7 @@ class ObserverProof:
     reason: str = ""
     searched: bool = True
     points: int = 0
+    matrix: tuple[tuple[float, ...], ...] = ()
 
 
 def prove(observer: PositionObserver | None) -> ObserverProof | None:
@@ -274,7 +277,8 @@ def _searched(observer: PositionObserver, low: float, high: float, i_q: float) -
     """The exact proof of a method that has one, else the checked one."""
     method, gains = observer.method, observer.gains
     if method.certify is not None:
-        return ObserverProof(method.certify(gains, low, high, i_q), low, high, i_q)
+        factor, matrix = method.certify(gains, low, high, i_q)
+        return ObserverProof(factor, low, high, i_q, matrix=tuple(map(tuple, matrix.tolist())))
     from dqforge.optimizer.observers.step_certificate import ObserverRange, certify_step
 
     found = certify_step(

@@ -636,13 +636,13 @@ def _certified(outcome: Outcome) -> CurrentLoopProof | None:
     return None if proof is None or proof.certificate is None else proof
 
 
-# Its words and its JSON stand with those of the loops; a run stores its certificate.
+# Its words and its JSON stand with those of the loops; its certificate lies beside the headers.
 STABILITY = Capability(
     name="stability",
     title="proof of the current loops",
     of=_certified,
     summary=lambda _, proof: [("current loops", proof_summary(proof))],
-    files=lambda solution, proof: {
+    emitted=lambda solution, proof: {
         f"{solution.design.export.prefix}{CERTIFICATE}": certificate_bytes(proof)
     },
 )

@@ -134,7 +134,8 @@ def proof_text(proof: ObserverProof) -> str:
 def plain_proof(proof: ObserverProof) -> PlainData:
     """What is proven, in SI units; a contraction as it is printed."""
     found = proof.contraction
-    return asdict(proof) | {"contraction": None if found is None else rounded_up(found)}
+    plain = asdict(proof) | {"contraction": None if found is None else rounded_up(found)}
+    return {name: value for name, value in plain.items() if name != "matrix"}
 
 
 def _cause(name: str, known: Disturbances) -> str:

@@ -13,35 +13,54 @@ import sys
 from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 from dqforge.checker import check_certificate as checker
-from dqforge.checker import check_loops
+from dqforge.checker import check_loops, check_observer, check_speed
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.loops.firmware_text import CERTIFICATE
+from dqforge.reports.observers.position_text import rounded_up
 from dqforge.reports.plain_data import PlainData
 
-SUFFIX = "_certificate.json"
+SUFFIX, SPEED_SUFFIX, OBSERVER_SUFFIX = "_certificate.json", "_speed.json", "_observer.json"
 _MOST_BOXES = 1500  # Boxes that are looked at before the claim is left.
 _NARROWEST = Fraction(1, 2**64)  # Of the domain: a box that is not confirmed there is left.
 
 # What the header's certificate leaves to the one beside it.
-_LOOPS = "confirmed by check_loops.py in a folder of 'dqforge run'"
+_LOOPS, _SPEED, _OBSERVER = (
+    f"left to {name}.py" for name in ("check_loops", "check_speed", "check_observer")
+)
+
+# The programs, with the certificate that each reads, what that is about, and who has one.
+_PROGRAMS = (
+    (checker, SUFFIX, "the current reference", "with constant inductances"),
+    (check_loops, CERTIFICATE, "both current loops", "with tolerances and a largest speed"),
+    (check_speed, SPEED_SUFFIX, "the speed loop", "with tolerances, a speed loop and a sensor"),
+    (check_observer, OBSERVER_SUFFIX, "the position observer", "with method flux"),
+)
 
 Boxes = list[tuple[Fraction, Fraction]]
 
 
 def certificate_files(solution: Solution, files: Mapping[str, bytes]) -> dict[str, bytes]:
-    """The certificate of the main header, by its name; none where no claim of it is confirmed.
+    """The certificates of the main header, the speed loop and the position observer, by their
+    names; none of those of which no claim is confirmed.
 
     Args:
         solution: What was solved.
         files: The headers by name, as they are written.
     """
     prefix = solution.design.export.prefix
-    header = checker.Header(files[f"{prefix}.h"].decode("utf-8"), prefix)
+    text = files[f"{prefix}.h"].decode("utf-8")
+    header = checker.Header(text, prefix)
+    further = files.get(f"{prefix}_control.h", b"").decode("utf-8")
+    speed = _speed_claim(solution, check_loops.Header(text, prefix, further), further)
+    observer = _observer_claim(solution, files.get(f"{prefix}_observer.h", b"").decode("utf-8"))
+    rest = {SPEED_SUFFIX: speed, OBSERVER_SUFFIX: observer}
+    found = {f"{prefix}{suffix}": claim for suffix, claim in rest.items() if claim is not None}
     claims, left = [], _not_covered(solution)
     machine = _machine(solution)
     if solution.certificate is not None:
@@ -50,9 +69,56 @@ def certificate_files(solution: Solution, files: Mapping[str, bytes]) -> dict[st
         except checker.Fault as why:
             left.insert(0, f"reference over torque ({why})")
     if not claims:
-        return {}
+        return found
     plain = {"format": 1, "not_covered": left, "machine": machine, "claims": claims}
-    return {f"{prefix}{SUFFIX}": _bytes(plain)}
+    return {f"{prefix}{SUFFIX}": _bytes(plain), **found}
+
+
+def _speed_claim(solution: Solution, header: check_loops.Header, control: str) -> bytes | None:
+    """The certificate of the speed loop, JSON with a line per matrix; None where its checker does
+    not confirm it.
+    """
+    proof = None if solution.loops is None else solution.loops.proofs.speed
+    if proof is None or proof.certificate is None:
+        return None
+    tree = ",\n".join(_verdict_text(verdict) for verdict in proof.certificate["tree"])
+    inputs = json.dumps(proof.certificate["inputs"])
+    text = f'{{\n"format": 1, "inputs": {inputs},\n"tree": [\n{tree}\n]\n}}\n'
+    try:
+        check_speed.check_speed(json.loads(text, parse_float=Fraction), header, control)
+    except check_loops.Fault:
+        return None
+    return text.encode("ascii")
+
+
+def _observer_claim(solution: Solution, header: str) -> bytes | None:
+    """The certificate of the position observer; None where its checker does not confirm it."""
+    proof = solution.observer_proof
+    if proof is None or proof.contraction is None or not proof.matrix or not header:
+        return None
+    matrix = [float(f"{row[k]:.12g}") for n, row in enumerate(proof.matrix) for k in range(n, 4)]
+    plain = {
+        "format": 1,
+        "omega_e": [proof.omega_low, proof.omega_high],
+        "i_q": proof.i_q,
+        "contraction": rounded_up(proof.contraction),
+        "matrix": matrix,
+    }
+    text = json.dumps(plain) + "\n"
+    try:
+        stated = json.loads(text, parse_float=Fraction)
+        check_observer.check_observer(stated, header, solution.design.export.prefix)
+    except check_loops.Fault:
+        return None
+    return text.encode("ascii")
+
+
+def _verdict_text(verdict: Any) -> str:
+    """A cut or a word as it stands, matrices to twelve digits and a line each."""
+    if isinstance(verdict, str) or not isinstance(verdict[0], list):
+        return json.dumps(verdict)
+    matrices = ([float(f"{entry:.12g}") for entry in matrix] for matrix in verdict)
+    return "[" + ",\n".join(json.dumps(matrix) for matrix in matrices) + "]"
 
 
 def _machine(solution: Solution) -> dict[str, str]:
@@ -75,8 +141,8 @@ def _not_covered(solution: Solution) -> list[str]:
         "references in fixed point": solution.fixed_references or None,
         "ranges of the control in fixed point": solution.fixed or None,
         f"current loops over the tolerances ({_LOOPS})": robust,
-        "speed loop": None if loops is None else loops.speed,
-        "position observer": solution.observer_proof,
+        f"speed loop over the tolerances ({_SPEED})": None if loops is None else loops.speed,
+        f"position observer ({_OBSERVER})": solution.observer_proof,
     }
     return [name for name, there in parts.items() if there is not None]
 
@@ -156,17 +222,21 @@ def check_independently(folder: Path) -> str:
         InputError: There is no certificate in the folder, or more than one of a kind.
         VerificationError: A claim is not confirmed; names the place.
     """
-    said = []
-    for program, suffix in ((checker.__file__, SUFFIX), (check_loops.__file__, CERTIFICATE)):
+    said, missing = [], []
+    for program, suffix, about, who in _PROGRAMS:
         found = sorted(folder.glob(f"*{suffix}"))
         if len(found) > 1:
             raise InputError(f"--independent: {folder} has {len(found)} files *{suffix}; keep one")
-        said += [_confirmed(Path(program), path) for path in found]
+        said += [_confirmed(Path(str(program.__file__)), path) for path in found]
+        if not found:
+            missing.append(f"{about} (no *{suffix}, which a design has {who})")
     if not said:
         raise InputError(
             f"--independent: {folder} has no certificate; 'dqforge run' writes one "
             "where claims can be confirmed"
         )
+    if missing:
+        said.append(f"nothing is confirmed of {'; '.join(missing)}")
     return "\n".join(said)
 
 

@@ -31,6 +31,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.transforms import Reals
@@ -181,8 +182,10 @@ def usual_flux(machine: LinearMachine, t_s: float, omega_max: float) -> Observer
     )
 
 
-def certified(gains: FluxGains, omega_low: float, omega_high: float, i_q: float) -> float:
-    """Contraction that a common Lyapunov function proves, see `ObserverMethod`.
+def certified(
+    gains: FluxGains, omega_low: float, omega_high: float, i_q: float
+) -> tuple[float, FloatArray]:
+    """Contraction that a common Lyapunov function proves, and its matrix, see `ObserverMethod`.
 
     Args:
         gains: Of `design`.
@@ -190,9 +193,10 @@ def certified(gains: FluxGains, omega_low: float, omega_high: float, i_q: float)
         i_q: Largest |i_q| in A, at i_d = 0.
     """
     currents = (1j * i_q, -1j * i_q)
-    return certify_flux_observer(
+    found = certify_flux_observer(
         gains, omega_low, omega_high, currents, pieces=_PIECES, bisections=_BISECTIONS
-    ).contraction
+    )
+    return found.contraction, found.p
 
 
 METHOD = ObserverMethod(
