@@ -9,8 +9,9 @@ too often, so that this says an order and leaves nothing out.
 from __future__ import annotations
 
 import ast
+import math
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
@@ -19,6 +20,7 @@ import house
 
 # Where and what: a module, a file of tests or a template, and a function or name in it.
 Place = tuple[str, str]
+WORD = re.compile(r"[A-Za-z][\w-]{2,}")
 TEMPLATE = re.compile(r"\w+\.[ch]\b")
 
 
@@ -52,6 +54,24 @@ def _named(node: ast.stmt, within: str = "") -> Iterator[tuple[str, set[str]]]:
                 yield within or name, _used([node])
         case _:
             yield within, _used([node])
+
+
+@cache
+def _words(test: str) -> frozenset[str]:
+    """Every word in a file of tests."""
+    return frozenset(WORD.findall((house.ROOT / test).read_text(encoding="utf-8")))
+
+
+@cache
+def _weights() -> dict[str, float]:
+    """How much a word says of a file of tests: much where few have it."""
+    known = Counter(word for test in house.tests() for word in _words(test))
+    return {word: math.log(len(house.tests()) / count) for word, count in known.items()}
+
+
+def alike(text: str, test: str) -> float:
+    """How much the words of a piece of source say of a file of tests."""
+    return sum(_weights()[word] for word in _words(test).intersection(WORD.findall(text)))
 
 
 @cache

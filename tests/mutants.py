@@ -74,6 +74,8 @@ WAIT_S = 300.0
 AT_LOAD = 12
 # Steps that a whole file of tests is taken to be away.
 WHOLE_FILE = 2
+# Lines on either side of a change whose words say which tests are about it.
+AROUND = 20
 SECONDS = itertools.count(1)
 NUMBER_OF_C = re.compile(r"(?<![\w.])\d+\.\d+F\b")
 
@@ -288,12 +290,19 @@ def order(change: Change) -> tuple[str, ...]:
 
     Steps are counted by name; a whole file is as near as a function that is two steps away. The
     file's own tests, those of its folder, of its room on another floor, and others follow each
-    other by a step. Of what is equally near, what is cheap comes first, file by file.
+    other by a step. Of what is equally near, what is cheap and has the words around the change
+    comes first, file by file.
     """
     reached = _loading(change.path)
     module = change.path.removesuffix(".py").replace("/", ".")
     own, (floor, room, *_) = house.own_test(module), change.path.split("/")
     cost = drawn_cases.kept_costs()
+    lines = (house.ROOT / change.path).read_text(encoding="utf-8").splitlines()
+    around = "\n".join(lines[max(0, change.line - AROUND) : change.line + AROUND])
+
+    @cache
+    def worth(test: str) -> float:
+        return callers.alike(around, test) / (1.0 + cost.get(test, 0.0)) ** 0.5
 
     def near(case: str) -> tuple[float, float, str, str]:
         test = case.partition("::")[0]
@@ -301,7 +310,7 @@ def order(change: Change) -> tuple[str, ...]:
         away = 0 if test == own else 3
         if away and beside[1:2] == [room]:
             away = 1 if beside[:1] == [floor] else 2
-        return away + by_name.get(case, WHOLE_FILE), cost.get(test, 0.0), test, case
+        return away + by_name.get(case, WHOLE_FILE), -worth(test), test, case
 
     by_name = callers.cases(change.path, change.line, set(reached))
     files = {test for test, loaded in house.tests().items() if loaded & reached}
