@@ -100,6 +100,20 @@ def test_a_row_lies_at_the_corner_of_the_domain() -> None:
     assert np.max(np.abs(made - nodes.torque[:, np.newaxis])) < 1e-6 * region.torque_max
 
 
+def test_ways_rise_from_rest_to_their_end_whether_they_turn_a_corner_or_not() -> None:
+    """Each part begins where the one before ended, at no current; the lengths rise with it."""
+    region = domain("small ipm").flux
+    corner = float(region.largest_torque(np.array([region.flux_min]))[0])
+    for end, parts in ((0.5 * corner, 1), (region.torque_max, 2)):
+        ways = row_ways(region, end)
+        assert len(ways.torque) == parts
+        torque, length = (np.concatenate(arrays) for arrays in (ways.torque, ways.length))
+        assert (torque[0], length[0]) == (0.0, pytest.approx(0.0, abs=1e-9))
+        assert torque[-1] == pytest.approx(end, rel=1e-12)
+        assert np.min(np.diff(torque)) > -1e-9 * end
+        assert float(np.max(torque)) <= end * (1.0 + 1e-12)
+
+
 def test_rows_crowd_where_currents_rise_like_a_root() -> None:
     """Without magnets the currents go with the root of the torque: even steps of the currents."""
     nodes = line_nodes(lambda t: (np.sqrt(t), np.sqrt(t)), 1.0, 16)
