@@ -112,7 +112,8 @@ def cases(path: str, line: int, reached: set[str]) -> dict[str, int]:
     """
     name = _changed(path, line)
     steps = {name: 0}
-    wave, found = [name], {}
+    wave = [name]
+    found: dict[str, int] = {}
     while wave:
         coming = []
         for used in wave:
