@@ -24,6 +24,7 @@ from dqforge.optimizer.curves.integer_polynomial import (
     FixedPolynomial,
     FixedSegment,
     _changes,
+    _with_pairs,
     fit_fixed,
     overflows,
 )
@@ -199,6 +200,11 @@ def test_directions_of_the_search_change_no_result_by_more_than_one_code() -> No
         values = np.polynomial.Polynomial(powers)(x)
         inner = np.clip(x / 150.0 - 1.0, -1.0, 1.0)
         assert values == pytest.approx(np.cos(order * np.arccos(inner)), abs=1e-9)
+
+
+def test_pairs_of_directions_are_their_sums_and_differences() -> None:
+    found = _with_pairs(np.array([[1.0, 0.0], [0.0, 2.0]]))
+    assert found.tolist() == [[1.0, 0.0], [0.0, 2.0], [1.0, 2.0], [1.0, -2.0]]
 
 
 def test_search_beats_rounding() -> None:
