@@ -46,6 +46,9 @@ def test_starts_beside_a_segmentation_keep_its_ends_and_rise() -> None:
             assert start[[0, -1]] == pytest.approx([0.0, 250.0], rel=1e-12)
             assert np.all(np.diff(start) > 0.0)
             assert not np.allclose(start, edges)
+    wider = [np.diff(start) / np.diff(edges) for start in _other_starts(edges)]
+    shares = [float(np.max(widths) / np.min(widths)) for widths in wider]
+    assert 2.0 < max(shares) < np.exp(1.6)
 
 
 def random_machine(generator: np.random.Generator) -> LinearMachine:
