@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from dqforge.optimizer.phase_control.phase_records import Alphabetazero
 from dqforge.optimizer.phase_control.shape_references import reference_at
 from dqforge.optimizer.steps.step_arithmetic import EXACT, Rotation
 
-MACHINE = SimpleNamespace(pole_pairs=4.0, psi_pm=0.1)
+MACHINE: Any = SimpleNamespace(pole_pairs=4.0, psi_pm=0.1)
 THETA = np.linspace(0.0, 2.0 * np.pi, 25)
 TURN = Rotation(np.cos(THETA), np.sin(THETA))
 # Back-EMF over the electrical speed: 0.1 V s of a sine, a fifth harmonic, and a zero sequence.
