@@ -302,7 +302,7 @@ def order(change: Change) -> tuple[str, ...]:
 
     @cache
     def worth(test: str) -> float:
-        return callers.alike(around, test) / (1.0 + cost.get(test, 0.0)) ** 0.5
+        return callers.alike(around, test) / math.sqrt(1.0 + cost.get(test, 0.0))
 
     def near(case: str) -> tuple[float, float, str, str]:
         test = case.partition("::")[0]
