@@ -42,13 +42,15 @@ def _git(*words: str) -> str:
 
 
 @cache
+def commit() -> str:
+    """The commit that is tested."""
+    return _git("rev-parse", "--short=12", "HEAD").strip() or "no commit"
+
+
+@cache
 def seed() -> str:
     """The commit that is tested, or what ``DQFORGE_SEED`` says."""
-    return (
-        os.environ.get("DQFORGE_SEED")
-        or _git("rev-parse", "--short=12", "HEAD").strip()
-        or "no commit"
-    )
+    return os.environ.get("DQFORGE_SEED") or commit()
 
 
 @cache

@@ -1,20 +1,21 @@
 """How many planted changes the tests notice: a mutation score over physics, proofs and emitted C.
 
 A change turns a sign, a factor, a comparison or a constant round, swaps two arguments, or drops a
-statement, in a place that a seed draws; the tests nearest to it then run in a copy of the tree, for
-so many seconds of processor time at most, and those farther away for as long again. What none of
-them notices is printed. What changes no number stands in `tests/equivalent_changes.toml`, with the
-reason, and is not counted.
+statement, in a place that a seed draws; the tests then run in a copy of the tree, those first that
+come to the place over the fewest names, until one fails, for so many seconds of processor time at
+most. What none of them notices is printed. What changes no number stands in
+`tests/equivalent_changes.toml`, with the reason, and is not counted.
 
     python tests/mutants.py 30                 thirty, drawn by the commit
     python tests/mutants.py 30 --within 150    as many of them as are begun in 150 s
     python tests/mutants.py 200 --seed a --against OLD_CHECKOUT
     python tests/mutants.py 100 --seed a --out OLD.json
-    python tests/mutants.py 100 --seed a --since OLD.json --evidence
+    python tests/mutants.py 100 --seed a --since OLD.json
+    python tests/mutants.py 40 --seed b --evidence
 
 ``--against`` plants the same changes in another checkout too, where their lines stand there once.
 ``--out`` goes on where an earlier run with the same file ended. ``--since`` asks first the case
-that noticed a change in an earlier run, and counts both runs; ``--evidence`` writes the counts to
+that noticed a change in an earlier run; ``--evidence`` adds the counts of a draw to those of
 `docs/project/evidence.md`.
 """
 
@@ -22,6 +23,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import gc
 import hashlib
 import itertools
 import json
@@ -33,15 +35,18 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import tomllib
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
+import callers
 import drawn_cases
 import house
 
@@ -57,6 +62,7 @@ COMPARISONS = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "==
 OF_C = {" + ": " - ", " - ": " + ", " * ": " / ", " < ": " >= ", " > ": " <= ", " <= ": " > "}
 # Of these the order of the arguments does not matter.
 SYMMETRIC = {"min", "max", "minimum", "maximum", "fmin", "fmax", "hypot", "gcd", "lcm"}
+COLUMNS = (*sorted(KINDS), "all")
 EVIDENCE = house.ROOT / "docs/project/evidence.md"
 MARKS = "<!-- planted changes -->", "<!-- end of planted changes -->"
 EQUIVALENT = Path(__file__).with_name("equivalent_changes.toml")
@@ -64,6 +70,12 @@ Span = Callable[["ast.expr | ast.stmt"], tuple[int, int]]
 # In place of a case, where the tests can no longer be loaded.
 LOADING = "loading"
 WAIT_S = 300.0
+# So many files of tests are asked anew of what runs while modules load.
+AT_LOAD = 12
+# Steps that a whole file of tests is taken to be away.
+WHOLE_FILE = 2
+# Lines on either side of a change whose words say which tests are about it.
+AROUND = 20
 SECONDS = itertools.count(1)
 NUMBER_OF_C = re.compile(r"(?<![\w.])\d+\.\d+F\b")
 
@@ -259,32 +271,8 @@ def drawn(found: list[Change], number: int, seed: str) -> list[Change]:
 
 
 @cache
-def nearest(path: str) -> tuple[str, ...]:
-    """The tests of a file: its own first, then those that import it, then those of its room.
-
-    A template is imported with the modules that name it.
-    """
-    module = path.removesuffix(".py").replace("/", ".")
-    room, name = path.split("/")[1], Path(path).name
-    loads = {module}
-    if path.endswith(".j2"):
-        texts = ((module, file.read_text("utf-8")) for module, file in house.modules().items())
-        loads = {module for module, text in texts if name in text}
-    own = house.own_test(module)
-    cost = drawn_cases.kept_costs()
-    loading = sorted(test for test, loaded in house.tests().items() if loads & loaded)
-    beside = (test for test in house.tests() if test.split("/")[2:-1][:1] == [room])
-    ordered = sorted(beside, key=lambda test: (cost.get(test, 0.0), test))
-    by_distance = [own, *sorted(loading, key=lambda test: cost.get(test, 0.0)), *ordered]
-    return tuple(dict.fromkeys(test for test in by_distance if test in house.tests()))
-
-
-@cache
-def farther(path: str) -> tuple[str, ...]:
-    """The other tests that come to a file by way of what imports it, cheap ones first.
-
-    To a template they come by way of the modules beside it.
-    """
+def _loading(path: str) -> frozenset[str]:
+    """The modules that load a file, over whatever others; for a template, those beside it, too."""
     module, beside, _ = path.removesuffix(".py").replace("/", ".").partition(".templates.")
     reached = {name for name in house.modules() if name == module or name.startswith(module + ".")}
     if not beside:
@@ -293,10 +281,40 @@ def farther(path: str) -> tuple[str, ...]:
     while wider != reached:
         reached |= wider
         wider = reached | {name for name, used in house.imports().items() if used & reached}
-    coming = {test for test, loaded in house.tests().items() if loaded & reached}
+    return frozenset(reached)
+
+
+def order(change: Change) -> tuple[str, ...]:
+    """What is asked of a change, first what is likeliest to notice it soonest: functions of tests
+    that come to it by name, and whole files that import it, over whatever others.
+
+    Steps are counted by name; a whole file is as near as a function that is two steps away. The
+    file's own tests, those of its folder, of its room on another floor, and others follow each
+    other by a step. Of what is equally near, what is cheap and has the words around the change
+    comes first, file by file.
+    """
+    reached = _loading(change.path)
+    module = change.path.removesuffix(".py").replace("/", ".")
+    own, (floor, room, *_) = house.own_test(module), change.path.split("/")
     cost = drawn_cases.kept_costs()
-    others = coming - set(nearest(path))
-    return tuple(sorted(others, key=lambda test: (cost.get(test, 0.0), test)))
+    lines = (house.ROOT / change.path).read_text(encoding="utf-8").splitlines()
+    around = "\n".join(lines[max(0, change.line - AROUND) : change.line + AROUND])
+
+    @cache
+    def worth(test: str) -> float:
+        return callers.alike(around, test) / math.sqrt(1.0 + cost.get(test, 0.0))
+
+    def near(case: str) -> tuple[float, float, str, str]:
+        test = case.partition("::")[0]
+        _, *beside, _ = test.split("/")
+        away = 0 if test == own else 3
+        if away and beside[1:2] == [room]:
+            away = 1 if beside[:1] == [floor] else 2
+        return away + by_name.get(case, WHOLE_FILE), -worth(test), test, case
+
+    by_name = callers.cases(change.path, change.line, set(reached))
+    files = {test for test, loaded in house.tests().items() if loaded & reached}
+    return tuple(sorted(by_name.keys() | files, key=near))
 
 
 @dataclass(frozen=True, slots=True)
@@ -382,8 +400,8 @@ def _planted(path: Path, change: Change) -> Iterator[str]:
 def noticed(loaded: Loaded, change: Change, seconds: int, hint: str = "") -> str:
     """The case that fails with the change, and not without it; "" for none.
 
-    ``hint`` is asked first. After the nearest tests those farther away are asked, for as long
-    again; then, in a new process, the nearest once more, for what modules compute as they load.
+    ``hint`` is asked first. In the end a new process is asked, for what modules compute as they
+    load.
     """
     path = loaded.tree / change.path
 
@@ -395,13 +413,11 @@ def noticed(loaded: Loaded, change: Change, seconds: int, hint: str = "") -> str
                 return answer
             asked.unfit = loaded.unfit
 
-    near = nearest(change.path)
-    for tests in ([hint] if hint else [], near, farther(change.path)):
-        answer = first(loaded, tests)
-        if answer.failed:
-            return answer.failed
-    if not answer.loads:
-        return ""
+    tests = [*([hint] if hint else []), *order(change)]
+    answer = first(loaded, tests)
+    if answer.failed or not answer.loads:
+        return answer.failed
+    near = tuple(dict.fromkeys(test.partition("::")[0] for test in tests))[:AT_LOAD]
     with _planted(path, change):
         fresh = Loaded(loaded.tree, [test for test in near if (loaded.tree / test).is_file()])
         fresh.ask([], seconds)
@@ -448,20 +464,29 @@ def score(
     keeps = asked.out if title == "here" else None
     kept = json.loads(keeps.read_text(encoding="utf-8")) if keeps and keeps.is_file() else {}
     cases = {change.key: kept[change.key] for change in planted if change.key in kept}
-    left = [change for change in planted if change.key not in cases]
-    loaded = Loaded(tree, ["tests"]) if left else None
-    for change in left:
-        if loaded is None or time.monotonic() > ending:
-            break
-        case = noticed(loaded, change, asked.seconds, before.get(change.key, ""))
-        cases[change.key] = case
-        if keeps:
-            keeps.write_text(json.dumps(cases, indent=1) + "\n", encoding="utf-8")
-        if asked.verbose or not case:
-            said = f"{change.path}:{change.line}: {change.named}"
-            _say(f"{title}: {case or 'not noticed'}: {said}")
-    if loaded is not None:
+    left = deque(change for change in planted if change.key not in cases)
+
+    def work(root: Path) -> None:
+        loaded = Loaded(copied(tree, root), ["tests"])
+        while left and time.monotonic() < ending:
+            change = left.popleft()
+            case = noticed(loaded, change, asked.seconds, before.get(change.key, ""))
+            with one_at_a_time:
+                cases[change.key] = case
+                if keeps:
+                    keeps.write_text(json.dumps(cases, indent=1) + "\n", encoding="utf-8")
+                if asked.verbose or not case:
+                    said = f"{change.path}:{change.line}: {change.named}"
+                    _say(f"{title}: {case or 'not noticed'}: {said}")
         loaded.close()
+
+    one_at_a_time = threading.Lock()
+    with tempfile.TemporaryDirectory() as place, ThreadPoolExecutor(asked.processes) as threads:
+        for one in [
+            threads.submit(work, Path(place) / str(number))
+            for number in range(min(asked.processes, len(left)))
+        ]:
+            one.result()
     for kind, (count, whole) in tally(planted, cases).items():
         _say(f"{title}: {kind}: {share(count, whole)}")
     return cases
@@ -491,43 +516,55 @@ def share(count: int, whole: int) -> str:
 
 
 def lines_of_evidence(
-    every: list[Change],
-    planted: list[Change],
-    same: dict[str, str],
-    cases: dict[str, str],
-    before: dict[str, str],
-    seed: str,
+    page: str, planted: list[Change], same: dict[str, str], cases: dict[str, str], draw: list[str]
 ) -> str:
-    """Counts of each kind, before and now, and what no test notices."""
-    counted = {key: case for key, case in before.items() if key in cases}
-    places = Counter(change.kind for change in every)
-    left = Counter(change.kind for change in planted if change.key in same)
-    then, now = tally(planted, counted), tally(planted, cases)
+    """The table on the page with this draw in it, its commit and seed, the sum over fresh draws,
+    and what no test notices.
+
+    A draw is fresh where its seed has not been on the page: tests were written for the others.
+    """
     rows = [
-        f"Seed `{seed}`; with Wilson's interval at 95 %.",
-        "",
-        "| code | places | drawn | of which equivalent | noticed before | noticed |",
-        "|---|---|---|---|---|---|",
+        [cell.strip() for cell in line.strip("| ").split("|")]
+        for line in page.splitlines()
+        if line.startswith("| `")
     ]
-    for kind, (_, whole) in now.items():
-        of_all = kind == "all"
-        equal = left.total() if of_all else left[kind]
-        rows.append(
-            f"| {kind} | {places.total() if of_all else places[kind]} | {whole + equal} | {equal}"
-            f" | {share(*then[kind]) if counted else '-'} | {share(*now[kind])} |"
-        )
-    survivors = [change for change in planted if not cases.get(change.key, "tried")]
-    if survivors:
-        rows += ["", "What no default test notices:", ""]
-        rows += [f"* `{one.path}`: `{one.words}`: `{one.named}`" for one in survivors]
-    return "\n".join(rows)
+    rows = [row for row in rows if row[:2] != draw]
+    fresh = "no" if draw[1] in {row[1] for row in rows} else "yes"
+    now = tally(planted, cases)
+    counts = [f"{one} of {of}" for one, of in (now.get(kind, (0, 0)) for kind in COLUMNS)]
+    rows.append([*draw, fresh, *counts, str(sum(change.key in same for change in planted))])
+    both = [
+        [tuple(map(int, cell.split(" of "))) for cell in row[3:-1]]
+        for row in rows
+        if row[2] == "yes"
+    ]
+    sums = [tuple(map(sum, zip(*column, strict=True))) for column in zip(*both, strict=True)]
+    equal = sum(int(row[-1]) for row in rows if row[2] == "yes")
+    last = ["fresh", "", "", *(share(*one) for one in sums), str(equal)]
+    head = ["commit", "seed", "fresh", *COLUMNS, "equivalent"]
+    lines = [f"| {' | '.join(row)} |" for row in [head, ["---"] * len(head), *rows, last]]
+    ends = f" (seed {draw[1]})"
+    kept = [
+        line for line in page.splitlines() if line.startswith("* `") and not line.endswith(ends)
+    ]
+    kept += [
+        f"* `{one.path}`: `{one.words}`: `{one.named}`{ends}"
+        for one in planted
+        if not cases.get(one.key, "tried")
+    ]
+    survivors = ["", "What no default test noticed, when it was last tried:", "", *kept]
+    return "\n".join(lines + (survivors if kept else []))
 
 
-def write_evidence(lines: str) -> None:
-    """Put the lines between the marks of the page."""
+def write_evidence(
+    planted: list[Change], same: dict[str, str], cases: dict[str, str], seed: str
+) -> None:
+    """Put the draw between the marks of the page."""
     page = EVIDENCE.read_text(encoding="utf-8")
     start, _, rest = page.partition(MARKS[0])
-    _, _, after = rest.partition(MARKS[1])
+    between, _, after = rest.partition(MARKS[1])
+    draw = [f"`{drawn_cases.commit()}`", f"`{seed}`"]
+    lines = lines_of_evidence(between, planted, same, cases, draw)
     text = f"{start}{MARKS[0]}\n\n{lines}\n\n{MARKS[1]}{after}"
     EVIDENCE.write_text(text, encoding="utf-8")
 
@@ -538,6 +575,7 @@ def main() -> None:
     options.add_argument("number", type=int)
     options.add_argument("--seed", default=drawn_cases.seed())
     options.add_argument("--seconds", type=int, default=20, help="processor time per change")
+    options.add_argument("--processes", type=int, default=2, help="at once")
     options.add_argument("--within", type=float, default=math.inf, help="no new one after so long")
     options.add_argument("--against", type=Path, help="another checkout, for the same changes")
     options.add_argument("--out", type=Path, help="keeps which case noticed which change")
@@ -545,6 +583,7 @@ def main() -> None:
     options.add_argument("--evidence", action="store_true", help="write the counts to the page")
     options.add_argument("--verbose", action="store_true", help="print what was noticed, too")
     asked = options.parse_args()
+    gc.disable()
     every = changes(house.ROOT, files(house.ROOT))
     same = equivalent(every, tomllib.loads(EQUIVALENT.read_text(encoding="utf-8"))["change"])
     found = drawn(every, 2 * asked.number, asked.seed)
@@ -556,15 +595,13 @@ def main() -> None:
         both = [(change, other) for change, other in pairs if other is not None][: asked.number]
         planted = {"here": [pair[0] for pair in both], "there": [pair[1] for pair in both]}
     before = json.loads(asked.since.read_text(encoding="utf-8")) if asked.since else {}
-    with tempfile.TemporaryDirectory() as place:
-        for title, root in sides.items():
-            tree = copied(root, Path(place) / title)
-            counted = [change for change in planted[title] if change.key not in same]
-            cases = score(title, tree, counted, asked, before)
-            if asked.evidence and title == "here":
-                tried = [change for change in planted[title] if change.key in {*cases, *same}]
-                write_evidence(lines_of_evidence(every, tried, same, cases, before, asked.seed))
-            _say(f"{title}: {len(planted[title]) - len(counted)} more change no number")
+    for title, root in sides.items():
+        counted = [change for change in planted[title] if change.key not in same]
+        cases = score(title, root, counted, asked, before)
+        if asked.evidence and title == "here":
+            tried = [change for change in planted[title] if change.key in {*cases, *same}]
+            write_evidence(tried, same, cases, asked.seed)
+        _say(f"{title}: {len(planted[title]) - len(counted)} more change no number")
 
 
 def _there(change: Change, root: Path) -> Change | None:

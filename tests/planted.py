@@ -7,6 +7,7 @@ itself, a template or a command, finds the change there.
 
 from __future__ import annotations
 
+import cProfile
 import gc
 import json
 import os
@@ -17,7 +18,7 @@ import sys
 from collections import defaultdict
 from contextlib import suppress
 from pathlib import Path
-from types import CodeType, FrameType, FunctionType
+from types import CodeType, FunctionType
 from typing import Any, NoReturn
 
 import pytest
@@ -43,18 +44,15 @@ class Forks:
     def __init__(self, asked: int, answers: int) -> None:
         self.asked = os.fdopen(asked)
         self.answers = os.fdopen(answers, "w")
-        self.at_load: set[CodeType] = set()
         # What runs while modules load cannot be exchanged afterwards.
-        sys.setprofile(self._called)
-
-    def _called(self, frame: FrameType, event: str, _: object) -> None:
-        if event == "call":
-            self.at_load.add(frame.f_code)
+        self.loading = cProfile.Profile(subcalls=False, builtins=False)
+        self.loading.enable()
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Try change after change, each in a process that has everything loaded."""
-        sys.setprofile(None)
+        self.loading.disable()
+        self.at_load = {entry.code for entry in self.loading.getstats()}
         gc.unfreeze()
         self.functions = defaultdict(list)
         for thing in gc.get_objects():
@@ -65,7 +63,9 @@ class Forks:
         self.cases = defaultdict(list)
         for item in session.items:
             self.cases[item.nodeid.partition("::")[0]].append(item)
-            self.cases[item.nodeid].append(item)
+            self.cases[item.nodeid.partition("[")[0]].append(item)
+            if "[" in item.nodeid:
+                self.cases[item.nodeid].append(item)
         for line in self.asked:
             self.answers.write(json.dumps(self._answer(json.loads(line))) + "\n")
             self.answers.flush()
@@ -77,7 +77,7 @@ class Forks:
         """
         unfit = set(question["unfit"])
         named = (item for name in question["tests"] for item in self.cases.get(name, ()))
-        items = [item for item in named if item.nodeid not in unfit]
+        items = [item for item in dict.fromkeys(named) if item.nodeid not in unfit]
         mine, theirs = os.pipe()
         child = os.fork()
         if child == 0:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import tomllib
+from pathlib import Path
 
+import callers
 import house
 import mutants
 import pytest
@@ -58,3 +60,51 @@ def test_counts_come_with_their_interval() -> None:
     """Wilson's formula at 19 of 20, by hand: (0.95 + z^2/40 +- z sqrt(...)) / (1 + z^2/20)."""
     assert mutants.share(19, 20) == "19 of 20, 95 % (76 to 99 %)"
     assert mutants.share(0, 0) == "0 of 0"
+
+
+def test_what_comes_to_a_place_by_name_is_found_over_tables_and_templates(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    texts = {
+        "machines/a.py": "def f():\n    return 1.0\n",
+        "machines/b.py": "from dqforge.machines.a import f\nTABLE = {1: f}\n",
+        "machines/other.py": "def f():\n    return 2.0\n\ndef g():\n    return f()\n",
+        "reports/c.py": "def emitted():\n    return render('room/x.c.j2')\n",
+        "reports/room/templates/x.c.j2": '#include "y.c"\n',
+        "tests/test_all.py": "def test_one():\n    TABLE[1]()\n\ndef test_two():\n    f()\n\n"
+        "def test_three():\n    g()\n\ndef test_four():\n    emitted()\n",
+    }
+    for name, text in texts.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    monkeypatch.setattr(house, "ROOT", tmp_path)
+    for known in (house.modules, house.imports, house.tests, callers.users):
+        known.cache_clear()
+    try:
+        found = callers.cases("machines/a.py", 2, {"machines.a", "machines.b"})
+        assert found == {"tests/test_all.py::test_two": 0, "tests/test_all.py::test_one": 1}
+        included = callers.cases("reports/room/templates/y.c.j2", 1, {"reports.c"})
+        assert included == {"tests/test_all.py::test_four": 2}
+    finally:
+        for known in (house.modules, house.imports, house.tests, callers.users):
+            known.cache_clear()
+
+
+def test_draws_are_summed_where_they_are_fresh() -> None:
+    """Two draws of one seed count once, the first; a survivor that is noticed later is gone."""
+    one, two = (
+        mutants.Change("proofs", "a.py", 0, 1, "-", "+", line, f"a + {line}", 2) for line in (1, 2)
+    )
+    page = ""
+    for commit, cases, same in (
+        ("`a`", {one.key: ""}, {two.key: "a reason."}),
+        ("`b`", {one.key: "tests/x.py::y"}, {two.key: "a reason."}),
+    ):
+        page = mutants.lines_of_evidence(page, [one, two], same, cases, [commit, "`s`"])
+        assert ("a + 1" in page) == (commit == "`a`")
+    rows = [line for line in page.splitlines() if line.startswith("| ")]
+    assert rows[2:4] == [
+        "| `a` | `s` | yes | 0 of 0 | 0 of 0 | 0 of 0 | 0 of 1 | 0 of 1 | 1 |",
+        "| `b` | `s` | no | 0 of 0 | 0 of 0 | 0 of 0 | 1 of 1 | 1 of 1 | 1 |",
+    ]
+    assert "| 0 of 1, 0 % (0 to 79 %) | 1 |" in rows[4]

@@ -279,21 +279,6 @@ def _matrix(entries: FloatArray, size: int) -> FloatArray:
     return matrix
 
 
-def common_matrix(closed: FloatArray, weight: FloatArray) -> Proposal | None:
-    """P <= 1 with the largest t such that P - A_v^T P A_v >= t Q at every vertex.
-
-    Args:
-        closed: Closed loops A_v, shape (V, n, n).
-        weight: Q, shape (n, n).
-    """
-    size = closed.shape[-1]
-    unit = np.eye(size)
-    itself = Term(0, unit)
-    inequalities = [Inequality((itself, Term(0, matrix, -1.0)), slope=-weight) for matrix in closed]
-    inequalities.append(Inequality((Term(0, unit, -1.0),), constant=unit))
-    return solve_inequalities(inequalities, [size])
-
-
 def chained_matrices(
     links: Sequence[tuple[int, int, FloatArray]], weights: Sequence[FloatArray], *, count: int
 ) -> Proposal | None:

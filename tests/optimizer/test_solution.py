@@ -24,6 +24,16 @@ def test_each_axis_is_tuned_for_its_own_inductance() -> None:
     assert gains.i_d.ki == gains.i_q.ki == pytest.approx(6283.0 * 2e-3)
 
 
+def test_what_is_saved_is_a_share_of_the_loss_without_d_current() -> None:
+    """3/2 R (T / (3/2 p psi))^2 at i_d = 0; less with MTPA by no more than half."""
+    saving = solve_curves(make_design()).saving
+    assert saving is not None
+    i_q = saving.torque / (1.5 * IPM.pole_pairs * IPM.psi_pm)
+    assert saving.id0 == pytest.approx(1.5 * IPM.r_s * i_q**2, rel=1e-6)
+    assert saving.chosen == pytest.approx((1.0 - saving.relative) * saving.id0, rel=1e-9)
+    assert 0.05 < saving.relative < 0.5
+
+
 def test_braking_loses_as_much_as_driving_in_copper_and_less_voltage() -> None:
     """With -T the current is mirrored in i_q: the same copper and MOSFET conduction loss;
     r_s i_q helps the voltage.

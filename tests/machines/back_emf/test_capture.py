@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.back_emf.capture import analyse, analyse_period
-from dqforge.machines.back_emf.checks import Origin, check_certain
+from dqforge.machines.back_emf.checks import Origin, check_certain, check_displacements
 from dqforge.machines.back_emf.columns import BemfCapture, CaptureOptions, capture_from_tables
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.text_table import TextTable, read_table
@@ -732,3 +732,21 @@ def test_messages_stay_on_one_line_and_name_the_file() -> None:
     with pytest.raises(InputError) as caught:
         analyse(spoiled(lambda c, _: with_channel(c, 2, 0.1)))
     assert re.fullmatch(r"scope\.csv:2: [^\n]+", str(caught.value))
+
+
+@pytest.mark.parametrize(
+    ("lags", "words"),
+    [
+        ((2.0, 120.0), "channels 1 and 2 show the same"),
+        ((120.0, 358.0), "channels 1 and 3 show the same"),
+        ((240.0, 243.0), "channels 2 and 3 show the same"),
+        ((120.0, 60.0), "the wrong way round"),
+        ((90.0, 200.0), "what the probes were connected to"),
+    ],
+)
+def test_three_channels_that_are_no_phases_are_told_why(
+    lags: tuple[float, float], words: str
+) -> None:
+    phasors = np.exp(-1j * np.radians([0.0, *lags]))
+    with pytest.raises(InputError, match=words):
+        check_displacements(phasors, Origin("three.csv", np.array([], dtype=np.intp)))

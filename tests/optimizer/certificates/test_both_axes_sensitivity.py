@@ -11,7 +11,9 @@ from random_current_loops import drives_inside, random_boxes
 
 from dqforge.optimizer.certificates.both_axes_sensitivity import (
     SensitivitySearch,
+    _bounded_real,
     bound_sensitivity,
+    extended,
     sensitivities,
 )
 from dqforge.optimizer.certificates.cell_queue import (
@@ -19,6 +21,7 @@ from dqforge.optimizer.certificates.cell_queue import (
     CurrentLoopBox,
     find_certificate,
     loop_matrices,
+    lyapunov_frame,
     parameters_of,
 )
 from dqforge.optimizer.certificates.current_loop_proof import (
@@ -26,6 +29,7 @@ from dqforge.optimizer.certificates.current_loop_proof import (
     plain_certificate,
     plain_inputs,
 )
+from dqforge.optimizer.certificates.matrix_inequalities import Budget
 from dqforge.optimizer.loops.plants import current_loop
 from dqforge.optimizer.sampled_systems import loop_margins
 
@@ -89,6 +93,29 @@ def test_turned_voltages_stay_stable_up_to_the_angle_of_the_bound(number: int) -
             worst[share] = max(worst.get(share, 0.0), radius)
     assert worst[1.0] < 1.0
     assert worst[3.0] > 1.0
+
+
+def test_only_matrices_that_bound_the_middle_are_proposed() -> None:
+    """[A B; C 1]^T diag(P, 1) [A B; C 1] < diag(P, M^2 1) with M twice the value at all
+    frequencies, of the first P that is asked about."""
+    box = stable_pair()[0]
+    middle = np.mean(points_inside(box, 20), axis=0)[None]
+    square = (2.0 * float(sensitivities(box, middle)[0])) ** 2
+    closed = loop_matrices(box, middle)
+    asked: list[np.ndarray] = []
+
+    def taken(matrix: np.ndarray) -> bool:
+        asked.append(matrix)
+        return True
+
+    frame = lyapunov_frame(closed[0])
+    assert frame is not None
+    _bounded_real(extended(closed), frame, square, taken, Budget(10**6))
+    before, after = np.diag([0.0] * 6 + [square] * 2), np.diag([0.0] * 6 + [1.0] * 2)
+    before[:6, :6] = after[:6, :6] = asked[0]
+    whole = extended(closed)[0]
+    assert np.linalg.eigvalsh(asked[0]).min() > 0.0
+    assert np.linalg.eigvalsh(before - whole.T @ after @ whole).min() > 0.0
 
 
 @NUMBERS

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from random_current_loops import drives_inside, random_boxes
 
 from dqforge.optimizer.certificates.cell_queue import (
+    BoxDrive,
     Cell,
     Cut,
     Empty,
@@ -13,6 +16,10 @@ from dqforge.optimizer.certificates.cell_queue import (
     Refuted,
     Tree,
     Verdict,
+    _refuted,
+    largest_moduli,
+    loop_matrices,
+    parameters_of,
     search,
 )
 
@@ -67,3 +74,21 @@ def test_what_was_not_reached_stays_open() -> None:
     assert not tree.complete
     assert len(tree.open_cells) == 6
     assert sum(isinstance(verdict, Open) for verdict in tree.preorder()) == 6
+
+
+def test_a_drive_that_is_barely_unstable_refutes() -> None:
+    """Of drives by chance, those whose largest eigenvalue is between 1 and 1.2."""
+    rng, met = np.random.default_rng(4), 0
+    for box in random_boxes(40, 3, fast=True):
+        rows = drives_inside(box, rng, 20)
+        points = np.array([parameters_of(box, BoxDrive(*row)) for row in rows])
+        moduli = largest_moduli(loop_matrices(box, points))
+        for point, modulus in zip(points, moduli, strict=True):
+            found = _refuted(box, point[None], np.array([modulus]))
+            if 1.0 + 1e-6 < modulus < 1.2:
+                assert found is not None
+                assert found == pytest.approx(point, rel=1e-6)
+                met += 1
+            elif modulus < 1.0:
+                assert found is None
+    assert met > 3

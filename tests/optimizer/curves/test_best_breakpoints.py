@@ -19,6 +19,8 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, lar
 from dqforge.machines.names import FitForm, FitMethod
 from dqforge.optimizer.current_reference.fit import find_edges, fit_reference
 from dqforge.optimizer.curves.breakpoints import (
+    _beside,
+    _other_starts,
     level_edges,
     round_significant,
     search,
@@ -34,6 +36,19 @@ from dqforge.optimizer.curves.fitting import (
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 DEGREES = (2, 3, 4, 5, 6)
+
+
+def test_starts_beside_a_segmentation_keep_its_ends_and_rise() -> None:
+    edges = np.array([0.0, 40.0, 90.0, 250.0])
+    for starts in (_beside(edges), _other_starts(edges)):
+        assert len(starts) > 3
+        for start in starts:
+            assert start[[0, -1]] == pytest.approx([0.0, 250.0], rel=1e-12)
+            assert np.all(np.diff(start) > 0.0)
+            assert not np.allclose(start, edges)
+    wider = [np.diff(start) / np.diff(edges) for start in _other_starts(edges)]
+    shares = [float(np.max(widths) / np.min(widths)) for widths in wider]
+    assert 2.0 < max(shares) < np.exp(1.6)
 
 
 def random_machine(generator: np.random.Generator) -> LinearMachine:

@@ -23,6 +23,8 @@ from dqforge.optimizer.curves.integer_polynomial import (
     CodeScale,
     FixedPolynomial,
     FixedSegment,
+    _changes,
+    _with_pairs,
     fit_fixed,
     overflows,
 )
@@ -189,6 +191,20 @@ def test_sixteen_bits_cost_less_than_one_code(degree: int) -> None:
         assert getattr(large.errors, axis) == pytest.approx(getattr(real.errors, axis), rel=2e-2)
         assert getattr(small.errors, axis) <= getattr(real.errors, axis) + 0.8 * code
     assert small.errors.samples == in_integers(small).end + 1
+
+
+def test_directions_of_the_search_change_no_result_by_more_than_one_code() -> None:
+    """Chebyshev polynomials on the segment: cos(n arccos u), u from -1 to 1."""
+    x = np.linspace(0.0, 300.0, 61)
+    for order, powers in enumerate(_changes(4, 300)):
+        values = np.polynomial.Polynomial(powers)(x)
+        inner = np.clip(x / 150.0 - 1.0, -1.0, 1.0)
+        assert values == pytest.approx(np.cos(order * np.arccos(inner)), abs=1e-9)
+
+
+def test_pairs_of_directions_are_their_sums_and_differences() -> None:
+    found = _with_pairs(np.array([[1.0, 0.0], [0.0, 2.0]]))
+    assert found.tolist() == [[1.0, 0.0], [0.0, 2.0], [1.0, 2.0], [1.0, -2.0]]
 
 
 def test_search_beats_rounding() -> None:

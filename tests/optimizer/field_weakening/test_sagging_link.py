@@ -200,11 +200,11 @@ def test_the_least_flux_linkage_is_that_of_the_least_voltage(seed: int) -> None:
     assert domain.flux.flux_min >= 0.95 * left
 
 
-@pytest.mark.parametrize("over", [1.0, 5.0])
+@pytest.mark.parametrize(("over", "psi_pm"), [(1.0, 0.1), (5.0, 0.1), (1.0, 4.0)])
 def test_a_speed_that_the_least_voltage_cannot_have_is_refused_with_one_that_it_can(
-    over: float,
+    over: float, psi_pm: float
 ) -> None:
-    stiff = LinearMachine(4, 0.0, 1e-3, 1e-3, 0.1, 20.0, None)
+    stiff = LinearMachine(4, 0.0, 1e-2 * psi_pm, 1e-2 * psi_pm, psi_pm, 20.0, None)
     machine, v_max = with_drop(stiff, 0.13)
     fast = over * 120.0 / (1.0 - stiff.l_d * stiff.i_max / stiff.psi_pm)
     with pytest.raises(

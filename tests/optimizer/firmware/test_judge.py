@@ -20,7 +20,7 @@ from dqforge.optimizer.firmware.configuration import (
     SpeedController,
     SpeedEstimate,
 )
-from dqforge.optimizer.firmware.firmware_method import judge, least_damping
+from dqforge.optimizer.firmware.firmware_method import _rate, judge, least_damping
 from dqforge.optimizer.loops.loop_gains import analyse_current_loop
 
 # 48 V, 60 rpm/V (line to line, peak), 100 mOhm and 200 uH line to line, 15 pole pairs, 40 A rms.
@@ -260,3 +260,7 @@ def test_what_a_profile_or_a_machine_does_not_say_is_said() -> None:
     )
     observed = replace(STRUCTURES["pll"], observer=FluxObserver("its observer"))
     assert "own lag is not in the margins" in judge(observed, SCOOTER).remarks[0]
+
+
+def test_rates_are_said_in_both_units() -> None:
+    assert _rate(20.0 * math.pi) == "62.83 rad/s (10 Hz)"

@@ -21,6 +21,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.fixed_control.design import (
     FixedControlFit,
+    _require_bases,
     fit_control,
     quantised_loop,
     real_pi,
@@ -167,6 +168,19 @@ def test_wrong_sizes_of_bases_are_named(width: int) -> None:
     low = replace(design.control.bases, voltage=5.0, speed=1000.0)
     with pytest.raises(ValueError, match=r"control.per_unit.voltage: 5 V is too small a base"):
         fit_control(replace(design, control=replace(design.control, bases=low)), loops, None, width)
+
+
+@pytest.mark.parametrize(("voltage", "held"), [(1.001, True), (0.999, False)])
+def test_the_dc_link_and_its_headroom_fit_into_64_bases(voltage: float, held: bool) -> None:
+    design = make_design(IPM)
+    border = design.inverter.v_dc * 1.15 / 64.0
+    bases = replace(design.control.bases, voltage=voltage * border, speed=1000.0)
+    near = replace(design, control=replace(design.control, bases=bases))
+    if held:
+        _require_bases(near)
+    else:
+        with pytest.raises(InputError, match=r"control.per_unit.voltage: .* too small a base"):
+            _require_bases(near)
 
 
 def test_full_scale_of_the_speed_holds_field_weakening_too() -> None:

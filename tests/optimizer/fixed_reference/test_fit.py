@@ -13,6 +13,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.fixed_control.design import dc_link
 from dqforge.optimizer.fixed_reference.fit import (
+    _even,
     fit_line,
     fit_mesh,
     in_integers,
@@ -98,6 +99,30 @@ def test_a_row_lies_at_the_corner_of_the_domain() -> None:
     assert np.min(region.flux(nodes.i_d, nodes.i_q)) > region.flux_min * (1.0 - 1e-6)
     made = region.machine.torque(nodes.i_d, nodes.i_q)
     assert np.max(np.abs(made - nodes.torque[:, np.newaxis])) < 1e-6 * region.torque_max
+
+
+def test_ways_rise_from_rest_to_their_end_whether_they_turn_a_corner_or_not() -> None:
+    """Each part begins where the one before ended, at no current; the lengths rise with it."""
+    region = domain("small ipm").flux
+    corner = float(region.largest_torque(np.array([region.flux_min]))[0])
+    for end, parts in ((0.5 * corner, 1), (region.torque_max, 2)):
+        ways = row_ways(region, end)
+        assert len(ways.torque) == parts
+        torque, length = (np.concatenate(arrays) for arrays in (ways.torque, ways.length))
+        assert (torque[0], length[0]) == (0.0, pytest.approx(0.0, abs=1e-9))
+        assert torque[-1] == pytest.approx(end, rel=1e-12)
+        assert np.min(np.diff(torque)) > -1e-9 * end
+        assert float(np.max(torque)) <= end * (1.0 + 1e-12)
+
+
+def test_ways_are_divided_evenly_and_nodes_keep_apart_where_currents_rest() -> None:
+    at = np.linspace(2.0, 10.0, 81)
+    assert _even(3.0 * (at - 2.0), at, 4) == pytest.approx([2.0, 4.0, 6.0, 8.0, 10.0], rel=1e-12)
+    rests = np.maximum(at - 6.0, 0.0)
+    nodes = _even(rests, at, 4)
+    assert nodes[[0, -1]] == pytest.approx([2.0, 10.0])
+    assert np.all(np.diff(nodes) > 0.0)
+    assert nodes[1:] == pytest.approx([7.0, 8.0, 9.0, 10.0], abs=0.01)
 
 
 def test_rows_crowd_where_currents_rise_like_a_root() -> None:

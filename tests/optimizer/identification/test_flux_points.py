@@ -14,6 +14,7 @@ from dqforge.optimizer.identification.flux_points import (
     FluxFit,
     FluxRows,
     FluxTable,
+    _points,
     analyse_points,
     curl_of,
     levels_apart,
@@ -213,6 +214,15 @@ def test_what_gives_no_map(machine: MeasuredMap) -> None:
     assert "standstill" in points_fault(replace(rows, omega_e=0.0 * rows.omega_e))
     upright = (1j * rows.current.imag).astype(np.complex128)
     assert "1 levels of i_d" in points_fault(replace(rows, current=upright))
+
+
+def test_every_point_of_a_grid_has_a_label_that_its_mirror_image_shares() -> None:
+    d, q = np.meshgrid([-4.0, -2.0, 0.0], [1.0, 2.0, 3.0, 4.0])
+    grid = (d + 1j * q).ravel()
+    labels = _points(np.concatenate([grid, grid.conj()]))
+    assert np.array_equal(labels[: grid.size], labels[grid.size :])
+    assert np.unique(labels).size == grid.size
+    assert labels.min() >= 0
 
 
 def test_levels_and_mirrored_points() -> None:

@@ -66,6 +66,26 @@ def test_a_motor_that_contradicts_its_back_emf_identifies_nothing(
     assert slope.low < 0.0 < slope.high
 
 
+def test_no_interval_depends_on_the_unit() -> None:
+    """Voltages in mV: every flux linkage, inductance and end of an interval is a thousandfold."""
+    currents = np.repeat(np.linspace(0.0, -30.0, 6), 4)
+    speeds = np.tile(np.linspace(200.0, 700.0, 4), 6)
+    rng = np.random.default_rng(3)
+    flux = 5e-3 + 40e-6 * currents + rng.normal(0.0, 2e-6, 6).repeat(4)
+    voltage = speeds * flux + rng.normal(0.0, 1e-3, 24)
+    volts, millivolts = (
+        analyse_sweep(Sweep("run", currents, speeds, scale * voltage), None) for scale in (1.0, 1e3)
+    )
+    for key in ("magnet_flux", "inductance_d"):
+        one, other = volts.of(key), millivolts.of(key)
+        assert one is not None
+        assert other is not None
+        ends = (one.value, one.sigma, one.low, one.high)
+        assert (other.value, other.sigma, other.low, other.high) == pytest.approx(
+            [1e3 * end for end in ends], rel=1e-9
+        )
+
+
 def test_intervals_hold_the_truth_where_levels_differ() -> None:
     """Errors of a level that all its rows share, such as of the current: most of them."""
     currents = np.repeat(np.linspace(0.0, -30.0, 8), 6)

@@ -19,7 +19,7 @@ from dqforge.machines.names import ModulationName
 from dqforge.optimizer.losses.drive_budget import DriveBudget
 from dqforge.optimizer.losses.drive_comparison import Alternatives, compare_drives
 from dqforge.optimizer.modulation_choice.rule import decide, leaves
-from dqforge.optimizer.modulation_choice.solve import ModulationChoice, solve_choice
+from dqforge.optimizer.modulation_choice.solve import ModulationChoice, _grid, solve_choice
 
 NAMES: tuple[ModulationName, ...] = ("svpwm", "dpwm1", "dpwm3", "ddt-gdpwm", "spwm")
 SETTINGS = ChoiceSettings(
@@ -111,6 +111,14 @@ def test_nothing_on_a_fine_grid_beats_the_best_choice(name: str) -> None:
     assert choice.best.loss[both] == pytest.approx(
         least[both], rel=0.05
     )  # between the grid's frequencies
+
+
+def test_the_grid_rises_in_even_steps_from_zero_to_the_largest() -> None:
+    settings = CASES["ripple"]
+    for nodes, count in zip(
+        _grid(design(settings), settings), (settings.torques, settings.speeds), strict=True
+    ):
+        assert nodes == pytest.approx(nodes[-1] * np.arange(1, count + 1) / count, rel=1e-12)
 
 
 def test_more_questions_cost_less_and_none_beats_the_best() -> None:

@@ -273,6 +273,20 @@ def test_means_and_losses_are_those_of_the_carrier_drive(tmp_path: Path) -> None
     assert pulsed.copper - copper == pytest.approx(3.0 * 0.8 * pulsed.ripple_current**2, rel=1e-6)
 
 
+def test_patterns_of_three_pulses_hold_the_mean_current_at_their_frequency() -> None:
+    """Three pulses to an electrical period, each leg; the currents of the phasors in the mean."""
+    design = feedback_design("trajectory", "control.current_loop.pulses=3")
+    speed = 500.0
+    scenario = Scenario(
+        0.08, "current", constant(4.0), shaft=constant(speed), omega_m=speed, dead_time=0.0
+    )
+    figures = _figures(simulate_feedback(replace(design, simulation=scenario)).run)
+    electrical = design.machine.pole_pairs * speed / (2.0 * math.pi)
+    assert figures.tail_frequency == pytest.approx(3.0 * electrical, rel=0.05)
+    assert figures.i_q == pytest.approx(4.0, abs=0.4)
+    assert figures.i_d == pytest.approx(0.0, abs=0.4)
+
+
 def test_comparators_that_chatter_are_refused() -> None:
     design = feedback_design("ramp-comparison", "control.current_loop.kp=500 V/A")
     with pytest.raises(NoSolutionError, match="comparator_band"):

@@ -43,6 +43,21 @@ def runs(
     return list(found.every)
 
 
+def test_what_a_step_in_integers_logs_is_what_the_machine_has() -> None:
+    """References turned back to the axes of the rotor, as the currents that follow them."""
+    scenario = Scenario(
+        0.02, "torque", constant(1.0), shaft=constant(78.5), omega_m=78.5, dead_time=0.0
+    )
+    design = designed("table", scenario, "six-leg")
+    alone = replace(design, export=replace(design.export, control=("q15",)))
+    run = simulate_design(alone).run
+    assert run.torque_reference[2:] == pytest.approx(1.0, abs=1e-3)
+    assert run.torque[100:] == pytest.approx(1.0, abs=0.1)
+    assert np.mean(run.i_q_reference[100:]) == pytest.approx(np.mean(run.i_q[100:]), rel=0.03)
+    assert run.i_q_reference[100:] == pytest.approx(run.i_q[100:], abs=0.15)
+    assert run.i_d_reference[100:] == pytest.approx(run.i_d[100:], abs=0.15)
+
+
 @pytest.mark.slow
 def test_torque_control_in_integers_holds_the_torque() -> None:
     scenario = Scenario(

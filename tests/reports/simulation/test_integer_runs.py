@@ -85,6 +85,30 @@ def peak(run: Simulation) -> float:
     return float(run.figures.peak_current[0])
 
 
+def test_what_a_step_in_integers_logs_is_what_the_machine_has() -> None:
+    """Currents as the references, the torque as asked for, and the voltage of the phasors
+    (r_s + j omega L) i + j omega psi.
+    """
+    base = catalogue.load("abb-ipmsm-2k2")
+    scenario = Scenario(
+        0.03, "torque", constant(5.0), shaft=constant(50.0), omega_m=50.0, dead_time=0.0
+    )
+    export = replace(base.export, control=("q15",))
+    run = simulate_design(
+        replace(base, losses=None, weakening=None, export=export, simulation=scenario)
+    ).run
+    machine, omega_e = base.machine, 50.0 * base.machine.pole_pairs
+    assert isinstance(machine, LinearMachine)
+    i_d, i_q = float(run.i_d[-1]), float(run.i_q[-1])
+    assert (run.i_d_reference[-1], run.i_q_reference[-1]) == pytest.approx((i_d, i_q), abs=0.02)
+    assert run.torque_reference[-1] == pytest.approx(5.0, abs=1e-3)
+    assert run.torque[-1] == pytest.approx(5.0, abs=0.02)
+    v_d = machine.r_s * i_d - omega_e * machine.l_q * i_q
+    v_q = machine.r_s * i_q + omega_e * (machine.l_d * i_d + machine.psi_pm)
+    held = float(np.hypot(run.v_alpha[-1], run.v_beta[-1]))
+    assert held == pytest.approx(math.hypot(v_d, v_q), rel=0.01)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("i_d", [0.0, -2.0, -5.0])
 def test_currents_that_the_link_cannot_make_stay_as_small_as_in_float32(

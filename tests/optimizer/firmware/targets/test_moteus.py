@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drives import RELUCTANCE
+from drives import IPM, RELUCTANCE
 from firmware_asked import SCOOTER, TWO_PI, asked_of, random_asked, scooter
 from firmware_loops import assert_current_loops_hold
 from saturated import ArctanMachine
@@ -119,6 +119,10 @@ def test_the_slope_of_the_d_inductance_is_that_of_the_chord() -> None:
 
     held = configure(asked_of(Straight(), v_dc=500.0))
     assert held.own["motor.inductance_d_scale"] == pytest.approx(slope, rel=1e-6)
+
+
+def test_a_machine_without_saturation_has_no_slope() -> None:
+    assert configure(asked_of(IPM, v_dc=400.0)).own["motor.inductance_d_scale"] == 0.0
 
 
 def test_saturation_is_fitted_and_its_error_told() -> None:

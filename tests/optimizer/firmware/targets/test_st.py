@@ -223,6 +223,15 @@ def test_carriers_beyond_16_bits_are_scaled() -> None:
     assert ST.configure(asked(fast)).own["PWM_FREQ_SCALING"] == 2
 
 
+@pytest.mark.parametrize(("dead_time", "ns"), [(None, 0), (800e-9, 800)])
+def test_a_dead_time_is_in_nanoseconds_and_none_is_nothing(
+    dead_time: float | None, ns: int
+) -> None:
+    base = base_design()
+    design = replace(base, inverter=replace(base.inverter, dead_time=dead_time))
+    assert ST.configure(asked(design)).own["SW_DEADTIME_NS"] == ns
+
+
 def test_shortfalls_have_prices_in_numbers() -> None:
     for wish in random_asked(20, 7):
         for short in ST.shortfalls(wish, ST.configure(wish)):
