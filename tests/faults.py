@@ -548,10 +548,7 @@ class Warm:
             return f"left half moved: code {ended.code}, {ended.err!r}"
         if case.fault not in _STUCK and not two:
             hidden = found.keys() - shown(found).keys() - old.keys() - new.keys()
-            # a step that fails, or is cut off, may be the one that removes what is temporary
-            cut = case.fault in {"broken", "interrupt", "term", "terminated"}
-            folder = self.place.root / "tmp"
-            left = [path.name for path in folder.iterdir() if not (cut and path.is_dir())]
+            left = [path.name for path in (self.place.root / "tmp").iterdir()]
             if hidden or left:
                 return f"left behind: {sorted(hidden)} {left}"
         return ""

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from dqforge import __version__
 from dqforge.machines.errors import InputError, VerificationError
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.records import dataclass
 from dqforge.reports.operating_system import system
 from dqforge.reports.operating_system.host_compiler import (
@@ -402,8 +403,7 @@ def try_compiler(language: Language) -> Trial:
     try:
         compiler = require_compiler(language)
         name, path = compiler.name, compiler.command[0]
-        with tempfile.TemporaryDirectory(prefix="dqforge-") as place:
-            folder = Path(place)
+        with scratch_folder() as folder:
             source = system.c_source("trial.c")
             (folder / "trial.c").write_text(source, encoding="ascii", newline="\n")
             flags = (f"-std={_STANDARDS[language]}", *_FLAGS)
