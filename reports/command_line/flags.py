@@ -408,6 +408,18 @@ Out = Annotated[
 NoVerify = Annotated[bool, Option("--no-verify", help="Skip compiling and running the header.")]
 
 
+Sign = Annotated[
+    str | None,
+    _text("--sign", "COMMAND", "Signs the list of hashes, e.g. 'minisign -Sm {}'."),
+]
+
+
+Signature = Annotated[
+    str | None,
+    _text("--signature", "COMMAND", "Checks it first, e.g. 'minisign -Vm {} -p key.pub'."),
+]
+
+
 Source = Annotated[
     list[Path] | None,
     _text("--from", "FILE", "Configuration file of other firmware to start from; repeatable."),
