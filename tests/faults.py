@@ -70,7 +70,7 @@ dqforge_study: 1
 name: Resistances
 design: {DRIVE}
 vary:
-  machine.resistance: {{range: {{from: 2 Ohm, to: 3 Ohm, count: 20, spacing: linear}}}}
+  machine.resistance: {{range: {{from: 2 Ohm, to: 3 Ohm, count: 22, spacing: linear}}}}
   machine.inertia: {{range: {{from: 1e-4 kg m^2, to: 3e-4 kg m^2, count: 50, spacing: linear}}}}
 outputs: [gains.i_q.phase_margin]
 """
