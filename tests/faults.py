@@ -777,7 +777,9 @@ def main(words: list[str]) -> int:
     failed: list[str] = []
     counts: Counter[str] = Counter()
     took: dict[str, float] = defaultdict(float)
-    with tempfile.TemporaryDirectory(prefix="faults-") as root:
+    # Ctrl-C ends it with what has been tried.
+    folder = tempfile.TemporaryDirectory(prefix="faults-")
+    with folder as root, suppress(KeyboardInterrupt):
         for case in sorted(cases, key=lambda case: case.command):
             began = time.monotonic()
             wrong = tried(str(case), Path(root))

@@ -498,7 +498,8 @@ def _swap(
     # It is new from here on: what cannot be flushed or removed any more is left to the next run.
     with suppress(OSError):
         flush_folder(folder.parent)
-        if exists:
+    if exists:
+        with suppress(OSError):
             _retire(sibling, folder, own)
 
 
