@@ -526,11 +526,19 @@ def _replace_inside(
     except BaseException:
         shutil.rmtree(staged, ignore_errors=True)
         raise
+    try:
+        _move_in(folder, superseded, marker)
+    except OSError:  # once more: what is refused once may pass, and half moved helps nobody
+        _move_in(folder, superseded, marker)
+    remove_empty_folders(folder, superseded)
+
+
+def _move_in(folder: Path, superseded: Collection[str], marker: str) -> None:
     flush_folder(folder)
     for name in superseded:
         (folder / name).unlink(missing_ok=True)
-    finish_pending(folder, marker)
-    remove_empty_folders(folder, superseded)
+    if (folder / PENDING).is_dir():
+        finish_pending(folder, marker)
 
 
 def remove_empty_folders(folder: Path, names: Collection[str]) -> None:
