@@ -7,7 +7,7 @@ DEMO_DESIGN ?= paper000-ipmsm-100kw
 # Modules are compiled once, when they are installed and when they change, not by each process.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo demo-run demo-currents demo-salient-currents test importers campaign faults forged drawn-campaign coverage costs times drawn-times check lint types contracts format figures fuzz mutants sessions numbers docs page-checks page-drives wheel sbom schemas site-checks lock clean
+.PHONY: demo demo-run demo-currents demo-salient-currents test importers campaign faults forged drawn-campaign coverage costs times drawn-times check lint types contracts format figures fuzz fuzz-commands mutants sessions numbers docs page-checks page-drives wheel sbom schemas site-checks lock clean
 
 demo: $(VENV)/runtime.stamp
 	@mkdir -p out
@@ -63,6 +63,10 @@ costs: $(VENV)/dev.stamp
 MINUTES ?= 10
 fuzz: $(VENV)/fuzz.stamp
 	$(BIN)/python tests/fuzz.py --minutes $(MINUTES)
+
+# Command lines that no one would write: every command and option of the parser with hostile values.
+fuzz-commands: $(VENV)/dev.stamp
+	$(BIN)/python tests/command_lines.py --minutes $(MINUTES)
 
 # Commands that are killed, starved and met by others while they write, and folders that are forged with care: so many,
 # drawn by the commit. What fails is kept in tests/corpus, a line each.

@@ -69,13 +69,14 @@ def run(
     no_verify: given.NoVerify = False,
     sets: given.Set = None,
     json: given.Json = False,
+    sign: given.Sign = None,
 ) -> None:
     """Solve, export, verify and report a design.
 
     Everything the design requests: headers, test vectors, verification, report, result.json.
     """
     ask = partial(answers.run.answer_run, verify=not no_verify)
-    respond("run", lambda: ask(load(design, sets)), json, out=out, default=True)
+    respond("run", lambda: ask(load(design, sets)), json, out=out, default=True, sign=sign)
 
 
 @app.command()
@@ -87,20 +88,16 @@ def export(
     json: given.Json = False,
     firmware: given.For = None,
     into: given.Into = None,
+    sign: given.Sign = None,
 ) -> None:
     """Write and verify headers, or a firmware's file.
 
     Headers with their test vectors, or with --for the file that another firmware imports.
     """
     place = into.parent if out is None and into is not None else out
-    ask = partial(
-        answers.run.answer_export,
-        verify=not no_verify,
-        firmware=firmware,
-        into=into,
-        elsewhere=out is not None,
-    )
-    respond("export", lambda: ask(load(design, sets)), json, out=place, default=True)
+    ask = partial(answers.run.answer_export, verify=not no_verify, firmware=firmware, into=into)
+    ask = partial(ask, elsewhere=out is not None)
+    respond("export", lambda: ask(load(design, sets)), json, out=place, default=True, sign=sign)
 
 
 @app.command()
@@ -119,10 +116,12 @@ def verify(
     folder: given.Written,
     target: given.Core = None,
     independent: given.Independent = False,
+    signature: given.Signature = None,
     json: given.Json = False,
 ) -> None:
     """Check what was written, number by number."""
-    respond("verify", lambda: answers.verify.answer_verify(folder, target, independent), json)
+    ask = partial(answers.verify.answer_verify, folder, target, independent, signature)
+    respond("verify", ask, json)
 
 
 @app.command()
@@ -253,8 +252,9 @@ def simulate(
     In the time domain, with the emitted controller compiled and in the loop.
     """
     ask = partial(answers.simulate.answer_simulate, out=out, switched=switched)
-    bar = "simulating"
-    respond("simulate", lambda: ask(load(design, sets)), json, plot, out, default=True, bar=bar)
+    respond(
+        "simulate", lambda: ask(load(design, sets)), json, plot, out, default=True, bar="simulating"
+    )
 
 
 @app.command()

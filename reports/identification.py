@@ -5,10 +5,8 @@ leads to.
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +16,7 @@ from dqforge.machines.bench.bench_file import Bench
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.transforms import in_rpm
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.identification.bench_plan import BenchPlan
@@ -318,10 +317,10 @@ def design_of(found: Identification) -> tuple[bytes | None, str]:
     data = _design(found)
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100).encode()
     try:
-        with tempfile.TemporaryDirectory() as folder:
+        with scratch_folder() as folder:
             if found.flux is not None:
-                (Path(folder) / MAP_NAME).write_bytes(map_csv(found.flux.table))
-            load_text(text, "design.yaml", Path(folder))
+                (folder / MAP_NAME).write_bytes(map_csv(found.flux.table))
+            load_text(text, "design.yaml", folder)
     except InputError as error:
         reason = "; ".join(str(one.message) for one in (error, *error.others))
         return None, f"no design.yaml is written: {reason}; write it under machine or inverter"

@@ -6,15 +6,17 @@ in one line, and the next run works.
 
 A process with everything loaded is forked for each. The fault comes at a step (something below the
 folder is opened to be written, made, renamed, removed, flushed, or a compiler is started) or at a
-moment, both drawn over the length of an undisturbed run. What fails is kept, a line each, in
-`tests/corpus/faults`, which `tests/test_corpus.py` tries again. The seed is the commit, or
-``DQFORGE_SEED``.
+moment, when the command, a worker or the scheduler of its study is killed; both are drawn over the
+length of an undisturbed run. What fails is kept, a line each, in `tests/corpus/faults`, which
+`tests/test_corpus.py` tries again. The seed is the commit, or ``DQFORGE_SEED``.
 """
 
 from __future__ import annotations
 
+import atexit
 import errno
 import io
+import math
 import os
 import random
 import shlex
@@ -33,7 +35,10 @@ from pathlib import Path
 from typing import Any
 
 import drawn_cases
+import fuzz
+import psutil
 from kept_failures import Campaign
+from study_clusters import Cluster
 
 KEPT = Campaign(
     "faults",
@@ -45,12 +50,27 @@ OTHER = "--set machine.resistance=2.2Ohm"
 PENDING, MANIFEST = ".dqforge-swap", "dqforge-manifest.json"
 LONGEST_S = 120.0
 
+CAPTURE = b"t [ms];u [V];v [V];w [V]\n" + b"".join(
+    ";".join(
+        f"{x:.5f}" for x in (0.1 * k, *(9 * math.sin(0.0628 * k - 2.0944 * n) for n in range(3)))
+    ).encode()
+    + b"\n"
+    for k in range(500)
+)
+# A machine of 0.1 Ohm and 10 mWb in both directions.
+LOG = b"time [s],id [A],iq [A],uq [V],w [rad/s],T [N m]\n" + b"".join(
+    f"{0.1 * k:.2f},0,{i},{0.1 * i + 0.04 * w:.4f},{w},{0.06 * i:.4f}\n".encode()
+    for k, (i, w) in enumerate(
+        (k % 7 - 3, (20 + 5 * (k % 9)) * (-1) ** (k // 20)) for k in range(40)
+    )
+)
+BENCH = fuzz.BENCH.replace(b"inertia:", b"inductance: 1 mH, inertia:")
 STUDY = f"""\
 dqforge_study: 1
 name: Resistances
 design: {DRIVE}
 vary:
-  machine.resistance: {{range: {{from: 2 Ohm, to: 3 Ohm, count: 60, spacing: linear}}}}
+  machine.resistance: {{range: {{from: 2 Ohm, to: 3 Ohm, count: 22, spacing: linear}}}}
   machine.inertia: {{range: {{from: 1e-4 kg m^2, to: 3e-4 kg m^2, count: 50, spacing: linear}}}}
 outputs: [gains.i_q.phase_margin]
 """
@@ -67,22 +87,36 @@ class Command:
         whole: How it is tried: the whole of it, what it has computed already written, or both.
         once: Whether it refuses to write over what is there.
         parts: Whether what it wrote until a fault is kept, and continued.
+        files: What lies there before everything, by name.
+        beside: Processes that it works with: ``workers`` of its own, or a ``cluster``.
     """
 
     words: str
     earlier: str = ""
     setup: tuple[str, ...] = ()
-    whole: tuple[bool, ...] = (False, False, False, False, False, True)
+    whole: tuple[bool, ...] = (*[False] * 19, True)
     once: bool = False
     parts: bool = False
+    files: tuple[tuple[str, bytes], ...] = ()
+    beside: str = ""
 
     @property
     def always_whole(self) -> bool:
         """Whether it writes while it computes."""
         return False not in self.whole
 
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What can happen to it."""
+        lost = {"": (), "workers": LOST[:1], "cluster": LOST}[self.beside]
+        usual = FAULTS[: -len(LOST)] if not self.beside else (*SIGNALS, *AT_A_MOMENT)
+        return tuple(each for each in usual if each != "compiler" or True in self.whole) + lost
+
 
 WRITING = (False,)
+_STUDY_FILE = (("study.yaml", STUDY.encode()),)
+_BENCH_FILES = (("bench.yaml", BENCH), ("log.csv", LOG))
+_SIGN = "--sign 'cp {} {}.sig'"
 _EXPLORE = "explore study.yaml -o out --workers 1"
 _EXPORT = f"export {DRIVE} -o out"
 _FOR = f"export {DRIVE} --for simplefoc -o out"
@@ -102,11 +136,25 @@ COMMANDS = {
     "reproduce": Command("reproduce 002 --figures out", "reproduce 001 --figures out", (), WRITING),
     "estimators": Command(f"estimators {DRIVE} -o out", "", (), WRITING),
     "plan": Command("identify --plan hoverboard-hub -o out"),
-    "explore": Command(_EXPLORE, whole=(True,), parts=True),
+    "identify": Command("identify bench.yaml -o out", files=_BENCH_FILES),
+    "capture": Command("bemf capture.csv --plot drawn.svg", whole=WRITING, files=(
+        ("capture.csv", CAPTURE),
+    )),
+    "signed": Command(f"{_EXPORT} {_SIGN}", f"{_EXPORT} {OTHER} {_SIGN}"),
+    "currents": Command(f"mtpa {DRIVE} --plot drawn.svg", f"mtpa {DRIVE} --plot drawn.svg {OTHER}"),
+    "fitted": Command(f"fit {DRIVE} --plot data.csv", f"fit {DRIVE} --plot data.csv {OTHER}"),
+    "shaped": Command("dqy paper002-phase-waveforms --plot data.csv", whole=WRITING),
+    "explore": Command(_EXPLORE, whole=(True,), parts=True, files=_STUDY_FILE),
+    "workers": Command("explore study.yaml -o out --workers 2", whole=(True,), parts=True,
+        files=_STUDY_FILE, beside="workers",
+    ),
+    "cluster": Command("explore study.yaml -o out --scheduler-file ../scheduler.json",
+        whole=(True,), parts=True, files=_STUDY_FILE, beside="cluster",
+    ),
     "table": Command("explore out --csv rows.csv", "explore out --csv rows.csv --first 2", (
         _EXPLORE,
-    ), (True,)),
-    "winner": Command("explore out --export row:2", "", (_EXPLORE,), (True,)),
+    ), (True,), files=_STUDY_FILE),
+    "winner": Command("explore out --export row:2", "", (_EXPLORE,), (True,), files=_STUDY_FILE),
 }  # fmt: skip
 
 # What happens, and the error that every step from there on raises, or one alone.
@@ -118,7 +166,8 @@ SIGNALS = {
     "interrupt": signal.SIGINT,
 }
 AT_A_MOMENT = {"killed": signal.SIGKILL, "terminated": signal.SIGTERM}
-FAULTS = (*LASTING, *ONCE, *SIGNALS, *AT_A_MOMENT, "disk", "two", "compiler", "clock")
+LOST = ("worker", "scheduler")
+FAULTS = (*LASTING, *ONCE, *SIGNALS, *AT_A_MOMENT, "disk", "two", "compiler", "clock", *LOST)
 _SILENT = ("kill", "killed")
 # Where nothing can be removed any more, what was begun stays until the next run.
 _STUCK = (*_SILENT, "readonly", "denied")
@@ -156,8 +205,9 @@ def drawn(count: int, seed: str, commands: tuple[str, ...] = tuple(COMMANDS)) ->
     pairs = [
         (command, fault)
         for command in commands
-        for fault in FAULTS
-        if fault != "compiler" or True in COMMANDS[command].whole
+        for fault in COMMANDS[command].faults
+        # what compiles, or starts processes, takes ten times as long as what only writes
+        for _ in range(1 if COMMANDS[command].beside or fault == "compiler" else 3)
     ]
     chance.shuffle(pairs)
     for k in range(count):
@@ -166,6 +216,11 @@ def drawn(count: int, seed: str, commands: tuple[str, ...] = tuple(COMMANDS)) ->
         whole = fault == "compiler" or chance.choice(about.whole)
         over = bool(about.earlier) and chance.random() < 0.7
         yield Case(command, fault, chance.random(), whole, over, chance.random() < 0.7)
+
+
+def _computes(process: psutil.Process) -> bool:
+    """Whether it is a worker, and not what watches over one."""
+    return "--multiprocessing-fork" in process.cmdline()
 
 
 Tree = dict[str, bytes]
@@ -296,6 +351,26 @@ class Place:
 
     root: Path
     answers: dict[str, Any] = field(default_factory=dict)
+    clusters: list[Cluster] = field(default_factory=list)
+
+    def cluster(self) -> Cluster:
+        """A scheduler with a worker, others in the place of those that were lost."""
+        if not self.clusters or self.clusters[-1].scheduler.poll() is not None:
+            for lost in self.clusters:
+                lost.close()
+            found = Cluster(self.root / f"cluster-{len(self.clusters)}")
+            self.clusters.append(found)
+            atexit.register(found.close)
+            found.start_worker()
+            shutil.copy(found.file, self.root / "scheduler.json")
+        return self.clusters[-1]
+
+    def own(self, child: int) -> list[psutil.Process]:
+        """Processes that compute for a command."""
+        with suppress(psutil.NoSuchProcess):
+            each = psutil.Process(child).children(recursive=True)
+            return [one for one in each if _computes(one)]
+        return []
 
     @property
     def work(self) -> Path:
@@ -323,6 +398,8 @@ class Place:
         told = {name: self.root / f"{name}{tag}" for name in ("out", "err", "steps")}
         for path in told.values():
             path.unlink(missing_ok=True)
+        if "--scheduler-file" in words:
+            self.cluster()
         child = os.fork()
         if child:
             return child
@@ -376,18 +453,23 @@ class Place:
         return code if isinstance(code, int) else 97
 
     def end(
-        self, child: int, began: float, tag: str = "", kill: tuple[float, int] = (0, 0)
+        self,
+        child: int,
+        began: float,
+        tag: str = "",
+        after: float = 0.0,
+        strike: Callable[[int], bool] | None = None,
     ) -> Ended:
-        """Wait for a process, and send it a signal after some seconds if asked to."""
-        after, number = kill
+        """Wait for a process; after some seconds it is struck, again until that has done
+        something.
+        """
         while True:
             found, status = os.waitpid(child, os.WNOHANG)
             if found:
                 break
             passed = time.monotonic() - began
-            if number and passed >= after:
-                os.kill(child, number)
-                number = 0
+            if strike is not None and passed >= after and strike(child):
+                strike = None
             if passed > LONGEST_S:
                 os.kill(child, signal.SIGKILL)
             time.sleep(0.002)
@@ -416,13 +498,14 @@ class Warm:
         self.before: dict[bool, Tree] = {}
         self.after: dict[bool, Tree] = {}
         self.lengths: dict[tuple[bool, bool, bool], Ended] = {}
-        self.place.ready({"study.yaml": STUDY.encode()} if "explore" in self.about.words else {})
+        self.place.ready(dict(self.about.files))
         if name == "schema":
             (self.place.work / "out").mkdir()
         for words in self.about.setup:
             self._must(words)
         self.before[False] = tree(self.place.work)
-        self._answer(self.about.words)
+        if not self.about.beside:
+            self._answer(self.about.words)
         if self.about.earlier:
             self._answer(self.about.earlier)
             self.place.ready(self.before[False])
@@ -504,12 +587,48 @@ class Warm:
                 both = (place.end(child, began), place.end(other, second, "2"))
                 wrong = "".join(self.judged(case, ended, two=True) for ended in both)
             else:
-                number = AT_A_MOMENT.get(case.fault, 0)
-                ended = place.end(child, began, "", (case.share * usual.seconds, number))
-                wrong = self.judged(case, ended)
+                ended = place.end(child, began, "", case.share * usual.seconds, self.striking(case))
+                wrong = self.judged(case, ended) or self.running(child)
             if room:
                 room(100.0)
             return wrong or self.next_run(case)
+
+    def striking(self, case: Case) -> Callable[[int], bool] | None:
+        """What happens at the moment of a case; whether it has."""
+
+        def signalled(child: int) -> bool:
+            os.kill(child, AT_A_MOMENT[case.fault])
+            return True
+
+        def lost(child: int) -> bool:
+            if self.about.beside == "cluster":
+                cluster = self.place.cluster()
+                one = psutil.Process(cluster.running[-1].pid)
+                there = [cluster.scheduler] if case.fault == "scheduler" else one.children()
+            else:
+                there = self.place.own(child)
+            for each in there[:1]:
+                with suppress(psutil.NoSuchProcess):
+                    each.kill()
+            return bool(there)
+
+        if case.fault in AT_A_MOMENT:
+            return signalled
+        return lost if case.fault in LOST else None
+
+    def running(self, child: int) -> str:
+        """What still runs of a command that has ended, after a while."""
+        if self.about.beside != "workers":
+            return ""
+        until, left = time.monotonic() + 20.0, ["?"]
+        while left and time.monotonic() < until:
+            left = [
+                " ".join(one.info["cmdline"])[:80]
+                for one in psutil.process_iter(["cmdline", "cwd"])
+                if one.info["cwd"] == str(self.place.work) and one.pid != child
+            ]
+            time.sleep(0.05)
+        return f"still running: {left}" if left else ""
 
     def judged(  # noqa: PLR0911 - one for each fault
         self, case: Case, ended: Ended, *, two: bool = False
@@ -548,10 +667,7 @@ class Warm:
             return f"left half moved: code {ended.code}, {ended.err!r}"
         if case.fault not in _STUCK and not two:
             hidden = found.keys() - shown(found).keys() - old.keys() - new.keys()
-            # a step that fails, or is cut off, may be the one that removes what is temporary
-            cut = case.fault in {"broken", "interrupt", "term", "terminated"}
-            folder = self.place.root / "tmp"
-            left = [path.name for path in folder.iterdir() if not (cut and path.is_dir())]
+            left = [path.name for path in (self.place.root / "tmp").iterdir()]
             if hidden or left:
                 return f"left behind: {sorted(hidden)} {left}"
         return ""
@@ -661,7 +777,9 @@ def main(words: list[str]) -> int:
     failed: list[str] = []
     counts: Counter[str] = Counter()
     took: dict[str, float] = defaultdict(float)
-    with tempfile.TemporaryDirectory(prefix="faults-") as root:
+    # Ctrl-C ends it with what has been tried.
+    folder = tempfile.TemporaryDirectory(prefix="faults-")
+    with folder as root, suppress(KeyboardInterrupt):
         for case in sorted(cases, key=lambda case: case.command):
             began = time.monotonic()
             wrong = tried(str(case), Path(root))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import command_lines
 import faults
 import forged_folders
 import pytest
@@ -24,7 +25,7 @@ def test_inputs_are_answered_or_refused(reader: str) -> None:
 
 def test_kept_inputs_belong_to_a_reader() -> None:
     kept = {path.name for path in CORPUS.iterdir()} if CORPUS.is_dir() else set()
-    assert kept <= {*READERS, faults.KEPT.name, forged_folders.KEPT.name}
+    assert kept <= {*READERS, *(one.KEPT.name for one in (faults, forged_folders, command_lines))}
 
 
 def _by_default(line: str) -> bool:

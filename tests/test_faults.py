@@ -9,6 +9,7 @@ import drawn_cases
 import pytest
 from faults import AT_A_MOMENT, COMMANDS, FAULTS, Case, drawn, tried
 
+from dqforge import cli
 from dqforge.reports.command_line.flags import exit_code
 from dqforge.reports.operating_system.system import undisturbed
 
@@ -16,7 +17,7 @@ QUICK = ("schema", "new")
 
 
 def test_a_case_is_what_its_line_says() -> None:
-    cases = list(drawn(2 * len(COMMANDS) * len(FAULTS), "any"))
+    cases = list(drawn(3 * len(COMMANDS) * len(FAULTS), "any"))
     assert [str(Case.read(str(case))) for case in cases] == [str(case) for case in cases]
     assert {case.command for case in cases} == {*COMMANDS}
     assert {case.fault for case in cases} == {*FAULTS}
@@ -78,3 +79,25 @@ def test_faults_of_a_command_leave_old_or_new(command: str, tmp_path: Path) -> N
         if (wrong := tried(str(case), tmp_path))
     }
     assert failed == {}
+
+
+# Writes on a request, what `new` writes and in the same way (tests/reports/browser).
+_ON_REQUEST = ("serve",)
+_PLACES = {"out", "figures", "csv", "export", "into", "folder"}
+
+
+def test_every_command_that_writes_is_met_by_faults() -> None:
+    """By each option that names a place, and by its figure where it writes nothing else."""
+    words = [about.words.split() for about in COMMANDS.values()]
+    missing = []
+    for name, command in cli._command().commands.items():
+        given = {each.name: each.opts for each in command.params}
+        places = {key for key in given if key in _PLACES} or {"plot"} & given.keys()
+        if name == "verify" or name in _ON_REQUEST:
+            continue
+        for place in places:
+            met = [line for line in words if line[0] == name]
+            option = [flag for flag in given[place] if flag.startswith("-")]
+            if not any(not option or {*option} & {*line} for line in met):
+                missing.append((name, place))
+    assert missing == []

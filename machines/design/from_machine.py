@@ -10,10 +10,8 @@ from __future__ import annotations
 import hashlib
 import io
 import math
-import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,6 +22,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, torque_per_ampere
 from dqforge.machines.errors import InputError
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import linear_voltage
@@ -88,9 +87,9 @@ def make_design(
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=100).encode("utf-8")
     if not isinstance(machine, SaturatedMachine):
         return load_text(text, SOURCE)
-    with tempfile.TemporaryDirectory(prefix="dqforge-") as folder:
-        (Path(folder) / MAP_FILE).write_bytes(_map_bytes(machine.flux_map))
-        loaded = load_text(text, SOURCE, Path(folder))
+    with scratch_folder() as folder:
+        (folder / MAP_FILE).write_bytes(_map_bytes(machine.flux_map))
+        loaded = load_text(text, SOURCE, folder)
     return loaded if machine.flux_map.hull is None else _with_hull(loaded, machine)
 
 

@@ -17,6 +17,7 @@ from dqforge.reports.output.recomputation import (
     recompute,
     stored_proof_text,
 )
+from dqforge.reports.output.signatures import check_signature
 from dqforge.reports.pages.answer import Answer, stage
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.run import WrittenHeaders, read_folder, verify_written
@@ -27,12 +28,15 @@ from dqforge.reports.verification.independent import check_independently
 from dqforge.reports.verification.text import plain_verification, target_text, verification_text
 
 
-def answer_verify(folder: Path, target: str | None, independent: bool = False) -> Answer:
-    """Verify a folder, on an emulated core as well where one is named, and its certificate
-    by the independent checker where asked for.
+def answer_verify(
+    folder: Path, target: str | None, independent: bool = False, signature: str | None = None
+) -> Answer:
+    """Verify a folder, on an emulated core as well where one is named, its certificate by the
+    independent checker and its signature by a command where asked for.
 
     Raises:
-        InputError: The folder is not what dqforge writes, or there is no such core.
+        InputError: The folder is not what dqforge writes, the command refuses its signature, or
+            there is no such core.
         VerificationError: Something differs; the message names the first difference.
     """
     if target is not None:
@@ -40,10 +44,13 @@ def answer_verify(folder: Path, target: str | None, independent: bool = False) -
         target_of(target)
     # All that follows needs it; better said before the rest is computed than after.
     require_compiler()
+    signed = [] if signature is None else [check_signature(signature, folder)]
     stage("computing again")
     recomputed = recompute(folder)
-    notes, plain = [recomputation_text(recomputed)], _plain_recomputation(recomputed)
+    notes, plain = [*signed, recomputation_text(recomputed)], _plain_recomputation(recomputed)
     plain = {"recomputation": plain, "verification": None, "headers": []}
+    if signed:
+        plain["signature"] = signed[0]
     solution = recomputed.solution
     if solution is None:
         if target is not None:

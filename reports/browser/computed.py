@@ -7,11 +7,11 @@ import os
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.errors import DqforgeError
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.records import dataclass
 from dqforge.reports import answers
 
@@ -91,8 +91,7 @@ def begun(folder: Path, sent: Sent) -> dict[str, Any]:
     """
     if not (sent.sheet or sent.flux_map or sent.captures):
         return {"error": "the form is empty; write what the data sheet says"}
-    with TemporaryDirectory(prefix="dqforge-") as held:
-        place = Path(held)
+    with scratch_folder() as place:
         try:
             answer = answers.library.answer_new(folder, _request(folder, place, sent))
         except DqforgeError as error:

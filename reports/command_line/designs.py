@@ -298,6 +298,7 @@ def respond(
     default: bool = False,
     bar: str = "",
     silent: bool = False,
+    sign: str | None = None,
 ) -> int:
     """Ask, and show the answer; its exit code.
 
@@ -311,7 +312,12 @@ def respond(
         bar: Name of what moves a bar, for commands that tell the share that is done; else a spinner
             turns.
         silent: Whether nothing moves.
+        sign: Command that signs the list of hashes of the folder.
     """
+    if sign is not None:
+        from dqforge.reports.output.signatures import command_words
+
+        command_words(sign, "--sign")
     if plot is not None:
         check_figure_path(plot, Path(OUT) if default and out is None else out)
     moving: AbstractContextManager[object]
@@ -319,7 +325,7 @@ def respond(
     with nullcontext() if silent else moving:
         answer = ask()
         out = _default(answer.files) if default and out is None else out
-        written = _write(answer.files, out)
+        written = _write(answer.files, out, sign)
         _draw(answer, plot)
     if json:
         from dqforge.reports.pages.templating import to_text
@@ -340,7 +346,7 @@ def _default(files: Files | None) -> Path | None:
     return default_folder(files.design)
 
 
-def _write(files: Files | None, out: Path | None) -> Written | None:
+def _write(files: Files | None, out: Path | None, sign: str | None) -> Written | None:
     if files is None or out is None:
         return None
     stage("writing the files")
@@ -354,7 +360,10 @@ def _write(files: Files | None, out: Path | None) -> Written | None:
             files.design,
             options=files.options,
             given=files.given,
+            sign=sign,
         )
+    if sign is not None:
+        raise InputError("--sign: with --into no list of hashes is written; add -o OUT")
     there = tuple(name for name in files.contents if (out / name).exists())
     return Written(put_files(out, files.contents), there)
 

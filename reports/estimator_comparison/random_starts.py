@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import subprocess
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import field, fields, replace
@@ -18,6 +17,7 @@ from dqforge.machines.design.from_machine import RandomDrive, make_design, rando
 from dqforge.machines.design.settings import ObserverSettings, StartUpSettings
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.errors import NoSolutionError, VerificationError
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.names import StartUpMethodName
 from dqforge.machines.plants.scenario import (
     CurrentSensor,
@@ -569,8 +569,7 @@ def bench_program(
         VerificationError: There is no compiler, or the headers do not compile.
     """
     compiler = require_compiler()
-    with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
-        folder = Path(name)
+    with scratch_folder() as folder:
         for file_name, content in files.items():
             (folder / file_name).write_bytes(content)
         for file_name, text in _sources(prefix, code, low, shared=shared).items():

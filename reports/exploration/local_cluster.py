@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import dqforge
 from dqforge.machines.errors import DqforgeError
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.reports.exploration.contained_rows import (
     EngineSettings,
     TlsFiles,
@@ -53,7 +54,6 @@ WORKER_ENVIRONMENT = {
     "DASK_LOGGING__DISTRIBUTED": "critical",
 }
 _SETTINGS: dict[str, Any] = {
-    "distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT,
     # Whose rows end a process is found out here, with fewer deaths than Dask would take.
     "distributed.scheduler.allowed-failures": 0,
     "distributed.scheduler.active-memory-manager.start": False,
@@ -63,6 +63,21 @@ _SETTINGS: dict[str, Any] = {
     # A process that starts again is not lost, however long that takes on a busy machine.
     "distributed.deploy.lost-worker-timeout": "1h",
 }
+
+
+def _settings(held: Path) -> dict[str, Any]:
+    """Those of Dask, with a folder for what processes leave behind that are ended at once.
+
+    It is gone before Dask removes what is its own there, which is not told.
+    """
+    logging.getLogger("distributed.diskutils").setLevel(logging.CRITICAL)
+    spawned = WORKER_ENVIRONMENT | {"TMPDIR": str(held), "TEMP": str(held), "TMP": str(held)}
+    return _SETTINGS | {
+        "temporary-directory": str(held),
+        "distributed.nanny.pre-spawn-environ": spawned,
+    }
+
+
 # Loggers that distributed gives a level of their own, beside those that stand for all.
 _LOUD = (
     "distributed",
@@ -136,7 +151,7 @@ def local_workers(workers: int) -> Iterator[Client]:
     with _without_words_on_leaks():
         if not system.WINDOWS:
             resource_tracker.ensure_running()
-    with quiet(), dask.config.set(_SETTINGS):
+    with scratch_folder() as held, quiet(), dask.config.set(_settings(held)):
         from distributed import Client, LocalCluster
         from distributed.comm.core import CommClosedError
 
@@ -194,8 +209,18 @@ def _gone(status: Any) -> tuple[Any, ...]:
 
 def close_client(client: Client) -> None:
     """Leave a cluster, also one that answers no more."""
+    _close(client)
+
+
+def _close(one: Client | LocalCluster) -> None:
+    """Close, and end the thread that talks: on a busy machine it is at it for longer, and would
+    tell of lost connections as soon as `quiet` is over, or of itself when it is deleted.
+    """
     with suppress(Exception):
-        client.close(timeout=_CLOSED_AFTER_S)
+        one.close(timeout=_CLOSED_AFTER_S)
+    with suppress(Exception):
+        one._loop_runner.stop()
+    one.status = type(one.status)("closed")
 
 
 def _end(cluster: LocalCluster) -> None:
@@ -207,8 +232,7 @@ def _end(cluster: LocalCluster) -> None:
         if nanny.pid is not None:
             with suppress(ProcessLookupError):
                 os.kill(nanny.pid, _AT_ONCE)
-    with suppress(Exception):
-        cluster.close(timeout=_CLOSED_AFTER_S)
+    _close(cluster)
 
 
 # A cluster that somebody else started: found, and held to the versions of this process.

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import math
 import mmap
-import tempfile
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import field
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.errors import InputError
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.block_rows import BlockRows
 from dqforge.optimizer.exploration.row_block import (
@@ -217,12 +218,12 @@ class EarlierRows:
     Args:
         sources: Parts, by the number that stands in the records.
         buckets: Sorted records, one bucket per group of first bits; in files if they are many.
-        folder: Where these files lie; None where everything is in memory.
+        folder: Holds the folder of these files; None where everything is in memory.
     """
 
     sources: tuple[_Source, ...]
     buckets: tuple[_Bucket, ...]
-    folder: tempfile.TemporaryDirectory[str] | None = None
+    folder: ExitStack | None = None
     _kept: OrderedDict[tuple[int, tuple[str, ...]], PartColumns] = field(
         default_factory=OrderedDict
     )
@@ -246,8 +247,9 @@ class EarlierRows:
         if most <= _IN_MEMORY:
             whole = np.concatenate([np.empty((3, 0), np.uint64), *_records(sources)], axis=1)
             return cls(sources, (_Bucket(_by_key(whole)),))
-        folder = tempfile.TemporaryDirectory(prefix="dqforge-keys-")
-        return cls(sources, _in_files(sources, Path(folder.name)), folder)
+        with ExitStack() as held:
+            folder = held.enter_context(scratch_folder())
+            return cls(sources, _in_files(sources, folder), held.pop_all())
 
     @staticmethod
     def require(folder: Path, columns: Sequence[ColumnSpec]) -> PartStore:
@@ -329,7 +331,7 @@ class EarlierRows:
     def close(self) -> None:
         """Remove the files of the index; `contextlib.closing` does at the end of a block."""
         if self.folder is not None:
-            self.folder.cleanup()
+            self.folder.close()
 
 
 def _require_outputs(store: PartStore, columns: Sequence[ColumnSpec]) -> None:

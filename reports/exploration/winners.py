@@ -8,7 +8,6 @@ the design that the study starts from, read as a file, and solved, emitted and v
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.errors import DqforgeError, InputError
 from dqforge.machines.exploration.row_designs import design_text_of
 from dqforge.machines.exploration.study import Study
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.row_block import (
     INPUT_COLUMN,
@@ -186,12 +186,12 @@ def row_text(store: PartStore, study: Study, row: int) -> bytes:
 
 def row_design(study: Study, text: bytes, source: str) -> Design:
     """A design file of a row, read like any file beside those that it names."""
-    with tempfile.TemporaryDirectory(prefix="dqforge-") as copy:
+    with scratch_folder() as copy:
         for name, content in study.named:
-            path = Path(copy) / name
+            path = copy / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
-        return load_text(text, source, Path(copy))
+        return load_text(text, source, copy)
 
 
 def export_row(store: PartStore, study: Study, row: int, *, verify: bool = True) -> Winner:

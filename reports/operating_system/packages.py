@@ -4,27 +4,33 @@ others are got, and what is said where one is missing.
 
 from __future__ import annotations
 
+import os
 import platform
 import re
 import shutil
 import subprocess
 import sys
 import tempfile
+import zlib
+from contextlib import suppress
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dqforge import __version__
 from dqforge.machines.errors import InputError, VerificationError
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.records import dataclass
 from dqforge.reports.operating_system import system
 from dqforge.reports.operating_system.host_compiler import (
     NO_COMPILER,
     Language,
     compile_program,
+    find_compiler,
     require_compiler,
 )
-from dqforge.reports.operating_system.system import processors
+from dqforge.reports.operating_system.system import KERNEL, processors
 
 # What says that a package is missing loads none.
 if TYPE_CHECKING:
@@ -402,8 +408,7 @@ def try_compiler(language: Language) -> Trial:
     try:
         compiler = require_compiler(language)
         name, path = compiler.name, compiler.command[0]
-        with tempfile.TemporaryDirectory(prefix="dqforge-") as place:
-            folder = Path(place)
+        with scratch_folder() as folder:
             source = system.c_source("trial.c")
             (folder / "trial.c").write_text(source, encoding="ascii", newline="\n")
             flags = (f"-std={_STANDARDS[language]}", *_FLAGS)
@@ -417,3 +422,65 @@ def try_compiler(language: Language) -> Trial:
     except OSError as error:
         return Trial(language, name, path, f"the folder for temporary files: {error.strerror}")
     return Trial(language, name, path)
+
+
+# What the last digits of a result may depend on.
+
+_COMPUTED_WITH = (
+    "numpy",
+    "scipy",
+    "casadi",
+    "clarabel",
+    "nlopt",
+    "daqp",
+    "piqp",
+    "osqp",
+    "python-flint",
+    "matplotlib",
+    "jinja2",
+)
+
+
+@cache
+def _library_versions() -> dict[str, str]:
+    found = {}
+    for name in _COMPUTED_WITH:
+        with suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
+
+
+@cache
+def _kernels() -> str:
+    """The instructions that numpy and its linear algebra use on this processor."""
+    import numpy as np
+
+    core = getattr(np, "_core", None)
+    features = getattr(getattr(core, "_multiarray_umath", None), "__cpu_features__", {})
+    levels = [name for name in ("X86_V3", "X86_V4", "SVE", "ASIMD") if features.get(name)]
+    return " ".join([os.environ.get(KERNEL, "own"), *levels])
+
+
+@cache
+def _compiler() -> str:
+    """What the compiler of simulations is called, empty where there is none."""
+    try:
+        found = find_compiler()
+    except VerificationError:
+        return ""
+    return "" if found is None else found.name
+
+
+def computed_with() -> dict[str, str]:
+    """Processor, its kernels, and versions of the libraries on which the last digits of a result
+    may depend.
+    """
+    machine = {
+        "processor": platform.machine(),
+        "kernels": _kernels(),
+        "python": platform.python_version(),
+        "libc": " ".join(platform.libc_ver()),
+        "zlib": zlib.ZLIB_RUNTIME_VERSION,
+        "compiler": _compiler(),
+    }
+    return machine | _library_versions()

@@ -9,30 +9,27 @@ import errno
 import hashlib
 import json
 import os
-import platform
 import shutil
 import stat
-import zlib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import field, replace
-from functools import cache
-from importlib import metadata
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from dqforge import __version__
 from dqforge.machines.design.design import MAX_FILE_BYTES, Design
-from dqforge.machines.errors import InputError, VerificationError, WritingError
+from dqforge.machines.errors import InputError, WritingError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.records import dataclass
 from dqforge.reports.operating_system import system
 from dqforge.reports.operating_system.host_compiler import (
     alone,
-    find_compiler,
     flush_folder,
 )
-from dqforge.reports.operating_system.system import KERNEL, undisturbed
+from dqforge.reports.operating_system.packages import computed_with
+from dqforge.reports.operating_system.system import undisturbed
+from dqforge.reports.output.signatures import signatures
 from dqforge.reports.pages.answer import (
     LARGEST_JSON,
     OUT,
@@ -170,6 +167,7 @@ def put_output(
     *,
     options: Mapping[str, str] | None = None,
     given: Mapping[str, bytes] | None = None,
+    sign: str | None = None,
 ) -> Written:
     """Put the files of a command into a folder, all at once.
 
@@ -185,10 +183,11 @@ def put_output(
         design: What they were made from; it is put into the folder as well.
         options, given: As of `dqforge.reports.pages.answer.Files`; what was given lies beside the
             design.
+        sign: Command that signs the list of hashes (`dqforge.reports.output.signatures`).
 
     Raises:
         InputError: The folder cannot be written, or holds what another design, or another command
-            under the same name, made; it is as it was.
+            under the same name, made, or the command that signs fails; it is as it was.
     """
     place = Path(os.path.realpath(folder))
     inputs = input_files(None if design is None else design.given, input_root(part))
@@ -204,7 +203,7 @@ def put_output(
                 refuse_other_design(folder, design.digest, design.export.prefix)
             digest = "" if design is None else design.digest
             mine = part_of(digest, {**contents, **inputs}, named_in_folder(design), options)
-            done = _write(folder, place, part, old, mine, contents, inputs)
+            done = _write(folder, place, part, old, mine, contents, inputs, sign)
     except OSError as error:
         raise _refusal(folder, error) from error
     return done
@@ -272,6 +271,7 @@ def _write(
     mine: Part,
     contents: Mapping[str, bytes],
     inputs: Mapping[str, bytes],
+    sign: str | None,
 ) -> Written:
     others = {name: other for name, other in old.parts.items() if name != part}
     if part == RUN:
@@ -283,7 +283,9 @@ def _write(
         mine = before
         contents = {name: content for name, content in contents.items() if name != RESULT}
     manifest = Manifest({**others, part: mine})
-    files = {**inputs, **contents, MANIFEST: to_bytes(manifest)}
+    listed = to_bytes(manifest)
+    signed = {} if sign is None else signatures(sign, listed)
+    files = {**inputs, **contents, **signed, MANIFEST: listed}
     _check_places(place, files)
     gone = [
         name
@@ -496,7 +498,8 @@ def _swap(
     # It is new from here on: what cannot be flushed or removed any more is left to the next run.
     with suppress(OSError):
         flush_folder(folder.parent)
-        if exists:
+    if exists:
+        with suppress(OSError):
             _retire(sibling, folder, own)
 
 
@@ -523,11 +526,19 @@ def _replace_inside(
     except BaseException:
         shutil.rmtree(staged, ignore_errors=True)
         raise
+    try:
+        _move_in(folder, superseded, marker)
+    except OSError:  # once more: what is refused once may pass, and half moved helps nobody
+        _move_in(folder, superseded, marker)
+    remove_empty_folders(folder, superseded)
+
+
+def _move_in(folder: Path, superseded: Collection[str], marker: str) -> None:
     flush_folder(folder)
     for name in superseded:
         (folder / name).unlink(missing_ok=True)
-    finish_pending(folder, marker)
-    remove_empty_folders(folder, superseded)
+    if (folder / PENDING).is_dir():
+        finish_pending(folder, marker)
 
 
 def remove_empty_folders(folder: Path, names: Collection[str]) -> None:
@@ -582,67 +593,7 @@ def replace_content(
 LAYOUT = 2
 
 
-_COMPUTED_WITH = (
-    "numpy",
-    "scipy",
-    "casadi",
-    "clarabel",
-    "nlopt",
-    "daqp",
-    "piqp",
-    "osqp",
-    "python-flint",
-    "matplotlib",
-    "jinja2",
-)
-
-
 _WRITTEN = "the folder that 'dqforge run', 'export' or 'simulate' wrote"
-
-
-@cache
-def _library_versions() -> dict[str, str]:
-    found = {}
-    for name in _COMPUTED_WITH:
-        with suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
-
-
-@cache
-def _kernels() -> str:
-    """The instructions that numpy and its linear algebra use on this processor."""
-    import numpy as np
-
-    core = getattr(np, "_core", None)
-    features = getattr(getattr(core, "_multiarray_umath", None), "__cpu_features__", {})
-    levels = [name for name in ("X86_V3", "X86_V4", "SVE", "ASIMD") if features.get(name)]
-    return " ".join([os.environ.get(KERNEL, "own"), *levels])
-
-
-@cache
-def _compiler() -> str:
-    """What the compiler of simulations is called, empty where there is none."""
-    try:
-        found = find_compiler()
-    except VerificationError:
-        return ""
-    return "" if found is None else found.name
-
-
-def computed_with() -> dict[str, str]:
-    """Processor, its kernels, and versions of the libraries on which the last digits of a result
-    may depend.
-    """
-    machine = {
-        "processor": platform.machine(),
-        "kernels": _kernels(),
-        "python": platform.python_version(),
-        "libc": " ".join(platform.libc_ver()),
-        "zlib": zlib.ZLIB_RUNTIME_VERSION,
-        "compiler": _compiler(),
-    }
-    return machine | _library_versions()
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,6 @@ import json
 import posixpath
 import re
 import struct
-import tempfile
 import zipfile
 import zlib
 from collections import Counter
@@ -26,6 +25,7 @@ from dqforge import __version__
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import MAX_FILE_BYTES, Design
 from dqforge.machines.errors import InputError, VerificationError
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.names import Firmware
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.current_loop_proof import (
@@ -193,13 +193,13 @@ def _read_inputs(
 
 def _load(folder: Path, root: str, inputs: Mapping[str, bytes], part: Part) -> Design:
     """The design of a part, read from a copy of what it was read from."""
-    with tempfile.TemporaryDirectory(prefix="dqforge-") as copy:
+    with scratch_folder() as copy:
         for name, content in inputs.items():
-            path = Path(copy) / name
+            path = copy / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
         source = str(folder / root / _DESIGN)
-        design = load_text(inputs[_DESIGN], source, Path(copy) / "files")
+        design = load_text(inputs[_DESIGN], source, copy / "files")
     if design.digest != part.digest:
         raise VerificationError(
             f"{folder / MANIFEST}: design_sha256 is {part.digest}, the design in the folder has "

@@ -9,7 +9,6 @@ so that transients are ours and steady currents the paper's.
 from __future__ import annotations
 
 import os
-import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +20,7 @@ import numpy as np
 from dqforge.machines.design import catalogue
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import VerificationError
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.names import ModulationName, Strategy
 from dqforge.machines.plants.scenario import Profile, Scenario
 from dqforge.machines.records import dataclass
@@ -269,8 +269,7 @@ def _chunks(path: Path) -> Iterator[bytes]:
 def _measured(sources: Mapping[str, bytes], core: str, level: str) -> dict[str, Cost]:
     """Cost of every function on a core, compiled with a level of optimisation."""
     objdump = program("arm-none-eabi-objdump")
-    with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
-        folder = Path(name)
+    with scratch_folder() as folder:
         build(sources, (level,), core, folder)
         emulate(core, folder, *LOGGED, "-D", "trace.log")
         listing = execute([objdump, "-d", "target.elf"], "arm-none-eabi-objdump", folder).stdout

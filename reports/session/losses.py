@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +18,7 @@ from dqforge.machines.design.numerical import on_design, require_design
 from dqforge.machines.design.settings import AnyStrategy, LoadPoint, LossSettings, LossStrategy
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.files.input_files import read_regular_file
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
@@ -778,7 +778,7 @@ def _verified(design: Design, files: Mapping[str, str]) -> Verification:
         difference = first_difference(files[name], text)
         if difference is not None:
             raise VerificationError(f"{name}:{difference}")
-    with tempfile.TemporaryDirectory(prefix="dqforge-") as place:
+    with scratch_folder() as folder:
         for name, text in files.items():
-            (Path(place) / name).write_text(text, encoding="utf-8", newline="")
-        return verify_folder(Path(place))
+            (folder / name).write_text(text, encoding="utf-8", newline="")
+        return verify_folder(folder)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, VerificationError
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.names import FeedbackMethod, NumberFormat, SampledRuleName, Topology
 from dqforge.machines.plants.scenario import Scenario
 from dqforge.machines.records import dataclass
@@ -526,10 +527,8 @@ def simulator(
 
     Parameters and errors as `compile_simulator`.
     """
-    with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
-        yield compile_simulator(
-            Path(name), files, prefix, observers, topology, number_format, bridge
-        )
+    with scratch_folder() as folder:
+        yield compile_simulator(folder, files, prefix, observers, topology, number_format, bridge)
 
 
 def execute(program: Path, content: bytes, progress: Progress | None) -> bytes:

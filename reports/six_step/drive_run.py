@@ -4,9 +4,7 @@ instant and every diode.
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.six_step.control import FAULTS, RUNNING, STAGES
 from dqforge.optimizer.six_step.design import (
@@ -121,8 +120,8 @@ def run_blocks(
     main = render("six_step/six_step_main.c.j2", context)
     sources = simulation_sources() | {"six_step_main.c": main}
     content = np.array([1.0]).tobytes() + run.content() + _voltmeter(design, found)
-    with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
-        program = compiled(Path(name), six_step_files(design, found), sources, "six_step_main.c")
+    with scratch_folder() as folder:
+        program = compiled(folder, six_step_files(design, found), sources, "six_step_main.c")
         written = execute(program, content, progress)
     ((figures, rows),) = records_of(written, 1)
     recorded = as_recorded(switched, figures, rows, "three-wire")

@@ -8,7 +8,6 @@ them without any difference.
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import VerificationError
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.records import dataclass
 from dqforge.reports.pages.templating import render, resource
 from dqforge.reports.verification.cross_tools import build, emulate, target_of
@@ -105,14 +105,14 @@ def _run_vectors(
         "first": _FIRST_DIFFERS,
     }
     main = render("verification/main.c.j2", context).encode("ascii")
-    with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
+    with scratch_folder() as folder:
         build(
             {**files, "target_main.c": main},
             (*WARNINGS, "-Wno-overlength-strings"),
             target,
-            Path(name),
+            folder,
         )
-        code = emulate(target, Path(name))
+        code = emulate(target, folder)
     headers = [f"{prefix}.h", *(f"{prefix}_{kind}.h" for kind in kinds)]
     if _FIRST_DIFFERS <= code < _FIRST_DIFFERS + len(headers):
         raise VerificationError(
@@ -266,6 +266,6 @@ def run_on_target(
     """
     done = []
     for part in parts:
-        with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
-            done.append(_run(files, prefix, part, target, Path(name)))
+        with scratch_folder() as folder:
+            done.append(_run(files, prefix, part, target, folder))
     return tuple(done)

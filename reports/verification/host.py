@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import platform
 import subprocess
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import VerificationError
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.records import dataclass
 from dqforge.reports.current_reference.plain import reference_programme
 from dqforge.reports.operating_system.host_compiler import (
@@ -160,8 +160,7 @@ def verify_files(
     programme, chosen = reference_programme(reference, vectors)
     parts = [programme, *further]
     checks = []
-    with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
-        folder = Path(name)
+    with scratch_folder() as folder:
         for file_name, content in files.items():
             (folder / file_name).write_bytes(content)
         for compiler in COMPILERS:

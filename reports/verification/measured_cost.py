@@ -4,7 +4,6 @@ really executes, estimated cycles, bytes.
 
 from __future__ import annotations
 
-import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import VerificationError
+from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.records import dataclass
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.cross_tools import (
@@ -140,8 +140,8 @@ def cost_of_calls(
         VerificationError: A tool is missing (its Debian package is named), the files do not
             compile, the emulation failed, or the function was never called.
     """
-    with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
-        return _traced_calls(sources, function, target, flags, sized, Path(name))
+    with scratch_folder() as folder:
+        return _traced_calls(sources, function, target, flags, sized, folder)
 
 
 def cost_on_target(
@@ -176,11 +176,11 @@ def cost_on_target(
     }
     files = {**sources, **{key: text.encode("ascii") for key, text in made.items()}}
     sized = [name for name in (*sources, "target_evaluator.c") if name.endswith(".c")]
-    with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
-        cost = _traced_calls(files, "evaluator", target, (), sized, Path(name))
-        currents = np.fromfile(
-            Path(name) / _RESULTS, dtype=torques.dtype.newbyteorder("<")
-        ).reshape(-1, 2)
+    with scratch_folder() as folder:
+        cost = _traced_calls(files, "evaluator", target, (), sized, folder)
+        currents = np.fromfile(folder / _RESULTS, dtype=torques.dtype.newbyteorder("<")).reshape(
+            -1, 2
+        )
     if cost.calls != len(torques) or len(currents) != len(torques):
         raise VerificationError(f"the trace of the emulated {target} is not complete")
     return TargetCost(cost.instructions, cost.cycles, cost.cycles_largest, cost.flash, currents)

@@ -17,7 +17,8 @@ from rich.cells import cell_len
 from dqforge.machines.design import catalogue
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import remember
-from dqforge.reports.command_line.flags import excerpt, exit_code, tell
+from dqforge.reports.command_line.flags import exit_code
+from dqforge.reports.pages.answer import excerpt, tell
 
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 COLOURED = {"TERM": "xterm-256color", "COLUMNS": "100", "NO_COLOR": ""}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import json
 import logging
 import os
@@ -10,9 +11,11 @@ import pty
 import signal
 import subprocess
 import sys
+import tempfile
+import threading
 import time
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from tempfile import mkdtemp
@@ -23,6 +26,7 @@ from study_rows import StudyRows
 from study_runs import opened, parts_hash, rows_there, run_in
 from study_workers import killing_workers, parts_in, worker_processes
 
+from dqforge.reports.exploration import local_cluster
 from dqforge.reports.exploration.contained_rows import EngineSettings, SuspectPart
 from dqforge.reports.exploration.local_cluster import quiet
 from dqforge.reports.exploration.part_file import StoreError, encode_part
@@ -48,6 +52,47 @@ def test_no_logger_of_distributed_has_a_word_while_a_study_runs() -> None:
         ours = [name for name in names if name.split(".")[0] in {"distributed", "tornado"}]
         assert {"distributed.client", "tornado.application"} <= set(ours)
         assert not [name for name in ours if logging.getLogger(name).isEnabledFor(logging.ERROR)]
+
+
+@pytest.mark.parametrize("closed_after", [pytest.param(2.0, marks=pytest.mark.slow), 0.001])
+def test_nothing_talks_on_when_a_study_has_ended(
+    closed_after: float,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Also where the workers take longer to close than is waited for, as on a busy machine."""
+    monkeypatch.setattr(local_cluster, "_CLOSED_AFTER_S", closed_after)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    before = {*threading.enumerate()}
+    with caplog_of_distributed() as said:
+        run_in(tmp_path / "out", StudyRows(count=20, batch=10), workers=2)
+        later = [each.name for each in threading.enumerate() if each not in before]
+        gc.collect()
+    assert not [name for name in later if name == "IO loop"]
+    assert said == []
+    assert capfd.readouterr().err == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@contextmanager
+def caplog_of_distributed() -> Iterator[list[str]]:
+    """What the loggers say, at the level that distributed gives them where it is loaded first."""
+    said: list[str] = []
+
+    class Keep(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            said.append(record.getMessage())
+
+    logger, keep = logging.getLogger("distributed"), Keep()
+    level = logger.level
+    logger.addHandler(keep)
+    logger.setLevel(logging.INFO)
+    try:
+        yield said
+    finally:
+        logger.removeHandler(keep)
+        logger.setLevel(level)
 
 
 @pytest.mark.slow
