@@ -15,13 +15,14 @@ from fractions import Fraction
 from pathlib import Path
 
 from dqforge.checker import check_certificate as checker
-from dqforge.checker import check_loops
+from dqforge.checker import check_loops, check_ranges
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.loops.firmware_text import CERTIFICATE
 from dqforge.reports.plain_data import PlainData
+from dqforge.reports.verification.range_claims import RANGES
 
 SUFFIX = "_certificate.json"
 _MOST_BOXES = 1500  # Boxes that are looked at before the claim is left.
@@ -29,6 +30,7 @@ _NARROWEST = Fraction(1, 2**64)  # Of the domain: a box that is not confirmed th
 
 # What the header's certificate leaves to the one beside it.
 _LOOPS = "confirmed by check_loops.py in a folder of 'dqforge run'"
+_RANGES = "confirmed by check_ranges.py, unless phases are controlled one by one"
 
 Boxes = list[tuple[Fraction, Fraction]]
 
@@ -73,7 +75,7 @@ def _not_covered(solution: Solution) -> list[str]:
         "reference of negative torque": solution.negative,
         "reference over torque and flux linkage": solution.weakening,
         "references in fixed point": solution.fixed_references or None,
-        "ranges of the control in fixed point": solution.fixed or None,
+        f"ranges of the control in fixed point ({_RANGES})": solution.fixed or None,
         f"current loops over the tolerances ({_LOOPS})": robust,
         "speed loop": None if loops is None else loops.speed,
         "position observer": solution.observer_proof,
@@ -157,7 +159,11 @@ def check_independently(folder: Path) -> str:
         VerificationError: A claim is not confirmed; names the place.
     """
     said = []
-    for program, suffix in ((checker.__file__, SUFFIX), (check_loops.__file__, CERTIFICATE)):
+    for program, suffix in (
+        (checker.__file__, SUFFIX),
+        (check_loops.__file__, CERTIFICATE),
+        (check_ranges.__file__, RANGES),
+    ):
         found = sorted(folder.glob(f"*{suffix}"))
         if len(found) > 1:
             raise InputError(f"--independent: {folder} has {len(found)} files *{suffix}; keep one")

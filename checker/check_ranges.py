@@ -1,0 +1,1149 @@
+"""Confirms `<prefix>_ranges.json`: that no integer of the control in fixed point leaves its type.
+
+    python -I -S check_ranges.py abb2k2_ranges.json
+
+The program imports nothing but the standard library and calculates in integers and fractions alone.
+It reads the C of the headers themselves, runs every function that the certificate names on ranges
+in place of numbers, and believes nothing: what the certificate tells of a state must hold again
+after each call, and what it tells of a variable must contain what is found here. Read it from top
+to bottom: the text of C (part 1), numbers (part 2), running it (part 3), two inequalities (part 4),
+the certificate (part 5), and what is printed (part 6). It ends with 0 where all is confirmed, else
+with 1 and the place where it is not.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from fractions import Fraction
+from math import isqrt
+from pathlib import Path
+from typing import Any
+
+
+class Fault(Exception):
+    """What is not confirmed, in words, with its place."""
+
+
+# Part 1. The text: what the preprocessor leaves, taken apart into tuples.
+
+LIMITS = {
+    f"{sign}int{bits}_t": (-(1 << bits - 1), (1 << bits - 1) - 1)
+    if not sign
+    else (0, (1 << bits) - 1)
+    for sign in ("", "u")
+    for bits in (8, 16, 32, 64)
+}
+TOKEN = re.compile(
+    r"\s*(?:(?P<name>[A-Za-z_]\w*)|(?P<number>0[xX][\da-fA-F]+|\d+)(?P<suffix>[uUlL]*)(?![\w.])"
+    r"|(?P<sign><<=|>>=|\+\+|--|->|<<|>>|<=|>=|==|!=|&&|\|\||[-+*/%&|^]=|[-+*/%&|^~!<>=?:;,.(){}\[\]]))"
+)
+STRENGTH = {
+    "||": 1, "&&": 2, "|": 3, "^": 4, "&": 5, "==": 6, "!=": 6, "<": 7, ">": 7, "<=": 7, ">=": 7,
+    "<<": 8, ">>": 8, "+": 9, "-": 9, "*": 10, "/": 10, "%": 10,
+}  # fmt: skip
+SHIFT = '#if ((-1) >> 1) != (-1)\n#error "fixed point needs arithmetic right shifts of negative numbers"'
+Tree = tuple[Any, ...]
+
+
+class Code:
+    """Types, constants and functions of headers."""
+
+    def __init__(self) -> None:
+        self.types: dict[str, list[tuple[str, str, int]]] = {}  # members: type, name, how many
+        self.constants: dict[str, tuple[str, bool, Tree]] = {}
+        self.functions: dict[str, tuple[str, list[tuple[str, str, bool]], Tree, int]] = {}
+        self.defined: set[str] = set()
+        self.said: dict[str, str] = {}
+        self.tokens: list[tuple[str, str, int]] = []
+        self.at = 0
+        self.where = ""
+
+    def read(self, folder: Path, name: str) -> None:
+        """Reads a header, those that it includes first."""
+        if name in self.said:
+            return
+        text = (folder / name).read_text("utf-8")
+        self.said[name] = " ".join(
+            re.sub(r"\s+\*?\s*", " ", x) for x in re.findall(r"/\*.*?\*/", text, re.S)
+        )
+        code = re.sub(r"/\*.*?\*/", lambda x: re.sub(r"[^\n]", " ", x[0]), text, flags=re.S)
+        code = re.sub(r"//[^\n]*", " ", code)
+        if SHIFT not in code:
+            raise Fault(f"{name}: it does not check that right shifts keep the sign")
+        self.said[name], kept, taken = self.said[name], [], [True]
+        for line in code.split("\n"):
+            words = line.split()
+            kept.append("" if not all(taken) or line.lstrip().startswith("#") else line)
+            if not line.lstrip().startswith("#"):
+                continue
+            match words:
+                case ["#ifndef", macro]:
+                    taken.append(macro not in self.defined)
+                case ["#ifdef", "__cplusplus"]:
+                    taken.append(False)
+                case ["#if", "((-1)", ">>", "1)", "!=", "(-1)"]:
+                    taken.append(False)
+                case ["#endif"]:
+                    taken.pop()
+                case ["#error", *_] | ["#include", "<stdint.h>"]:
+                    pass
+                case ["#include", other]:
+                    self.read(folder, other.strip('"'))
+                case ["#define", macro, *_] if "(" not in macro:
+                    if all(taken):
+                        self.defined.add(macro)
+                case _:
+                    raise Fault(f"{name}: this program does not read '{line.strip()[:40]}'")
+        self.tokens, self.at, self.where = [], 0, name
+        for row, line in enumerate(kept, 1):
+            place = 0
+            while line[place:].strip():
+                found = TOKEN.match(line, place)
+                if found is None:
+                    raise Fault(
+                        f"{name}, line {row}: '{line[place:].strip()[:30]}' is not understood"
+                    )
+                kind = str(found.lastgroup).replace("suffix", "number")
+                words_ = (
+                    (found["number"] + found["suffix"]) if found["number"] else found[0].strip()
+                )
+                if kind == "name" and words_ in self.defined:
+                    raise Fault(f"{name}, line {row}: a macro stands in the code")
+                self.tokens.append((kind, words_, row))
+                place = found.end()
+        self.tokens.append(("end", "", len(kept)))
+        while self.peek():
+            self.declared()
+
+    # The parser: what comes next, and what must come next.
+
+    def peek(self, ahead: int = 0) -> str:
+        return self.tokens[min(self.at + ahead, len(self.tokens) - 1)][1]
+
+    def row(self) -> int:
+        return self.tokens[self.at][2]
+
+    def take(self, *wanted: str) -> str:
+        kind, text, row = self.tokens[self.at]
+        if wanted and text not in wanted or kind == "end":
+            raise Fault(
+                f"{self.where}, line {row}: '{text}' stands where {wanted or 'more'} should"
+            )
+        self.at += 1
+        return text
+
+    def skip(self, *words: str) -> None:
+        while self.peek() in words:
+            self.at += 1
+
+    def is_type(self, ahead: int = 0) -> bool:
+        return self.peek(ahead) in LIMITS or self.peek(ahead) in self.types
+
+    def declared(self) -> None:
+        """A type, a constant or a function."""
+        row = self.row()
+        if self.peek() == "typedef":
+            self.at += 1
+            self.take("struct")
+            self.take("{")
+            members = []
+            while self.peek() != "}":
+                kind, name, size = self.take(), self.take(), 0
+                if kind not in LIMITS and kind not in self.types:
+                    raise Fault(f"{self.where}, line {row}: type {kind} is not known")
+                if self.peek() == "[":
+                    self.at += 1
+                    size = int(self.take().rstrip("uU"))
+                    self.take("]")
+                self.take(";")
+                members.append((kind, name, size))
+            self.take("}")
+            self.added(self.types, self.take(), members)
+            self.take(";")
+            return
+        self.take("static")
+        self.skip("inline", "const")
+        kind, name = self.take(), self.take()
+        if self.peek() != "(":
+            self.at -= 2
+            _, _, kind, name, many, value, _ = self.local(row)
+            self.added(self.constants, name, (kind, many, value))
+            return
+        self.take("(")
+        parameters = []
+        while self.peek() != ")":
+            self.skip("const")
+            own = self.take()
+            pointer = self.peek() == "*"
+            self.at += pointer
+            parameters.append((own, self.take(), pointer))
+            self.skip(",")
+        self.take(")")
+        self.added(self.functions, name, (kind, parameters, self.block(), row))
+
+    def added(self, table: dict[str, Any], name: str, value: Any) -> None:
+        if name in table:
+            raise Fault(f"{self.where}, line {self.row()}: {name} is declared twice")
+        table[name] = value
+
+    def local(self, row: int) -> Tree:
+        """A declaration: type, name, whether an array, and value."""
+        self.skip("static", "const")
+        kind, pointer = self.take(), self.peek() == "*"
+        self.at += pointer
+        name, many, value = self.take(), None, None
+        if self.peek() == "[":
+            self.at += 1
+            many = int(self.take().rstrip("uU"))
+            self.take("]")
+        if self.peek() == "=":
+            self.at += 1
+            value = self.listed() if self.peek() == "{" else self.expression()
+        self.take(";")
+        return ("local", row, kind, name, many, value, pointer)
+
+    def listed(self) -> Tree:
+        """A list in braces."""
+        self.take("{")
+        found = []
+        while self.peek() != "}":
+            found.append(self.listed() if self.peek() == "{" else self.expression())
+            self.skip(",")
+        self.take("}")
+        return ("list", found)
+
+    def block(self) -> Tree:
+        self.take("{")
+        found = []
+        while self.peek() != "}":
+            found.append(self.statement())
+        self.take("}")
+        return ("block", found)
+
+    def statement(self) -> Tree:
+        row = self.row()
+        if self.peek() == "{":
+            return self.block()
+        if self.peek() in ("static", "const") or (self.is_type() and self.peek(1) != ")"):
+            return self.local(row)
+        word = self.peek()
+        if word in ("if", "while", "for"):
+            self.at += 1
+            self.take("(")
+            first = ("block", [])
+            if word == "for":
+                first = self.statement()
+            condition = self.expression()
+            after: Tree = ("block", [])
+            if word == "for":
+                self.take(";")
+                after = self.changed(row)
+            self.take(")")
+            body = self.block()
+            if word != "if":
+                return ("block", [first, ("while", row, condition, ("block", [body, after]))])
+            other: Tree = ("block", [])
+            if self.peek() == "else":
+                self.at += 1
+                other = self.statement() if self.peek() == "if" else self.block()
+            return ("if", row, condition, body, other)
+        if word == "return":
+            self.at += 1
+            value = None if self.peek() == ";" else self.expression()
+            self.take(";")
+            return ("return", row, value)
+        found = self.changed(row)
+        self.take(";")
+        return found
+
+    def changed(self, row: int) -> Tree:
+        """An assignment, a count up or down, or a call."""
+        if self.peek() == "(" and self.peek(1) == "void":
+            self.at += 3
+            return ("do", row, self.expression())
+        if self.peek() in ("++", "--"):
+            sign, place = self.take()[0], self.expression()
+            return ("set", row, place, ("two", sign, place, ("number", 1, "int32_t")))
+        place, sign = self.expression(), self.peek()
+        if sign in ("++", "--"):
+            self.at += 1
+            return ("set", row, place, ("two", sign[0], place, ("number", 1, "int32_t")))
+        if sign == "=":
+            self.at += 1
+            return ("set", row, place, self.expression())
+        if sign.endswith("=") and sign[:-1] in STRENGTH:
+            self.at += 1
+            return ("set", row, place, ("two", sign[:-1], place, self.expression()))
+        return ("do", row, place)
+
+    def expression(self, least: int = 0) -> Tree:
+        found = self.unary()
+        while STRENGTH.get(self.peek(), 0) > least:
+            sign = self.take()
+            found = ("two", sign, found, self.expression(STRENGTH[sign]))
+        if least == 0 and self.peek() == "?":
+            self.at += 1
+            first = self.expression()
+            self.take(":")
+            return ("choice", found, first, self.expression())
+        return found
+
+    def unary(self) -> Tree:
+        sign = self.peek()
+        if sign in ("-", "!", "~", "&"):
+            self.at += 1
+            return ("one", sign, self.unary())
+        if sign == "(" and self.is_type(1) and self.peek(2) == ")":
+            self.at += 3
+            return ("cast", self.peek(-2), self.unary())
+        kind, text, row = self.tokens[self.at]
+        self.at += 1
+        if sign == "(":
+            found = self.expression()
+            self.take(")")
+        elif kind == "number":
+            value, unsigned = int(text.rstrip("uUlL"), 0), "u" in text.lower()
+            found = ("number", value, self.literal(value, unsigned, row))
+        elif kind == "name" and text in ("INT64_C", "UINT64_C") and self.take("("):
+            minus = self.peek() == "-"
+            self.at += minus
+            value = int(self.take()) * (-1 if minus else 1)
+            found = ("number", value, "int64_t" if text == "INT64_C" else "uint64_t")
+            self.take(")")
+        elif kind == "name":
+            found = ("name", text)
+        else:
+            raise Fault(f"{self.where}, line {row}: '{text}' is not understood")
+        while self.peek() in ("(", "[", ".", "->"):
+            sign = self.take()
+            if sign == "(":
+                given = []
+                while self.peek() != ")":
+                    given.append(self.expression())
+                    self.skip(",")
+                self.take(")")
+                found = ("call", found[1], given)
+            elif sign == "[":
+                found = ("index", found, self.expression())
+                self.take("]")
+            else:
+                found = ("member", found, self.take())
+        return found
+
+    def literal(self, value: int, unsigned: bool, row: int) -> str:
+        for kind in ("uint32_t", "uint64_t") if unsigned else ("int32_t", "int64_t"):
+            if value <= LIMITS[kind][1]:
+                return kind
+        raise Fault(f"{self.where}, line {row}: {value} is too large a number")
+
+
+# Part 2. Numbers: ranges that remember what they were made of.
+#
+# A Node is a value of the C on one way through a function: all integers from low to high, and the
+# operation that made it. Where a condition is taken to hold, ranges become narrower, and with them
+# those of what they were made of (narrow). So |d| <= 32766 tells of d, and x x <= 9 of x.
+
+
+class Impossible(Exception):
+    """No number takes this way through a function."""
+
+
+class Node:
+    """All integers from ``low`` to ``high``, of a type; made by ``op`` of nodes."""
+
+    __slots__ = ("fact", "high", "kind", "lost", "low", "of", "op")
+
+    def __init__(
+        self, low: int, high: int, kind: str, op: str = "", of: tuple[Node, ...] = ()
+    ) -> None:
+        self.low, self.high, self.kind, self.op, self.of = low, high, kind, op, of
+        self.lost = ""  # says where a conversion may have taken digits off
+        self.fact: tuple[Node, Fraction] | None = None  # of part 4
+
+    def narrow(self, low: int, high: int) -> None:
+        """It is known to lie there, too."""
+        low, high = max(low, self.low), min(high, self.high)
+        if low > high:
+            raise Impossible
+        if (low, high) == (self.low, self.high):
+            return
+        self.low, self.high = low, high
+        of = self.of
+        match self.op:
+            case "same":
+                of[0].narrow(low, high)
+            case "neg":
+                of[0].narrow(-high, -low)
+            case "+":
+                of[0].narrow(low - of[1].high, high - of[1].low)
+                of[1].narrow(low - of[0].high, high - of[0].low)
+            case "-":
+                of[0].narrow(low + of[1].low, high + of[1].high)
+                of[1].narrow(of[0].low - high, of[0].high - low)
+            case ">>" if of[1].low == of[1].high:
+                of[0].narrow(low << of[1].low, (high + 1 << of[1].low) - 1)
+            case "*" if of[0] is of[1]:
+                of[0].narrow(-isqrt(max(high, 0)), isqrt(max(high, 0)))
+                if low > 0 and (of[0].low >= 0 or of[0].high <= 0):
+                    least = isqrt(low - 1) + 1
+                    of[0].narrow(*((least, of[0].high) if of[0].low >= 0 else (of[0].low, -least)))
+            case "*" if of[1].low == of[1].high > 0:
+                of[0].narrow(-(-low // of[1].low), high // of[1].low)
+
+
+class Struct(dict[str, Any]):
+    """Members by name."""
+
+
+class Pointer:
+    """A place in an array: the array and the index of what it points to."""
+
+    def __init__(self, array: list[Any], index: Node) -> None:
+        self.array, self.index = array, index
+
+
+def common(*kinds: str) -> str:
+    """The type in which C calculates with types: of 32 bits or more, the widest, unsigned first."""
+    sizes = {kind: int(kind.strip("uint_")) for kind in kinds}
+    wide = {kind if size >= 32 else "int32_t": max(size, 32) for kind, size in sizes.items()}
+    return max(wide, key=lambda kind: (wide[kind], kind[0] == "u"))
+
+
+def hull(values: list[Any]) -> Any:
+    """What holds all values; it forgets what they were made of."""
+    first = values[0]
+    if isinstance(first, Node):
+        if all(x is first for x in values):
+            return first
+        for value in values:
+            if value.lost:
+                raise Fault(value.lost)
+        return Node(min(x.low for x in values), max(x.high for x in values), first.kind)
+    if isinstance(first, dict):
+        return Struct({name: hull([x[name] for x in values]) for name in first})
+    if isinstance(first, list):
+        return [hull(list(column)) for column in zip(*values, strict=True)]
+    if first is None:
+        return None
+    raise Fault("a pointer is returned")
+
+
+def copied(value: Any, fresh: bool = True) -> Any:
+    """A copy whose members can change; fresh nodes know nothing of what made them."""
+    if isinstance(value, Node):
+        if not fresh or value.low == value.high:
+            return value
+        if value.lost:
+            raise Fault(value.lost)
+        return Node(value.low, value.high, value.kind)
+    if isinstance(value, dict):
+        return Struct({name: copied(x, fresh) for name, x in value.items()})
+    if isinstance(value, list):
+        return [copied(x, fresh) for x in value]
+    return value
+
+
+def spans(value: Any) -> Any:
+    """Ranges alone: what a call is known by."""
+    if isinstance(value, Node):
+        return (value.low, value.high)
+    if isinstance(value, dict):
+        return tuple(map(spans, value.values()))
+    if isinstance(value, list):
+        return tuple(map(spans, value))
+    return (id(value.array), spans(value.index)) if isinstance(value, Pointer) else value
+
+
+# Part 3. Running the C on ranges.
+#
+# A condition that ranges do not decide is tried both ways, one run after the other; what the ways
+# leave is put together where the function ends. A function without conditions is run in place, so
+# that what it makes remembers what it was made of.
+
+MOST_WAYS, MOST_ROUNDS = 20000, 80
+
+
+class Run:
+    """Runs functions; keeps what it found of every variable."""
+
+    def __init__(self, code: Code, cuts: dict[str, int]) -> None:
+        self.code, self.cuts = code, cuts
+        self.found: dict[str, tuple[int, int]] = {}  # of every variable
+        self.fullest: dict[
+            str, tuple[Fraction, str]
+        ] = {}  # share of a signed type that is used, by function
+        self.known: dict[Any, Any] = {}
+        self.kept: dict[str, Any] = {}
+        self.called: set[str] = set()
+        self.name, self.row = "", 0
+        self.ways: list[bool] = []
+        self.way = 0
+        self.taken: list[tuple[str, Node, Node]] = []  # conditions of this way
+        self.here: dict[str, Any] = {}
+
+    def fault(self, words: str) -> Fault:
+        return Fault(f"{self.name}, line {self.row}: {words}")
+
+    # Calls.
+
+    def forks(self, tree: Any) -> bool:
+        """Whether a function has conditions of its own."""
+        if isinstance(tree, tuple) and tree and tree[0] in ("if", "while", "choice"):
+            return True
+        return isinstance(tree, list | tuple) and any(map(self.forks, tree))
+
+    def call(self, name: str, given: list[Any]) -> Any:
+        """What a function returns; what it changes in records stands there afterwards."""
+        if name not in self.code.functions:
+            raise self.fault(f"{name} is not known")
+        kind, parameters, body, row = self.code.functions[name]
+        if len(given) != len(parameters):
+            raise self.fault(f"{name} has {len(parameters)} arguments")
+        self.called.add(name)
+        given = [
+            x if pointer or own not in LIMITS else self.converted(x, own)
+            for x, (own, _, pointer) in zip(given, parameters, strict=True)
+        ]
+        before = self.name, self.row, self.here, self.ways, self.way, self.taken
+        self.name, self.row = name, row
+        try:
+            if not self.forks(body) and name not in self.cuts:
+                return self.once(
+                    kind,
+                    parameters,
+                    body,
+                    [
+                        x if y[2] else copied(x, False)
+                        for x, y in zip(given, parameters, strict=True)
+                    ],
+                )
+            key = (name, spans(given))
+            if key not in self.known:
+                self.known[key] = self.every(kind, parameters, body, given)
+            value, left, bound = self.known[key]
+            for x, after, (_, _, pointer) in zip(given, left, parameters, strict=True):
+                if pointer and isinstance(x, dict):
+                    put(x, after)
+            value = copied(value)
+            if bound and isinstance(value, Node):
+                value.fact = (given[0], bound)
+            return value
+        finally:
+            self.name, self.row, self.here, self.ways, self.way, self.taken = before
+
+    def every(self, kind: str, parameters: Any, body: Tree, given: list[Any]) -> Any:
+        """All ways through a function, for all pieces of its first argument."""
+        found, bounds = [], []
+        pieces = self.cuts.get(self.name, 1)
+        for piece in range(pieces):
+            ways: list[bool] = []
+            while True:
+                own = [copied(x) for x in given]
+                if pieces > 1:
+                    low, size = given[0].low, given[0].high - given[0].low + 1
+                    first, last = (
+                        low + size * piece // pieces,
+                        low + size * (piece + 1) // pieces - 1,
+                    )
+                    if first > last:
+                        break
+                    own[0] = Node(first, last, own[0].kind)
+                self.ways, self.way, self.taken = ways, 0, []
+                try:
+                    value = self.once(kind, parameters, body, own)
+                    bounds.append(bound_of_root(value, own[0]) if isinstance(value, Node) else None)
+                    found.append((value, own))
+                except Impossible:
+                    pass
+                while ways and not ways[-1]:
+                    ways.pop()
+                if not ways or len(found) > MOST_WAYS:
+                    break
+                ways[-1] = False
+            if ways and len(found) > MOST_WAYS:
+                raise self.fault("it has too many ways")
+        if not found:
+            raise Impossible
+        bound = None if None in bounds else max(bounds)
+        left = [
+            hull(list(x)) if not isinstance(x[0], Pointer) else None
+            for x in zip(*(y for _, y in found), strict=True)
+        ]
+        return copied(hull([x for x, _ in found])), left, bound
+
+    def once(self, kind: str, parameters: Any, body: Tree, given: list[Any]) -> Any:
+        """One way through a function."""
+        self.here = {"": kind}
+        for x, (_, name, _) in zip(given, parameters, strict=True):
+            self.here[name] = x
+        found = self.do(body)
+        return found[1] if found else None
+
+    # Statements.
+
+    def do(self, tree: Tree) -> tuple[str, Any] | None:
+        """Runs a statement; what it returns, if it does."""
+        what = tree[0]
+        if what == "block":
+            for each in tree[1]:
+                found = self.do(each)
+                if found:
+                    return found
+            return None
+        self.row = tree[1]
+        if what == "local":
+            _, _, kind, name, many, value, pointer = tree
+            if value is None or many:
+                made = self.empty(kind) if many is None else self.filled(kind, many, value)
+            else:
+                made = self.value(value)
+                made = made if pointer else self.stored(name, made, kind)
+            self.here[name] = made
+        elif what == "set":
+            value = self.value(tree[3])
+            record, name, words = self.place(tree[2])
+            kind = record[name].kind if isinstance(record[name], Node) else ""
+            record[name] = self.stored(words, value, kind)
+        elif what == "if":
+            return self.do(tree[3] if self.holds(tree[2]) else tree[4])
+        elif what == "while":
+            for _ in range(MOST_ROUNDS):
+                if not self.holds(tree[2]):
+                    return None
+                found = self.do(tree[3])
+                if found:
+                    return found
+                self.row = tree[1]
+            raise self.fault("the loop may not end")
+        elif what == "return":
+            if tree[2] is None:
+                return ("return", None)
+            return ("return", self.stored("return", self.value(tree[2]), self.here[""]))
+        else:
+            self.value(tree[2])
+        return None
+
+    def empty(self, kind: str) -> Any:
+        """A variable that is not set yet: every use of it is a fault."""
+        if kind in LIMITS:
+            found = Node(*LIMITS[kind], kind)
+            found.lost = f"{self.name}, line {self.row}: a value is used that may not be set"
+            return found
+        return Struct(
+            {
+                name: self.filled(own, size, None) if size else self.empty(own)
+                for own, name, size in self.code.types[kind]
+            }
+        )
+
+    def filled(self, kind: str, many: int | None, value: Tree | None) -> Any:
+        """A constant or variable from its list."""
+        if many:
+            items = value[1] if value else [None] * many
+            if len(items) != many:
+                raise self.fault(f"a table of {many} has {len(items)} entries")
+            return [self.filled(kind, None, item) for item in items]
+        if value is None:
+            return self.empty(kind)
+        if kind in LIMITS:
+            return self.converted(self.value(value), kind)
+        members = self.code.types[kind]
+        if value[0] != "list" or len(value[1]) != len(members):
+            raise self.fault(f"a constant of {kind} has not {len(members)} members")
+        return Struct(
+            {
+                name: self.filled(own, size, x)
+                for (own, name, size), x in zip(members, value[1], strict=True)
+            }
+        )
+
+    def stored(self, name: str, value: Any, kind: str) -> Any:
+        """A value as a variable holds it; the range is noted."""
+        if not isinstance(value, Node):
+            return copied(value, False)
+        lost = value.lost
+        if not lost:
+            value = self.converted(value, kind)
+            own = f"{self.name}: {name}"
+            low, high = self.found.get(own, (value.low, value.high))
+            self.found[own] = (min(low, value.low), max(high, value.high))
+        return value
+
+    def place(self, tree: Tree) -> tuple[Any, str, str]:
+        """Where an assignment goes: the record, the member, and its words."""
+        if tree[0] == "name" and tree[1] in self.here:
+            return self.here, tree[1], tree[1]
+        if tree[0] == "member":
+            record, name, words = self.place(tree[1])
+            return record[name], tree[2], f"{words}.{tree[2]}"
+        if tree[0] == "index":
+            record, name, words = self.place(tree[1])
+            index = self.value(tree[2])
+            if index.low != index.high or not 0 <= index.low < len(record[name]):
+                raise self.fault(
+                    f"the place {index.low} to {index.high} of {words} is not one of it"
+                )
+            return record[name], index.low, f"{words}[{index.low}]"
+        raise self.fault("an assignment is not understood")
+
+    # Conditions.
+
+    def holds(self, tree: Tree) -> bool:
+        """Whether a condition holds on this way; then ranges are narrowed to that."""
+        if tree[0] == "one" and tree[1] == "!":
+            return not self.holds(tree[2])
+        if tree[0] == "two" and tree[1] in ("&&", "||"):
+            first = self.holds(tree[2])
+            return self.holds(tree[3]) if first == (tree[1] == "&&") else first
+        if tree[0] == "two" and STRENGTH[tree[1]] in (6, 7):
+            a, b, sign = self.value(tree[2]), self.value(tree[3]), tree[1]
+        else:
+            a, b, sign = self.value(tree), Node(0, 0, "int32_t"), "!="
+        if sign in ("<", "<="):
+            a, b, sign = b, a, sign.replace("<", ">")
+        if sign == "==" and a.op == "cut" and a.of[0] is b:
+            return self.unchanged(a)
+        kind = common(a.kind, b.kind)
+        a, b = self.converted(a, kind), self.converted(b, kind)
+        if a.low > b.high or (sign == ">=" and a.low >= b.high):
+            return sign != "=="
+        if sign in (">", ">=") and (a.high < b.low or (sign == ">" and a.high <= b.low)):
+            return False
+        if sign in ("==", "!=") and (a.high < b.low or a.low == a.high == b.low == b.high):
+            return (sign == "==") == (a.low == b.low)
+        chosen = self.chosen()
+        if sign in ("==", "!="):
+            self.taken.append(("==" if chosen == (sign == "==") else "!=", a, b))
+        elif chosen:
+            self.taken.append((sign, a, b))
+        else:
+            self.taken.append((">" if sign == ">=" else ">=", b, a))
+        for _ in range(2):
+            for sign, a, b in self.taken:
+                less = int(sign == ">")
+                if sign == "==":
+                    a.narrow(b.low, b.high)
+                    b.narrow(a.low, a.high)
+                elif sign != "!=":
+                    a.narrow(b.low + less, a.high)
+                    b.narrow(b.low, a.high - less)
+                else:
+                    for one, other in ((a, b), (b, a)):
+                        if other.low == other.high:
+                            one.narrow(
+                                one.low + (one.low == other.low), one.high - (one.high == other.low)
+                            )
+        return chosen
+
+    def chosen(self) -> bool:
+        """The side that this way takes of a condition."""
+        if self.way == len(self.ways):
+            self.ways.append(True)
+        self.way += 1
+        return self.ways[self.way - 1]
+
+    def unchanged(self, cut: Node) -> bool:
+        """Whether a conversion kept the number, which is asked for: then it is that number."""
+        low, high = LIMITS[cut.kind]
+        whole = cut.of[0]
+        if low <= whole.low and whole.high <= high:
+            same = True
+        else:
+            same = False if whole.low > high or whole.high < low else self.chosen()
+        if same:
+            whole.narrow(low, high)
+            cut.low, cut.high, cut.op, cut.lost = whole.low, whole.high, "same", ""
+        return same
+
+    # Values.
+
+    def value(self, tree: Tree) -> Any:
+        """What an expression is."""
+        match tree:
+            case ("number", value, kind):
+                return Node(value, value, kind)
+            case ("name", name):
+                return self.named(name)
+            case ("cast", kind, inner):
+                return self.cast(self.value(inner), kind)
+            case ("call", name, given):
+                return self.call(name, [self.value(x) for x in given])
+            case ("member", inner, name):
+                record = self.value(inner)
+                if not isinstance(record, dict) or name not in record:
+                    raise self.fault(f"there is no member {name}")
+                return record[name]
+            case ("index", inner, index):
+                return self.entry(self.value(inner), self.value(index))
+            case ("one", "&", ("index", inner, index)):
+                return Pointer(self.value(inner), self.value(index))
+            case ("one", "&", inner):
+                return self.value(inner)
+            case ("one", sign, inner):
+                return self.one(sign, self.value(inner))
+            case ("choice", condition, first, second):
+                return self.value(first if self.holds(condition) else second)
+            case ("two", sign, first, second):
+                if sign in ("&&", "||") or STRENGTH[sign] in (6, 7):
+                    return Node(*[int(self.holds(tree))] * 2, "int32_t")
+                return self.two(sign, self.value(first), self.value(second))
+        raise self.fault("an expression is not understood")
+
+    def named(self, name: str) -> Any:
+        if name in self.here:
+            return self.here[name]
+        if name not in self.kept:
+            if name not in self.code.constants:
+                raise self.fault(f"{name} is not known")
+            self.kept[name] = self.filled(*self.code.constants[name])
+        return self.kept[name]
+
+    def entry(self, array: Any, index: Node) -> Any:
+        """An entry of a table, or what holds all that it may be."""
+        if isinstance(array, Pointer):
+            array, index = array.array, self.two("+", array.index, index)
+        if not isinstance(array, list) or index.low < 0 or index.high >= len(array):
+            raise self.fault(f"the index {index.low} to {index.high} leaves the table")
+        return hull(array[index.low : index.high + 1])
+
+    def converted(self, value: Any, kind: str) -> Any:
+        """A value by a type that must hold it."""
+        if not isinstance(value, Node):
+            return value
+        if value.lost:
+            raise Fault(value.lost)
+        if value.kind == kind or not kind:
+            return value
+        low, high = LIMITS[kind]
+        if value.low < low or value.high > high:
+            raise self.fault(f"{value.low} to {value.high} is more than {kind} holds")
+        return Node(value.low, value.high, kind, "same", (value,))
+
+    def cast(self, value: Node, kind: str) -> Node:
+        """A conversion that is written: to an unsigned type it takes the remainder."""
+        low, high = LIMITS[kind]
+        if value.low >= low and value.high <= high:
+            return self.converted(value, kind)
+        if value.lost:
+            raise Fault(value.lost)
+        if low == 0:
+            return Node(low, high, kind, "cut", (value,))
+        bound = bound_of_product(value)
+        if bound is not None:
+            value.narrow(-bound, bound)
+            if bound <= high:
+                return self.converted(value, kind)
+        found = Node(low, high, kind, "cut", (value,))
+        found.lost = str(self.fault(f"{value.low} to {value.high} is more than {kind} holds"))
+        return found
+
+    def one(self, sign: str, a: Node) -> Node:
+        a = self.converted(a, common(a.kind))
+        if sign != "-":
+            raise self.fault(f"'{sign}' is not understood")
+        return self.made("neg", -a.high, -a.low, a.kind, (a,))
+
+    def two(self, sign: str, a: Node, b: Node) -> Node:
+        """An operation of two numbers."""
+        if sign in ("<<", ">>"):
+            a, b = self.converted(a, common(a.kind)), self.converted(b, common(b.kind))
+            bits = int(a.kind.strip("uint_"))
+            if b.low < 0 or b.high >= bits:
+                raise self.fault(f"a shift by {b.low} to {b.high} of {bits} bits")
+            if sign == "<<" and a.low < 0:
+                raise self.fault("a left shift of a negative number")
+            ends = [
+                x << y if sign == "<<" else x >> y for x in (a.low, a.high) for y in (b.low, b.high)
+            ]
+            return self.made(sign, min(ends), max(ends), a.kind, (a, b))
+        kind, same = common(a.kind, b.kind), a is b
+        a = self.converted(a, kind)
+        b = a if same else self.converted(b, kind)
+        if sign == "+":
+            return self.made(sign, a.low + b.low, a.high + b.high, kind, (a, b))
+        if sign == "-":
+            return self.made(sign, a.low - b.high, a.high - b.low, kind, (a, b))
+        if sign == "*":
+            ends = [x * y for x in (a.low, a.high) for y in (b.low, b.high)]
+            least = min(ends)
+            if a is b:
+                least = 0 if a.low <= 0 <= a.high else min(a.low**2, a.high**2)
+            return self.made(sign, least, max(ends), kind, (a, b))
+        if sign == "/" and b.low > 0:
+            ends = [
+                abs(x) // y * (1 if x > 0 else -1) for x in (a.low, a.high) for y in (b.low, b.high)
+            ]
+            return self.made(sign, min(ends), max(ends), kind, (a, b))
+        if sign == "&" and a.low >= 0 and b.low >= 0:
+            if a.low == a.high and b.low == b.high:
+                return Node(a.low & b.low, a.low & b.low, kind)
+            if (
+                (b.low + 1) & b.low == 0
+                and b.low == b.high
+                and a.low // (b.low + 1) == a.high // (b.low + 1)
+            ):
+                return Node(a.low & b.low, a.high & b.low, kind)
+            if b.low == b.high and b.low & (b.low - 1) == 0 and a.low // b.low == a.high // b.low:
+                return Node(a.low & b.low, a.low & b.low, kind)
+            return Node(0, min(a.high, b.high), kind)
+        raise self.fault(
+            f"'{sign}' of {a.low} to {a.high} and {b.low} to {b.high} is not understood"
+        )
+
+    def made(self, op: str, low: int, high: int, kind: str, of: tuple[Node, ...]) -> Node:
+        """A result, which must lie in its type; without a sign it takes the remainder."""
+        first, last = LIMITS[kind]
+        if first == 0 and (low < first or high > last):
+            size = last + 1
+            if low // size != high // size:
+                return Node(first, last, kind)
+            return Node(low % size, high % size, kind)
+        if low < first or high > last:
+            words = {"neg": "the negative", "+": "a sum", "-": "a difference", "*": "a product"}
+            raise self.fault(f"{words.get(op, 'a shift')} can reach {low} to {high}, beyond {kind}")
+        if op in ("+", "-", "*"):
+            used = Fraction(max(-low, high), last + 1)
+            self.fullest[kind] = max(
+                self.fullest.get(kind, (Fraction(0), "")), (used, str(self.fault(op)))
+            )
+        return Node(low, high, kind, op, of)
+
+
+def put(record: Any, after: Any) -> None:
+    """Sets the members of a record in place."""
+    for name, value in after.items():
+        if isinstance(value, dict):
+            put(record[name], value)
+        elif isinstance(value, list):
+            record[name] = value
+        elif isinstance(value, Node):
+            record[name] = Node(value.low, value.high, value.kind)
+
+
+# Part 4. Two inequalities that ranges do not show.
+
+
+def shifted(node: Node) -> tuple[Node, Fraction, int] | None:
+    """What x, c, k make a node (x + c) >> k; c is a constant."""
+    while node.op == "same":
+        node = node.of[0]
+    if node.op != ">>" or node.of[1].low != node.of[1].high:
+        return None
+    k, inner = node.of[1].low, bare(node.of[0])
+    if inner.op in ("+", "-") and inner.of[1].low == inner.of[1].high:
+        return bare(inner.of[0]), Fraction(inner.of[1].low * (1 if inner.op == "+" else -1)), k
+    return inner, Fraction(0), k
+
+
+def bare(node: Node) -> Node:
+    """A node without conversions that keep it."""
+    while node.op == "same":
+        node = node.of[0]
+    return node
+
+
+def bound_of_root(result: Node, s: Node) -> Fraction | None:
+    """A bound of r sqrt(s) for the last step r of Newton's rule for 1/sqrt(s).
+
+    A shift takes less than 1 off: with a = (t y + c3) >> k3, b = (C - a y + c2) >> k2 and
+    r = (y b + c1) >> k1 and a >= t y/2^k3 - u
+
+        r <= (C y - t y^3/2^k3)/2^(k1+k2) + (y (u y + c2)/2^k2 + c1)/2^k1 <= K/sqrt(t) + E
+
+    since the first part is largest where y^2 = C 2^k3/(3 t), whatever the steps before found; and
+    s <= 2^k t + m.
+    """
+    last = shifted(result)
+    if last is None or last[0].op != "*":
+        return None
+    (y, rest), c1, k1 = map(bare, last[0].of), last[1], last[2]
+    middle = shifted(rest)
+    if middle is None or middle[0].op != "-" or y.low < 0:
+        return None
+    whole, product = middle[0].of[0], bare(middle[0].of[1])
+    if (
+        whole.low != whole.high
+        or whole.low <= 0
+        or product.op != "*"
+        or bare(product.of[1]) is not y
+    ):
+        return None
+    first = shifted(bare(product.of[0]))
+    if first is None or first[0].op != "*" or bare(first[0].of[1]) is not y:
+        return None
+    t, k2, k3 = bare(first[0].of[0]), middle[2], first[2]
+    from_s = below(t, bare(s))
+    if from_s is None or t.low <= 0:
+        return None
+    u = max(Fraction(0), 1 - Fraction(first[1] + 1, 2**k3))
+    off = (y.high * (u * y.high + max(middle[1], 0)) / 2**k2 + max(c1, 0)) / 2**k1
+    squared = Fraction(4, 27) * whole.low**3 * 2**k3 / 4 ** (k1 + k2)
+    return root(squared * (2 ** from_s[1] + from_s[0] / t.low)) + off * root(Fraction(s.high))
+
+
+def root(value: Fraction) -> Fraction:
+    """A square root, rounded up."""
+    return Fraction(isqrt(value.numerator * 4**64 // value.denominator) + 1, 2**64)
+
+
+def below(node: Node, s: Node) -> tuple[Fraction, int] | None:
+    """m and k with s <= 2^k node + m, where the node is made of s by shifts."""
+    if bare(node) is s:
+        return Fraction(0), 0
+    step = shifted(node)
+    inner = below(step[0], s) if step else None
+    if step is None or inner is None:
+        return None
+    return inner[0] + 2 ** inner[1] * (2 ** step[2] - 1 - step[1]), inner[1] + step[2]
+
+
+def bound_of_product(node: Node) -> int | None:
+    """A bound of |(x p + c) >> k| with p = (l r + c2) >> b, where r sqrt(w) is bounded and w is
+    x^2 + y^2 times a square: |x| r <= r sqrt(w) over the root of the latter.
+    """
+    outer = shifted(node)
+    if outer is None or outer[0].op != "*":
+        return None
+    x, share = map(bare, outer[0].of)
+    inner = shifted(share)
+    if inner is None or inner[0].op != "*" or share.low < 0:
+        return None
+    limit, reciprocal = map(bare, inner[0].of)
+    if reciprocal.fact is None or limit.low < 0:
+        return None
+    (whole, bound), times = reciprocal.fact, 1
+    whole = bare(whole)
+    while whole.op == "*" and whole.of[1].low == whole.of[1].high > 0:
+        whole, times = bare(whole.of[0]), times * whole.of[1].low
+    squares = [bare(x) for x in whole.of] if whole.op == "+" else []
+    if isqrt(times) ** 2 != times or not any(
+        z.op == "*" and {*map(bare, z.of)} == {x} for z in squares
+    ):
+        return None
+    if not all(z.op == "*" and z.of[0] is z.of[1] for z in squares):
+        return None
+    size = max(-x.low, x.high)
+    most = (limit.high * bound / isqrt(times) + size * max(inner[1], 0)) / 2 ** inner[2]
+    return max((most + outer[1]) // 2 ** outer[2], -((-most + outer[1]) // 2 ** outer[2]))
+
+
+# Part 5. The certificate: calls, with what their arguments can be.
+
+
+class Claims:
+    """The calls of a certificate, run one after the other."""
+
+    def __init__(self, stated: dict[str, Any], code: Code) -> None:
+        self.stated, self.code = stated, code
+        self.run = Run(code, {name: int(n) for name, n in stated["cuts"].items()})
+
+    def any(self, kind: str) -> Any:
+        """Every value of a type."""
+        if kind in LIMITS:
+            return Node(*LIMITS[kind], kind)
+        return Struct(
+            {
+                name: [self.any(own) for _ in range(size)] if size else self.any(own)
+                for own, name, size in self.code.types[kind]
+            }
+        )
+
+    def argument(self, told: Any, kind: str) -> Any:
+        """What an argument can be."""
+        if told == "any":
+            return self.any(kind)
+        if isinstance(told, str):
+            if told in self.stated["states"]:
+                return self.argument(self.stated["states"][told], kind)
+            name, *members = told.split(".")
+            value = self.run.named(name)
+            for member in members:
+                value = value[member]
+            return value
+        if isinstance(told, dict):
+            known = {name: own for own, name, _ in self.code.types[kind]}
+            if not set(told) <= set(known):
+                raise Fault(f"{kind} has other members than {', '.join(told)}")
+            whole = self.any(kind)
+            return Struct(
+                {
+                    x: self.argument(told[x], own) if x in told else whole[x]
+                    for x, own in known.items()
+                }
+            )
+        low, high = told
+        if not LIMITS[kind][0] <= low <= high <= LIMITS[kind][1]:
+            raise Fault(f"{low} to {high} are no numbers of {kind}")
+        return Node(low, high, kind)
+
+    def inside(self, value: Any, told: Any, place: str) -> None:
+        """A record must hold what is told of it."""
+        if isinstance(value, dict):
+            for name, member in value.items():
+                self.inside(member, told[name], f"{place}.{name}")
+        elif isinstance(value, list):
+            for each, other in zip(value, told, strict=True):
+                self.inside(each, other, place)
+        elif value.lost or value.low < told.low or value.high > told.high:
+            raise Fault(
+                f"{place} may be {value.low} to {value.high} afterwards, not {told.low} to {told.high}"
+            )
+
+    def call(self, number: int, told: dict[str, Any]) -> str:
+        """One call; says what is confirmed."""
+        name = told["function"]
+        if name not in self.code.functions:
+            raise Fault(f"call {number}: the headers have no function {name}")
+        parameters = self.code.functions[name][1]
+        if set(told["arguments"]) != {own for _, own, _ in parameters}:
+            raise Fault(f"call {number}: {name} has other arguments")
+        given = [self.argument(told["arguments"][own], kind) for kind, own, _ in parameters]
+        after = {**told["arguments"], **told.get("after", {})}
+        self.run.call(name, given)
+        for value, (kind, own, pointer) in zip(given, parameters, strict=True):
+            if pointer and isinstance(value, dict):
+                self.inside(value, self.argument(after[own], kind), f"{name}: {own}")
+        words = [
+            f"{own} {x if isinstance(x, str) else f'{x[0]} to {x[1]}'}"
+            for own, x in told["arguments"].items()
+            if not isinstance(x, dict)
+        ]
+        return f"{name}: nothing leaves its type for {', '.join(words)}"
+
+
+def check(stated: dict[str, Any], folder: Path) -> list[str]:
+    """All claims; what is confirmed, in words."""
+    code = Code()
+    for name in stated["headers"]:
+        code.read(folder, name)
+    claims = Claims(stated, code)
+    said = [claims.call(number, told) for number, told in enumerate(stated["calls"])]
+    return said
+
+
+# Part 6. What is printed.
+
+
+def main(arguments: list[str]) -> int:
+    """Checks the certificate that is named; the headers lie beside it."""
+    if len(arguments) != 1:
+        print("write: check_ranges.py PREFIX_ranges.json")
+        return 2
+    path = Path(arguments[0])
+    try:
+        stated = json.loads(path.read_text("utf-8"))
+        for words in check(stated, path.parent):
+            print(f"confirmed: {words}")
+    except Fault as fault:
+        print(f"not confirmed: {fault}")
+        return 1
+    except (KeyError, TypeError, ValueError, ArithmeticError, OSError) as fault:
+        print(f"not confirmed: the certificate or the header is damaged ({fault!r})")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
