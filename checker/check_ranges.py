@@ -2,17 +2,17 @@
 
     python -I -S check_ranges.py abb2k2_ranges.json
 
-The program imports nothing but the standard library and calculates in integers and fractions alone.
-It reads the C of the headers themselves, runs every function that the certificate names on ranges
-in place of numbers, and believes nothing: what the certificate tells of a state must hold again
-after each call, and what it tells of a variable must contain what is found here. Read it from top
-to bottom: the text of C (part 1), numbers (part 2), running it (part 3), two inequalities (part 4),
-the certificate (part 5), and what is printed (part 6). It ends with 0 where all is confirmed, else
-with 1 and the place where it is not.
+The program imports nothing but the standard library and the reader of C beside it, `c_text.py`, and
+calculates in integers and fractions alone. It runs every function that the certificate names on
+ranges in place of numbers, and believes nothing: what the certificate tells of a state must hold
+again after each call. Read it from top to bottom: numbers (part 1), running the C (part 2), two
+inequalities (part 3), the certificate (part 4), and what is printed (part 5). It ends with 0 where
+all is confirmed, else with 1 and the place where it is not.
 """
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 import sys
@@ -21,325 +21,14 @@ from math import isqrt
 from pathlib import Path
 from typing import Any
 
-
-class Fault(Exception):
-    """What is not confirmed, in words, with its place."""
-
-
-# Part 1. The text: what the preprocessor leaves, taken apart into tuples.
-
-LIMITS = {
-    f"{sign}int{bits}_t": (-(1 << bits - 1), (1 << bits - 1) - 1)
-    if not sign
-    else (0, (1 << bits) - 1)
-    for sign in ("", "u")
-    for bits in (8, 16, 32, 64)
-}
-TOKEN = re.compile(
-    r"\s*(?:(?P<name>[A-Za-z_]\w*)|(?P<number>0[xX][\da-fA-F]+|\d+)(?P<suffix>[uUlL]*)(?![\w.])"
-    r"|(?P<sign><<=|>>=|\+\+|--|->|<<|>>|<=|>=|==|!=|&&|\|\||[-+*/%&|^]=|[-+*/%&|^~!<>=?:;,.(){}\[\]]))"
-)
-STRENGTH = {
-    "||": 1, "&&": 2, "|": 3, "^": 4, "&": 5, "==": 6, "!=": 6, "<": 7, ">": 7, "<=": 7, ">=": 7,
-    "<<": 8, ">>": 8, "+": 9, "-": 9, "*": 10, "/": 10, "%": 10,
-}  # fmt: skip
-SHIFT = '#if ((-1) >> 1) != (-1)\n#error "fixed point needs arithmetic right shifts of negative numbers"'
+sys.path.insert(0, str(Path(__file__).parent))
+c_text = importlib.import_module("c_text")
+sys.path.pop(0)
+Fault, LIMITS, STRENGTH = c_text.Fault, c_text.LIMITS, c_text.STRENGTH
 Tree = tuple[Any, ...]
 
 
-class Code:
-    """Types, constants and functions of headers."""
-
-    def __init__(self) -> None:
-        self.types: dict[str, list[tuple[str, str, int]]] = {}  # members: type, name, how many
-        self.constants: dict[str, tuple[str, bool, Tree]] = {}
-        self.functions: dict[str, tuple[str, list[tuple[str, str, bool]], Tree, int]] = {}
-        self.defined: set[str] = set()
-        self.said: dict[str, str] = {}
-        self.tokens: list[tuple[str, str, int]] = []
-        self.at = 0
-        self.where = ""
-
-    def read(self, folder: Path, name: str) -> None:
-        """Reads a header, those that it includes first."""
-        if name in self.said:
-            return
-        text = (folder / name).read_text("utf-8")
-        self.said[name] = " ".join(
-            re.sub(r"\s+\*?\s*", " ", x) for x in re.findall(r"/\*.*?\*/", text, re.S)
-        )
-        code = re.sub(r"/\*.*?\*/", lambda x: re.sub(r"[^\n]", " ", x[0]), text, flags=re.S)
-        code = re.sub(r"//[^\n]*", " ", code)
-        if SHIFT not in code:
-            raise Fault(f"{name}: it does not check that right shifts keep the sign")
-        self.said[name], kept, taken = self.said[name], [], [True]
-        for line in code.split("\n"):
-            words = line.split()
-            kept.append("" if not all(taken) or line.lstrip().startswith("#") else line)
-            if not line.lstrip().startswith("#"):
-                continue
-            match words:
-                case ["#ifndef", macro]:
-                    taken.append(macro not in self.defined)
-                case ["#ifdef", "__cplusplus"]:
-                    taken.append(False)
-                case ["#if", "((-1)", ">>", "1)", "!=", "(-1)"]:
-                    taken.append(False)
-                case ["#endif"]:
-                    taken.pop()
-                case ["#error", *_] | ["#include", "<stdint.h>"]:
-                    pass
-                case ["#include", other]:
-                    self.read(folder, other.strip('"'))
-                case ["#define", macro, *_] if "(" not in macro:
-                    if all(taken):
-                        self.defined.add(macro)
-                case _:
-                    raise Fault(f"{name}: this program does not read '{line.strip()[:40]}'")
-        self.tokens, self.at, self.where = [], 0, name
-        for row, line in enumerate(kept, 1):
-            place = 0
-            while line[place:].strip():
-                found = TOKEN.match(line, place)
-                if found is None:
-                    raise Fault(
-                        f"{name}, line {row}: '{line[place:].strip()[:30]}' is not understood"
-                    )
-                kind = str(found.lastgroup).replace("suffix", "number")
-                words_ = (
-                    (found["number"] + found["suffix"]) if found["number"] else found[0].strip()
-                )
-                if kind == "name" and words_ in self.defined:
-                    raise Fault(f"{name}, line {row}: a macro stands in the code")
-                self.tokens.append((kind, words_, row))
-                place = found.end()
-        self.tokens.append(("end", "", len(kept)))
-        while self.peek():
-            self.declared()
-
-    # The parser: what comes next, and what must come next.
-
-    def peek(self, ahead: int = 0) -> str:
-        return self.tokens[min(self.at + ahead, len(self.tokens) - 1)][1]
-
-    def row(self) -> int:
-        return self.tokens[self.at][2]
-
-    def take(self, *wanted: str) -> str:
-        kind, text, row = self.tokens[self.at]
-        if wanted and text not in wanted or kind == "end":
-            raise Fault(
-                f"{self.where}, line {row}: '{text}' stands where {wanted or 'more'} should"
-            )
-        self.at += 1
-        return text
-
-    def skip(self, *words: str) -> None:
-        while self.peek() in words:
-            self.at += 1
-
-    def is_type(self, ahead: int = 0) -> bool:
-        return self.peek(ahead) in LIMITS or self.peek(ahead) in self.types
-
-    def declared(self) -> None:
-        """A type, a constant or a function."""
-        row = self.row()
-        if self.peek() == "typedef":
-            self.at += 1
-            self.take("struct")
-            self.take("{")
-            members = []
-            while self.peek() != "}":
-                kind, name, size = self.take(), self.take(), 0
-                if kind not in LIMITS and kind not in self.types:
-                    raise Fault(f"{self.where}, line {row}: type {kind} is not known")
-                if self.peek() == "[":
-                    self.at += 1
-                    size = int(self.take().rstrip("uU"))
-                    self.take("]")
-                self.take(";")
-                members.append((kind, name, size))
-            self.take("}")
-            self.added(self.types, self.take(), members)
-            self.take(";")
-            return
-        self.take("static")
-        self.skip("inline", "const")
-        kind, name = self.take(), self.take()
-        if self.peek() != "(":
-            self.at -= 2
-            _, _, kind, name, many, value, _ = self.local(row)
-            self.added(self.constants, name, (kind, many, value))
-            return
-        self.take("(")
-        parameters = []
-        while self.peek() != ")":
-            self.skip("const")
-            own = self.take()
-            pointer = self.peek() == "*"
-            self.at += pointer
-            parameters.append((own, self.take(), pointer))
-            self.skip(",")
-        self.take(")")
-        self.added(self.functions, name, (kind, parameters, self.block(), row))
-
-    def added(self, table: dict[str, Any], name: str, value: Any) -> None:
-        if name in table:
-            raise Fault(f"{self.where}, line {self.row()}: {name} is declared twice")
-        table[name] = value
-
-    def local(self, row: int) -> Tree:
-        """A declaration: type, name, whether an array, and value."""
-        self.skip("static", "const")
-        kind, pointer = self.take(), self.peek() == "*"
-        self.at += pointer
-        name, many, value = self.take(), None, None
-        if self.peek() == "[":
-            self.at += 1
-            many = int(self.take().rstrip("uU"))
-            self.take("]")
-        if self.peek() == "=":
-            self.at += 1
-            value = self.listed() if self.peek() == "{" else self.expression()
-        self.take(";")
-        return ("local", row, kind, name, many, value, pointer)
-
-    def listed(self) -> Tree:
-        """A list in braces."""
-        self.take("{")
-        found = []
-        while self.peek() != "}":
-            found.append(self.listed() if self.peek() == "{" else self.expression())
-            self.skip(",")
-        self.take("}")
-        return ("list", found)
-
-    def block(self) -> Tree:
-        self.take("{")
-        found = []
-        while self.peek() != "}":
-            found.append(self.statement())
-        self.take("}")
-        return ("block", found)
-
-    def statement(self) -> Tree:
-        row = self.row()
-        if self.peek() == "{":
-            return self.block()
-        if self.peek() in ("static", "const") or (self.is_type() and self.peek(1) != ")"):
-            return self.local(row)
-        word = self.peek()
-        if word in ("if", "while", "for"):
-            self.at += 1
-            self.take("(")
-            first = ("block", [])
-            if word == "for":
-                first = self.statement()
-            condition = self.expression()
-            after: Tree = ("block", [])
-            if word == "for":
-                self.take(";")
-                after = self.changed(row)
-            self.take(")")
-            body = self.block()
-            if word != "if":
-                return ("block", [first, ("while", row, condition, ("block", [body, after]))])
-            other: Tree = ("block", [])
-            if self.peek() == "else":
-                self.at += 1
-                other = self.statement() if self.peek() == "if" else self.block()
-            return ("if", row, condition, body, other)
-        if word == "return":
-            self.at += 1
-            value = None if self.peek() == ";" else self.expression()
-            self.take(";")
-            return ("return", row, value)
-        found = self.changed(row)
-        self.take(";")
-        return found
-
-    def changed(self, row: int) -> Tree:
-        """An assignment, a count up or down, or a call."""
-        if self.peek() == "(" and self.peek(1) == "void":
-            self.at += 3
-            return ("do", row, self.expression())
-        if self.peek() in ("++", "--"):
-            sign, place = self.take()[0], self.expression()
-            return ("set", row, place, ("two", sign, place, ("number", 1, "int32_t")))
-        place, sign = self.expression(), self.peek()
-        if sign in ("++", "--"):
-            self.at += 1
-            return ("set", row, place, ("two", sign[0], place, ("number", 1, "int32_t")))
-        if sign == "=":
-            self.at += 1
-            return ("set", row, place, self.expression())
-        if sign.endswith("=") and sign[:-1] in STRENGTH:
-            self.at += 1
-            return ("set", row, place, ("two", sign[:-1], place, self.expression()))
-        return ("do", row, place)
-
-    def expression(self, least: int = 0) -> Tree:
-        found = self.unary()
-        while STRENGTH.get(self.peek(), 0) > least:
-            sign = self.take()
-            found = ("two", sign, found, self.expression(STRENGTH[sign]))
-        if least == 0 and self.peek() == "?":
-            self.at += 1
-            first = self.expression()
-            self.take(":")
-            return ("choice", found, first, self.expression())
-        return found
-
-    def unary(self) -> Tree:
-        sign = self.peek()
-        if sign in ("-", "!", "~", "&"):
-            self.at += 1
-            return ("one", sign, self.unary())
-        if sign == "(" and self.is_type(1) and self.peek(2) == ")":
-            self.at += 3
-            return ("cast", self.peek(-2), self.unary())
-        kind, text, row = self.tokens[self.at]
-        self.at += 1
-        if sign == "(":
-            found = self.expression()
-            self.take(")")
-        elif kind == "number":
-            value, unsigned = int(text.rstrip("uUlL"), 0), "u" in text.lower()
-            found = ("number", value, self.literal(value, unsigned, row))
-        elif kind == "name" and text in ("INT64_C", "UINT64_C") and self.take("("):
-            minus = self.peek() == "-"
-            self.at += minus
-            value = int(self.take()) * (-1 if minus else 1)
-            found = ("number", value, "int64_t" if text == "INT64_C" else "uint64_t")
-            self.take(")")
-        elif kind == "name":
-            found = ("name", text)
-        else:
-            raise Fault(f"{self.where}, line {row}: '{text}' is not understood")
-        while self.peek() in ("(", "[", ".", "->"):
-            sign = self.take()
-            if sign == "(":
-                given = []
-                while self.peek() != ")":
-                    given.append(self.expression())
-                    self.skip(",")
-                self.take(")")
-                found = ("call", found[1], given)
-            elif sign == "[":
-                found = ("index", found, self.expression())
-                self.take("]")
-            else:
-                found = ("member", found, self.take())
-        return found
-
-    def literal(self, value: int, unsigned: bool, row: int) -> str:
-        for kind in ("uint32_t", "uint64_t") if unsigned else ("int32_t", "int64_t"):
-            if value <= LIMITS[kind][1]:
-                return kind
-        raise Fault(f"{self.where}, line {row}: {value} is too large a number")
-
-
-# Part 2. Numbers: ranges that remember what they were made of.
+# Part 1. Numbers: ranges that remember what they were made of.
 #
 # A Node is a value of the C on one way through a function: all integers from low to high, and the
 # operation that made it. Where a condition is taken to hold, ranges become narrower, and with them
@@ -448,6 +137,8 @@ def copied(value: Any, fresh: bool = True) -> Any:
 def spans(value: Any) -> Any:
     """Ranges alone: what a call is known by."""
     if isinstance(value, Node):
+        if value.lost:
+            raise Fault(value.lost)
         return (value.low, value.high)
     if isinstance(value, dict):
         return tuple(map(spans, value.values()))
@@ -456,7 +147,7 @@ def spans(value: Any) -> Any:
     return (id(value.array), spans(value.index)) if isinstance(value, Pointer) else value
 
 
-# Part 3. Running the C on ranges.
+# Part 2. Running the C on ranges.
 #
 # A condition that ranges do not decide is tried both ways, one run after the other; what the ways
 # leave is put together where the function ends. A function without conditions is run in place, so
@@ -466,16 +157,13 @@ MOST_WAYS, MOST_ROUNDS = 20000, 80
 
 
 class Run:
-    """Runs functions; keeps what it found of every variable."""
+    """Runs functions; keeps what it found of each call."""
 
-    def __init__(self, code: Code, cuts: dict[str, int]) -> None:
+    def __init__(self, code: Any, cuts: dict[str, int]) -> None:
         self.code, self.cuts = code, cuts
-        self.found: dict[str, tuple[int, int]] = {}  # of every variable
-        self.fullest: dict[
-            str, tuple[Fraction, str]
-        ] = {}  # share of a signed type that is used, by function
+        self.fullest: dict[tuple[str, str], tuple[Fraction, str]] = {}  # by header and type
         self.known: dict[Any, Any] = {}
-        self.kept: dict[str, Any] = {}
+        self.kept: dict[Any, Any] = {}  # constants
         self.called: set[str] = set()
         self.name, self.row = "", 0
         self.ways: list[bool] = []
@@ -483,7 +171,7 @@ class Run:
         self.taken: list[tuple[str, Node, Node]] = []  # conditions of this way
         self.here: dict[str, Any] = {}
 
-    def fault(self, words: str) -> Fault:
+    def fault(self, words: str) -> Exception:
         return Fault(f"{self.name}, line {self.row}: {words}")
 
     # Calls.
@@ -498,7 +186,7 @@ class Run:
         """What a function returns; what it changes in records stands there afterwards."""
         if name not in self.code.functions:
             raise self.fault(f"{name} is not known")
-        kind, parameters, body, row = self.code.functions[name]
+        kind, parameters, body, row, _ = self.code.functions[name]
         if len(given) != len(parameters):
             raise self.fault(f"{name} has {len(parameters)} arguments")
         self.called.add(name)
@@ -509,7 +197,7 @@ class Run:
         before = self.name, self.row, self.here, self.ways, self.way, self.taken
         self.name, self.row = name, row
         try:
-            if not self.forks(body) and name not in self.cuts:
+            if before[0] and not self.forks(body) and name not in self.cuts:
                 return self.once(
                     kind,
                     parameters,
@@ -595,17 +283,20 @@ class Run:
         self.row = tree[1]
         if what == "local":
             _, _, kind, name, many, value, pointer = tree
-            if value is None or many:
+            if many and value:
+                made = self.kept.get(id(value)) or self.filled(kind, many, value)
+                self.kept[id(value)] = made
+            elif value is None or many:
                 made = self.empty(kind) if many is None else self.filled(kind, many, value)
             else:
                 made = self.value(value)
-                made = made if pointer else self.stored(name, made, kind)
+                made = made if pointer else self.stored(made, kind)
             self.here[name] = made
         elif what == "set":
             value = self.value(tree[3])
-            record, name, words = self.place(tree[2])
+            record, name = self.place(tree[2])
             kind = record[name].kind if isinstance(record[name], Node) else ""
-            record[name] = self.stored(words, value, kind)
+            record[name] = self.stored(value, kind)
         elif what == "if":
             return self.do(tree[3] if self.holds(tree[2]) else tree[4])
         elif what == "while":
@@ -620,7 +311,7 @@ class Run:
         elif what == "return":
             if tree[2] is None:
                 return ("return", None)
-            return ("return", self.stored("return", self.value(tree[2]), self.here[""]))
+            return ("return", self.stored(self.value(tree[2]), self.here[""]))
         else:
             self.value(tree[2])
         return None
@@ -659,33 +350,24 @@ class Run:
             }
         )
 
-    def stored(self, name: str, value: Any, kind: str) -> Any:
-        """A value as a variable holds it; the range is noted."""
+    def stored(self, value: Any, kind: str) -> Any:
+        """A value as a variable holds it."""
         if not isinstance(value, Node):
             return copied(value, False)
-        lost = value.lost
-        if not lost:
-            value = self.converted(value, kind)
-            own = f"{self.name}: {name}"
-            low, high = self.found.get(own, (value.low, value.high))
-            self.found[own] = (min(low, value.low), max(high, value.high))
-        return value
+        return value if value.lost else self.converted(value, kind)
 
-    def place(self, tree: Tree) -> tuple[Any, str, str]:
-        """Where an assignment goes: the record, the member, and its words."""
+    def place(self, tree: Tree) -> tuple[Any, Any]:
+        """Where an assignment goes: the record or array, and the member."""
         if tree[0] == "name" and tree[1] in self.here:
-            return self.here, tree[1], tree[1]
-        if tree[0] == "member":
-            record, name, words = self.place(tree[1])
-            return record[name], tree[2], f"{words}.{tree[2]}"
-        if tree[0] == "index":
-            record, name, words = self.place(tree[1])
+            return self.here, tree[1]
+        if tree[0] in ("member", "index"):
+            record, name = self.place(tree[1])
+            if tree[0] == "member":
+                return record[name], tree[2]
             index = self.value(tree[2])
-            if index.low != index.high or not 0 <= index.low < len(record[name]):
-                raise self.fault(
-                    f"the place {index.low} to {index.high} of {words} is not one of it"
-                )
-            return record[name], index.low, f"{words}[{index.low}]"
+            if index.low == index.high and 0 <= index.low < len(record[name]):
+                return record[name], index.low
+            raise self.fault(f"the index {index.low} to {index.high} is not one place of the array")
         raise self.fault("an assignment is not understood")
 
     # Conditions.
@@ -797,7 +479,7 @@ class Run:
         if name not in self.kept:
             if name not in self.code.constants:
                 raise self.fault(f"{name} is not known")
-            self.kept[name] = self.filled(*self.code.constants[name])
+            self.kept[name] = self.filled(*[self.code.constants[name][x] for x in (2, 4, 5)])
         return self.kept[name]
 
     def entry(self, array: Any, index: Node) -> Any:
@@ -903,11 +585,11 @@ class Run:
         if low < first or high > last:
             words = {"neg": "the negative", "+": "a sum", "-": "a difference", "*": "a product"}
             raise self.fault(f"{words.get(op, 'a shift')} can reach {low} to {high}, beyond {kind}")
-        if op in ("+", "-", "*"):
-            used = Fraction(max(-low, high), last + 1)
-            self.fullest[kind] = max(
-                self.fullest.get(kind, (Fraction(0), "")), (used, str(self.fault(op)))
-            )
+        doubled = op == "*" and of[1].low == of[1].high and of[1].low.bit_count() == 1
+        if op in ("+", "-", "*") and first and not doubled:
+            used, place = Fraction(max(-low, high), last + 1), str(self.fault(f"'{op}'"))
+            own = (self.code.functions[self.name][4] if self.name else "", kind)
+            self.fullest[own] = max(self.fullest.get(own, (Fraction(0), "")), (used, place))
         return Node(low, high, kind, op, of)
 
 
@@ -922,7 +604,7 @@ def put(record: Any, after: Any) -> None:
             record[name] = Node(value.low, value.high, value.kind)
 
 
-# Part 4. Two inequalities that ranges do not show.
+# Part 3. Two inequalities that ranges do not show.
 
 
 def shifted(node: Node) -> tuple[Node, Fraction, int] | None:
@@ -1029,13 +711,13 @@ def bound_of_product(node: Node) -> int | None:
     return max((most + outer[1]) // 2 ** outer[2], -((-most + outer[1]) // 2 ** outer[2]))
 
 
-# Part 5. The certificate: calls, with what their arguments can be.
+# Part 4. The certificate: calls, with what their arguments can be.
 
 
 class Claims:
     """The calls of a certificate, run one after the other."""
 
-    def __init__(self, stated: dict[str, Any], code: Code) -> None:
+    def __init__(self, stated: dict[str, Any], code: Any) -> None:
         self.stated, self.code = stated, code
         self.run = Run(code, {name: int(n) for name, n in stated["cuts"].items()})
 
@@ -1113,17 +795,29 @@ class Claims:
         return f"{name}: nothing leaves its type for {', '.join(words)}"
 
 
+FULLEST = re.compile(r"the fullest, '[^']*', reaches ([\d.]+)% of (int\d+_t)")
+
+
 def check(stated: dict[str, Any], folder: Path) -> list[str]:
-    """All claims; what is confirmed, in words."""
-    code = Code()
+    """All claims; what is confirmed, in words, after what is not covered."""
+    code = c_text.Code()
     for name in stated["headers"]:
         code.read(folder, name)
     claims = Claims(stated, code)
     said = [claims.call(number, told) for number, told in enumerate(stated["calls"])]
-    return said
+    for name, comments in code.said.items():
+        found = FULLEST.search(comments)
+        if found is None:
+            raise Fault(f"{name}: it does not say how full its words are")
+        used, place = claims.run.fullest.get((name, found[2]), (Fraction(0), ""))
+        if used * 100 > Fraction(found[1]) + Fraction(1, 20000):
+            raise Fault(f"{place} reaches {float(used):.4%} of {found[2]}, {name} says {found[1]}%")
+        said.append(f"{name}: no product and no sum exceeds {found[1]}% of {found[2]}")
+    left = sorted(set(code.functions) - claims.run.called)
+    return ["not covered: " + "; ".join([*stated["not_covered"], *left] or ["nothing"]), *said]
 
 
-# Part 6. What is printed.
+# Part 5. What is printed.
 
 
 def main(arguments: list[str]) -> int:
@@ -1134,12 +828,14 @@ def main(arguments: list[str]) -> int:
     path = Path(arguments[0])
     try:
         stated = json.loads(path.read_text("utf-8"))
-        for words in check(stated, path.parent):
+        first, *said = check(stated, path.parent)
+        print(first)
+        for words in said:
             print(f"confirmed: {words}")
     except Fault as fault:
         print(f"not confirmed: {fault}")
         return 1
-    except (KeyError, TypeError, ValueError, ArithmeticError, OSError) as fault:
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, OSError) as fault:
         print(f"not confirmed: the certificate or the header is damaged ({fault!r})")
         return 1
     return 0
