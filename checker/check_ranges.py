@@ -159,8 +159,8 @@ MOST_WAYS, MOST_ROUNDS = 20000, 80
 class Run:
     """Runs functions; keeps what it found of each call."""
 
-    def __init__(self, code: Any, cuts: dict[str, int]) -> None:
-        self.code, self.cuts = code, cuts
+    def __init__(self, code: Any, cuts: dict[str, int], wraps: list[str]) -> None:
+        self.code, self.cuts, self.wraps = code, cuts, wraps
         self.fullest: dict[tuple[str, str], tuple[Fraction, str]] = {}  # by header and type
         self.known: dict[Any, Any] = {}
         self.kept: dict[Any, Any] = {}  # constants
@@ -449,7 +449,8 @@ class Run:
             case ("name", name):
                 return self.named(name)
             case ("cast", kind, inner):
-                return self.cast(self.value(inner), kind)
+                wraps = inner[0] == "name" and inner[1] in self.wraps and kind.startswith("u")
+                return self.cast(self.value(inner), kind, wraps)
             case ("call", name, given):
                 return self.call(name, [self.value(x) for x in given])
             case ("member", inner, name):
@@ -503,15 +504,15 @@ class Run:
             raise self.fault(f"{value.low} to {value.high} is more than {kind} holds")
         return Node(value.low, value.high, kind, "same", (value,))
 
-    def cast(self, value: Node, kind: str) -> Node:
-        """A conversion that is written: to an unsigned type it takes the remainder."""
+    def cast(self, value: Node, kind: str, wraps: bool = False) -> Node:
+        """A conversion that is written; what it takes off is a fault where it is used."""
         low, high = LIMITS[kind]
-        if value.low >= low and value.high <= high:
+        if low <= value.low and value.high <= high:
             return self.converted(value, kind)
         if value.lost:
             raise Fault(value.lost)
-        if low == 0:
-            return Node(low, high, kind, "cut", (value,))
+        if wraps:
+            return Node(low, high, kind)
         bound = bound_of_product(value)
         if bound is not None:
             value.narrow(-bound, bound)
@@ -577,11 +578,10 @@ class Run:
     def made(self, op: str, low: int, high: int, kind: str, of: tuple[Node, ...]) -> Node:
         """A result, which must lie in its type; without a sign it takes the remainder."""
         first, last = LIMITS[kind]
-        if first == 0 and (low < first or high > last):
+        if first == 0 and op == "+" and high > last:  # an angle wraps
             size = last + 1
-            if low // size != high // size:
-                return Node(first, last, kind)
-            return Node(low % size, high % size, kind)
+            whole = low // size != high // size
+            return Node(*((first, last) if whole else (low % size, high % size)), kind)
         if low < first or high > last:
             words = {"neg": "the negative", "+": "a sum", "-": "a difference", "*": "a product"}
             raise self.fault(f"{words.get(op, 'a shift')} can reach {low} to {high}, beyond {kind}")
@@ -719,7 +719,7 @@ class Claims:
 
     def __init__(self, stated: dict[str, Any], code: Any) -> None:
         self.stated, self.code = stated, code
-        self.run = Run(code, {name: int(n) for name, n in stated["cuts"].items()})
+        self.run = Run(code, stated["cuts"], stated["wraps"])
 
     def any(self, kind: str) -> Any:
         """Every value of a type."""

@@ -40,6 +40,7 @@ def range_files(solution: Solution, files: Mapping[str, bytes]) -> dict[str, byt
         "not_covered": ["position observers"] if solution.fixed_observers else [],
         "headers": [],
         "cuts": {},
+        "wraps": ["turn"],  # an angle
         "states": {},
         "calls": [],
     }
