@@ -180,7 +180,7 @@ class Code:
         return ("block", self.until("}", self.statement))
 
     def statement(self) -> Tree:
-        row, found = self.tokens[self.at][1], Any
+        row = self.tokens[self.at][1]
         if self.next() in ("static", "const") or self.is_type():
             return self.local(row)
         if self.skip("for"):
@@ -201,10 +201,7 @@ class Code:
                 body,
                 self.statement() if self.next() == "if" else self.block(),
             )
-        if self.skip("return"):
-            found = ("return", row, self.expression())
-        else:
-            found = self.changed(row)
+        found = ("return", row, self.expression()) if self.skip("return") else self.changed(row)
         self.take(";")
         return found
 
@@ -271,3 +268,10 @@ class Code:
             else:
                 found = ("member", found, self.take())
         return found
+
+
+def common(*kinds: str) -> str:
+    """The type in which C calculates with types: of 32 bits or more, the widest, unsigned first."""
+    sizes = {kind: int(kind.strip("uint_")) for kind in kinds}
+    wide = {kind if size >= 32 else "int32_t": max(size, 32) for kind, size in sizes.items()}
+    return max(wide, key=lambda kind: (wide[kind], kind[0] == "u"))

@@ -16,6 +16,7 @@ import importlib
 import json
 import re
 import sys
+from collections.abc import Callable
 from fractions import Fraction
 from math import isqrt
 from pathlib import Path
@@ -24,7 +25,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parent))
 c_text = importlib.import_module("c_text")
 sys.path.pop(0)
-Fault, LIMITS, STRENGTH = c_text.Fault, c_text.LIMITS, c_text.STRENGTH
+Fault, LIMITS, STRENGTH, common = c_text.Fault, c_text.LIMITS, c_text.STRENGTH, c_text.common
 Tree = tuple[Any, ...]
 
 
@@ -93,13 +94,6 @@ class Pointer:
         self.array, self.index = array, index
 
 
-def common(*kinds: str) -> str:
-    """The type in which C calculates with types: of 32 bits or more, the widest, unsigned first."""
-    sizes = {kind: int(kind.strip("uint_")) for kind in kinds}
-    wide = {kind if size >= 32 else "int32_t": max(size, 32) for kind, size in sizes.items()}
-    return max(wide, key=lambda kind: (wide[kind], kind[0] == "u"))
-
-
 def hull(values: list[Any]) -> Any:
     """What holds all values; it forgets what they were made of."""
     first = values[0]
@@ -113,10 +107,8 @@ def hull(values: list[Any]) -> Any:
     if isinstance(first, dict):
         return Struct({name: hull([x[name] for x in values]) for name in first})
     if isinstance(first, list):
-        return [hull(list(column)) for column in zip(*values, strict=True)]
-    if first is None:
-        return None
-    raise Fault("a pointer is returned")
+        return [hull(list(column)) for column in zip(*values)]
+    return None
 
 
 def copied(value: Any, fresh: bool = True) -> Any:
@@ -192,26 +184,19 @@ class Run:
         self.called.add(name)
         given = [
             x if pointer or own not in LIMITS else self.converted(x, own)
-            for x, (own, _, pointer) in zip(given, parameters, strict=True)
+            for x, (own, _, pointer) in zip(given, parameters)
         ]
-        before = self.name, self.row, self.here, self.ways, self.way, self.taken
+        before = (self.name, self.row, self.here, self.ways, self.way, self.taken)
         self.name, self.row = name, row
         try:
             if before[0] and not self.forks(body) and name not in self.cuts:
-                return self.once(
-                    kind,
-                    parameters,
-                    body,
-                    [
-                        x if y[2] else copied(x, False)
-                        for x, y in zip(given, parameters, strict=True)
-                    ],
-                )
+                own = [x if y[2] else copied(x, False) for x, y in zip(given, parameters)]
+                return self.once(kind, parameters, body, own)
             key = (name, spans(given))
             if key not in self.known:
                 self.known[key] = self.every(kind, parameters, body, given)
             value, left, bound = self.known[key]
-            for x, after, (_, _, pointer) in zip(given, left, parameters, strict=True):
+            for x, after, (_, _, pointer) in zip(given, left, parameters):
                 if pointer and isinstance(x, dict):
                     put(x, after)
             value = copied(value)
@@ -231,13 +216,10 @@ class Run:
                 own = [copied(x) for x in given]
                 if pieces > 1:
                     low, size = given[0].low, given[0].high - given[0].low + 1
-                    first, last = (
-                        low + size * piece // pieces,
-                        low + size * (piece + 1) // pieces - 1,
-                    )
-                    if first > last:
+                    first, after = (low + size * (piece + k) // pieces for k in (0, 1))
+                    if first == after:
                         break
-                    own[0] = Node(first, last, own[0].kind)
+                    own[0] = Node(first, after - 1, own[0].kind)
                 self.ways, self.way, self.taken = ways, 0, []
                 try:
                     value = self.once(kind, parameters, body, own)
@@ -255,16 +237,13 @@ class Run:
         if not found:
             raise Impossible
         bound = None if None in bounds else max(bounds)
-        left = [
-            hull(list(x)) if not isinstance(x[0], Pointer) else None
-            for x in zip(*(y for _, y in found), strict=True)
-        ]
+        left = [hull(list(x)) for x in zip(*(y for _, y in found))]
         return copied(hull([x for x, _ in found])), left, bound
 
     def once(self, kind: str, parameters: Any, body: Tree, given: list[Any]) -> Any:
         """One way through a function."""
         self.here = {"": kind}
-        for x, (_, name, _) in zip(given, parameters, strict=True):
+        for x, (_, name, _) in zip(given, parameters):
             self.here[name] = x
         found = self.do(body)
         return found[1] if found else None
@@ -286,8 +265,8 @@ class Run:
             if many and value:
                 made = self.kept.get(id(value)) or self.filled(kind, many, value)
                 self.kept[id(value)] = made
-            elif value is None or many:
-                made = self.empty(kind) if many is None else self.filled(kind, many, value)
+            elif value is None:
+                made = self.filled(kind, many, None)
             else:
                 made = self.value(value)
                 made = made if pointer else self.stored(made, kind)
@@ -301,54 +280,45 @@ class Run:
             return self.do(tree[3] if self.holds(tree[2]) else tree[4])
         elif what == "while":
             for _ in range(MOST_ROUNDS):
-                if not self.holds(tree[2]):
-                    return None
-                found = self.do(tree[3])
+                found = ("end", None) if not self.holds(tree[2]) else self.do(tree[3])
                 if found:
-                    return found
+                    return found if found[0] == "return" else None
                 self.row = tree[1]
             raise self.fault("the loop may not end")
         elif what == "return":
-            if tree[2] is None:
-                return ("return", None)
             return ("return", self.stored(self.value(tree[2]), self.here[""]))
         else:
             self.value(tree[2])
         return None
 
-    def empty(self, kind: str) -> Any:
-        """A variable that is not set yet: every use of it is a fault."""
+    def any(self, kind: str, lost: str = "") -> Any:
+        """Every value of a type; ``lost`` says why none may be used."""
         if kind in LIMITS:
             found = Node(*LIMITS[kind], kind)
-            found.lost = f"{self.name}, line {self.row}: a value is used that may not be set"
+            found.lost = lost
             return found
-        return Struct(
-            {
-                name: self.filled(own, size, None) if size else self.empty(own)
-                for own, name, size in self.code.types[kind]
-            }
-        )
+        made = Struct()
+        for own, name, size in self.code.types[kind]:
+            items = [self.any(own, lost) for _ in range(size or 1)]
+            made[name] = items if size else items[0]
+        return made
 
-    def filled(self, kind: str, many: int | None, value: Tree | None) -> Any:
+    def filled(self, kind: str, many: int, value: Tree | None) -> Any:
         """A constant or variable from its list."""
-        if many:
-            items = value[1] if value else [None] * many
-            if len(items) != many:
-                raise self.fault(f"a table of {many} has {len(items)} entries")
-            return [self.filled(kind, None, item) for item in items]
         if value is None:
-            return self.empty(kind)
+            lost = str(self.fault("a value is used that may not be set"))
+            return [self.any(kind, lost) for _ in range(many)] if many else self.any(kind, lost)
+        if many:
+            if value[0] != "list" or len(value[1]) != many:
+                raise self.fault(f"a table has not {many} entries")
+            return [self.filled(kind, 0, item) for item in value[1]]
         if kind in LIMITS:
             return self.converted(self.value(value), kind)
         members = self.code.types[kind]
         if value[0] != "list" or len(value[1]) != len(members):
             raise self.fault(f"a constant of {kind} has not {len(members)} members")
-        return Struct(
-            {
-                name: self.filled(own, size, x)
-                for (own, name, size), x in zip(members, value[1], strict=True)
-            }
-        )
+        rows = zip(members, value[1])
+        return Struct({name: self.filled(own, size, x) for (own, name, size), x in rows})
 
     def stored(self, value: Any, kind: str) -> Any:
         """A value as a variable holds it."""
@@ -413,10 +383,8 @@ class Run:
                     b.narrow(b.low, a.high - less)
                 else:
                     for one, other in ((a, b), (b, a)):
-                        if other.low == other.high:
-                            one.narrow(
-                                one.low + (one.low == other.low), one.high - (one.high == other.low)
-                            )
+                        if (x := other.low) == other.high:
+                            one.narrow(one.low + (one.low == x), one.high - (one.high == x))
         return chosen
 
     def chosen(self) -> bool:
@@ -537,43 +505,27 @@ class Run:
                 raise self.fault(f"a shift by {b.low} to {b.high} of {bits} bits")
             if sign == "<<" and a.low < 0:
                 raise self.fault("a left shift of a negative number")
-            ends = [
-                x << y if sign == "<<" else x >> y for x in (a.low, a.high) for y in (b.low, b.high)
-            ]
+            ends = corners(a, b, int.__lshift__ if sign == "<<" else int.__rshift__)
             return self.made(sign, min(ends), max(ends), a.kind, (a, b))
         kind, same = common(a.kind, b.kind), a is b
         a = self.converted(a, kind)
         b = a if same else self.converted(b, kind)
-        if sign == "+":
-            return self.made(sign, a.low + b.low, a.high + b.high, kind, (a, b))
-        if sign == "-":
-            return self.made(sign, a.low - b.high, a.high - b.low, kind, (a, b))
-        if sign == "*":
-            ends = [x * y for x in (a.low, a.high) for y in (b.low, b.high)]
-            least = min(ends)
-            if a is b:
-                least = 0 if a.low <= 0 <= a.high else min(a.low**2, a.high**2)
+        if sign in ("+", "-", "*"):
+            ends = corners(a, b, {"+": int.__add__, "-": int.__sub__, "*": int.__mul__}[sign])
+            least = 0 if sign == "*" and same and a.low <= 0 <= a.high else min(ends)
+            if sign == "*" and same and least:
+                least = min(a.low**2, a.high**2)
             return self.made(sign, least, max(ends), kind, (a, b))
         if sign == "/" and b.low > 0:
-            ends = [
-                abs(x) // y * (1 if x > 0 else -1) for x in (a.low, a.high) for y in (b.low, b.high)
-            ]
+            ends = corners(a, b, lambda x, y: abs(x) // y * (1 if x > 0 else -1))
             return self.made(sign, min(ends), max(ends), kind, (a, b))
         if sign == "&" and a.low >= 0 and b.low >= 0:
-            if a.low == a.high and b.low == b.high:
-                return Node(a.low & b.low, a.low & b.low, kind)
-            if (
-                (b.low + 1) & b.low == 0
-                and b.low == b.high
-                and a.low // (b.low + 1) == a.high // (b.low + 1)
-            ):
-                return Node(a.low & b.low, a.high & b.low, kind)
-            if b.low == b.high and b.low & (b.low - 1) == 0 and a.low // b.low == a.high // b.low:
-                return Node(a.low & b.low, a.low & b.low, kind)
+            m = b.low  # in a part of a where higher bits are the same, a mask leaves a range
+            size = m + 1 if m & (m + 1) == 0 else m if m & (m - 1) == 0 else 0
+            if m == b.high and size and a.low // size == a.high // size:
+                return Node(a.low & m, a.high & m, kind)
             return Node(0, min(a.high, b.high), kind)
-        raise self.fault(
-            f"'{sign}' of {a.low} to {a.high} and {b.low} to {b.high} is not understood"
-        )
+        raise self.fault(f"'{sign}' of {a.low} to {a.high}, {b.low} to {b.high} is not understood")
 
     def made(self, op: str, low: int, high: int, kind: str, of: tuple[Node, ...]) -> Node:
         """A result, which must lie in its type; without a sign it takes the remainder."""
@@ -591,6 +543,11 @@ class Run:
             own = (self.code.functions[self.name][4] if self.name else "", kind)
             self.fullest[own] = max(self.fullest.get(own, (Fraction(0), "")), (used, place))
         return Node(low, high, kind, op, of)
+
+
+def corners(a: Node, b: Node, of: Callable[[int, int], int]) -> list[int]:
+    """A function of two numbers that is monotone in each, at the ends of ranges."""
+    return [of(x, y) for x in (a.low, a.high) for y in (b.low, b.high)]
 
 
 def put(record: Any, after: Any) -> None:
@@ -671,7 +628,7 @@ def root(value: Fraction) -> Fraction:
 
 
 def below(node: Node, s: Node) -> tuple[Fraction, int] | None:
-    """m and k with s <= 2^k node + m, where the node is made of s by shifts."""
+    """Numbers m, k with s <= 2^k node + m, where the node is made of s by shifts."""
     if bare(node) is s:
         return Fraction(0), 0
     step = shifted(node)
@@ -721,40 +678,25 @@ class Claims:
         self.stated, self.code = stated, code
         self.run = Run(code, stated["cuts"], stated["wraps"])
 
-    def any(self, kind: str) -> Any:
-        """Every value of a type."""
-        if kind in LIMITS:
-            return Node(*LIMITS[kind], kind)
-        return Struct(
-            {
-                name: [self.any(own) for _ in range(size)] if size else self.any(own)
-                for own, name, size in self.code.types[kind]
-            }
-        )
-
     def argument(self, told: Any, kind: str) -> Any:
         """What an argument can be."""
-        if told == "any":
-            return self.any(kind)
         if isinstance(told, str):
-            if told in self.stated["states"]:
-                return self.argument(self.stated["states"][told], kind)
-            name, *members = told.split(".")
-            value = self.run.named(name)
+            if told == "any" or told in self.stated["states"]:
+                told = {} if told == "any" else self.stated["states"][told]
+                return self.argument(told, kind)
+            value, *members = told.split(".")
+            value = self.run.named(value)
             for member in members:
                 value = value[member]
             return value
         if isinstance(told, dict):
-            known = {name: own for own, name, _ in self.code.types[kind]}
-            if not set(told) <= set(known):
-                raise Fault(f"{kind} has other members than {', '.join(told)}")
-            whole = self.any(kind)
-            return Struct(
-                {
-                    x: self.argument(told[x], own) if x in told else whole[x]
-                    for x, own in known.items()
-                }
+            whole, known = (
+                self.run.any(kind),
+                {x: own for own, x, _ in self.code.types.get(kind, ())},
             )
+            for name, member in told.items():
+                whole[name] = self.argument(member, known[name])
+            return whole
         low, high = told
         if not LIMITS[kind][0] <= low <= high <= LIMITS[kind][1]:
             raise Fault(f"{low} to {high} are no numbers of {kind}")
@@ -766,33 +708,38 @@ class Claims:
             for name, member in value.items():
                 self.inside(member, told[name], f"{place}.{name}")
         elif isinstance(value, list):
-            for each, other in zip(value, told, strict=True):
+            for each, other in zip(value, told):
                 self.inside(each, other, place)
         elif value.lost or value.low < told.low or value.high > told.high:
             raise Fault(
-                f"{place} may be {value.low} to {value.high} afterwards, not {told.low} to {told.high}"
+                f"{place} may be {value.low} to {value.high}, not {told.low} to {told.high}"
             )
 
-    def call(self, number: int, told: dict[str, Any]) -> str:
-        """One call; says what is confirmed."""
-        name = told["function"]
-        if name not in self.code.functions:
-            raise Fault(f"call {number}: the headers have no function {name}")
+    def call(self, told: dict[str, Any]) -> str:
+        """One call; says what is confirmed.
+
+        A record that is changed is of a named state before and after; it may be anything before.
+        """
+        name, arguments = told["function"], told["arguments"]
         parameters = self.code.functions[name][1]
-        if set(told["arguments"]) != {own for _, own, _ in parameters}:
-            raise Fault(f"call {number}: {name} has other arguments")
-        given = [self.argument(told["arguments"][own], kind) for kind, own, _ in parameters]
-        after = {**told["arguments"], **told.get("after", {})}
+        given = [self.argument(arguments[own], kind) for kind, own, _ in parameters]
         self.run.call(name, given)
-        for value, (kind, own, pointer) in zip(given, parameters, strict=True):
-            if pointer and isinstance(value, dict):
-                self.inside(value, self.argument(after[own], kind), f"{name}: {own}")
-        words = [
-            f"{own} {x if isinstance(x, str) else f'{x[0]} to {x[1]}'}"
-            for own, x in told["arguments"].items()
-            if not isinstance(x, dict)
-        ]
-        return f"{name}: nothing leaves its type for {', '.join(words)}"
+        for value, (kind, own, pointer) in zip(given, parameters):
+            state = told.get("after", arguments)[own] if pointer and own != "gains" else None
+            if state is None or arguments[own] in self.code.constants or own == "measured":
+                continue
+            if arguments[own] not in ("any", state) or state not in self.stated["states"]:
+                raise Fault(f"{name}: {own} is not told by a state")
+            self.inside(value, self.argument(state, kind), f"{name}: {own}")
+        words = ", ".join(f"{own} {plain(x)}" for own, x in arguments.items())
+        return f"{name}: nothing leaves its type for {words}"
+
+
+def plain(told: Any) -> str:
+    """Ranges in words."""
+    if isinstance(told, dict):
+        return "(" + ", ".join(f"{name} {plain(x)}" for name, x in told.items()) + ")"
+    return told if isinstance(told, str) else f"{told[0]} to {told[1]}"
 
 
 FULLEST = re.compile(r"the fullest, '[^']*', reaches ([\d.]+)% of (int\d+_t)")
@@ -804,7 +751,9 @@ def check(stated: dict[str, Any], folder: Path) -> list[str]:
     for name in stated["headers"]:
         code.read(folder, name)
     claims = Claims(stated, code)
-    said = [claims.call(number, told) for number, told in enumerate(stated["calls"])]
+    said = [claims.call(told) for told in stated["calls"]]
+    said += [f"{name} stays within {plain(told)}" for name, told in stated["states"].items()]
+    said += [f"'{name}' is an angle and wraps" for name in stated["wraps"]]
     for name, comments in code.said.items():
         found = FULLEST.search(comments)
         if found is None:

@@ -32,14 +32,14 @@ _TEXTS = (
     (r"uint32_t bits = 16U", "uint32_t bits = 15U", "shortened"),
     (r"coarse_d \* share, 14U", "coarse_d * share, 13U", "shortened"),
     (r"coarse_q \* share, 14U", "coarse_q * share, 13U", "shortened"),
-    (r"\|\| \(square > \(limit \* limit\)\)", "|| (square >= (limit * limit))", "shortened"),
     (r"most > 32759\) \? 32759", "most > 32767) ? 32767", "current_control"),
     (r"x > 32768\) \? 32768", "x > 65568) ? 65568", "duty"),
     (r"\(x < 0\) \? 0 : \(\(x", "(x < -1) ? 0 : ((x", "duty"),
     (r"link < 16384", "link < 0", "shares"),
     (r"link \*= 2", "link *= 1", "shares"),
     (r"uint32_t places = 15U", "uint32_t places = 3U", "shares"),
-    (r"536854528\);|536854528\n    \}", None, "gains"),
+    (r"16384, 0U, 0 \},\n", "16384, 0U, 16384 },\n", "gains"),
+    (r"8192, 536854528 \},", "8192, 936854528 },", "gains"),
     (r"    14189,\n", "    0,\n", "gains"),
     (r"\{ 18919, 14U, 8192 \}", "{ 78919, 14U, 8192 }", "gains"),
     (r"\{ 29491, 20U, 524288 \}", "{ 29491, 32U, 524288 }", "gains"),
@@ -62,8 +62,6 @@ _TEXTS = (
 def planted_texts(files: dict[str, str]) -> Iterator[tuple[str, dict[str, str]]]:
     """Name of a fault and the headers with it; each is planted once."""
     for place, text, name in _TEXTS:
-        if text is None:
-            text = "936854528\n    }"
         for file, content in files.items():
             changed = re.sub(place, lambda _, text=text: text, content, count=1)
             if file.endswith(".h") and changed != content:
