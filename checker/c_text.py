@@ -123,7 +123,9 @@ class Code:
 
     def declared(self) -> None:
         """A type, a constant or a function."""
-        row, table, value = self.tokens[self.at][1], Any, Any
+        row = self.tokens[self.at][1]
+        table: dict[str, Any]
+        value: Any
         if self.skip("typedef"):
             self.take("struct")
             self.take("{")
@@ -236,7 +238,8 @@ class Code:
         return found
 
     def unary(self) -> Tree:
-        text, found = self.take(), Any
+        text = self.take()
+        found: Tree
         if text in ("-", "!", "&"):
             return ("one", text, self.unary())
         if text == "(" and self.is_type():

@@ -25,7 +25,10 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parent))
 c_text = importlib.import_module("c_text")
 sys.path.pop(0)
-Fault, LIMITS, STRENGTH, common = c_text.Fault, c_text.LIMITS, c_text.STRENGTH, c_text.common
+Fault: type[Exception] = c_text.Fault
+LIMITS: dict[str, tuple[int, int]] = c_text.LIMITS
+STRENGTH: dict[str, int] = c_text.STRENGTH
+common: Callable[..., str] = c_text.common
 Tree = tuple[Any, ...]
 
 
@@ -236,7 +239,7 @@ class Run:
                 raise self.fault("it has too many ways")
         if not found:
             raise Impossible
-        bound = None if None in bounds else max(bounds)
+        bound = None if None in bounds else max(x for x in bounds if x is not None)
         left = [hull(list(x)) for x in zip(*(y for _, y in found))]
         return copied(hull([x for x, _ in found])), left, bound
 
@@ -360,11 +363,11 @@ class Run:
         kind = common(a.kind, b.kind)
         a, b = self.converted(a, kind), self.converted(b, kind)
         if a.low > b.high or (sign == ">=" and a.low >= b.high):
-            return sign != "=="
+            return bool(sign != "==")
         if sign in (">", ">=") and (a.high < b.low or (sign == ">" and a.high <= b.low)):
             return False
         if sign in ("==", "!=") and (a.high < b.low or a.low == a.high == b.low == b.high):
-            return (sign == "==") == (a.low == b.low)
+            return bool((sign == "==") == (a.low == b.low))
         chosen = self.chosen()
         if sign in ("==", "!="):
             self.taken.append(("==" if chosen == (sign == "==") else "!=", a, b))
@@ -438,7 +441,8 @@ class Run:
                 return self.value(first if self.holds(condition) else second)
             case ("two", sign, first, second):
                 if sign in ("&&", "||") or STRENGTH[sign] in (6, 7):
-                    return Node(*[int(self.holds(tree))] * 2, "int32_t")
+                    truth = int(self.holds(tree))
+                    return Node(truth, truth, "int32_t")
                 return self.two(sign, self.value(first), self.value(second))
         raise self.fault("an expression is not understood")
 
@@ -474,18 +478,17 @@ class Run:
 
     def cast(self, value: Node, kind: str, wraps: bool = False) -> Node:
         """A conversion that is written; what it takes off is a fault where it is used."""
-        low, high = LIMITS[kind]
-        if low <= value.low and value.high <= high:
-            return self.converted(value, kind)
         if value.lost:
             raise Fault(value.lost)
-        if wraps:
-            return Node(low, high, kind)
-        bound = bound_of_product(value)
+        low, high = LIMITS[kind]
+        fits = low <= value.low and value.high <= high
+        bound = None if fits or wraps else bound_of_product(value)
         if bound is not None:
             value.narrow(-bound, bound)
-            if bound <= high:
-                return self.converted(value, kind)
+        if low <= value.low and value.high <= high:
+            return Node(value.low, value.high, kind, "same", (value,))
+        if wraps:
+            return Node(low, high, kind)
         found = Node(low, high, kind, "cut", (value,))
         found.lost = str(self.fault(f"{value.low} to {value.high} is more than {kind} holds"))
         return found
@@ -617,7 +620,9 @@ def bound_of_root(result: Node, s: Node) -> Fraction | None:
     if from_s is None or t.low <= 0:
         return None
     u = max(Fraction(0), 1 - Fraction(first[1] + 1, 2**k3))
-    off = (y.high * (u * y.high + max(middle[1], 0)) / 2**k2 + max(c1, 0)) / 2**k1
+    off = (
+        y.high * (u * y.high + max(middle[1], Fraction(0))) / 2**k2 + max(c1, Fraction(0))
+    ) / 2**k1
     squared = Fraction(4, 27) * whole.low**3 * 2**k3 / 4 ** (k1 + k2)
     return root(squared * (2 ** from_s[1] + from_s[0] / t.low)) + off * root(Fraction(s.high))
 
@@ -664,8 +669,9 @@ def bound_of_product(node: Node) -> int | None:
     if not all(z.op == "*" and z.of[0] is z.of[1] for z in squares):
         return None
     size = max(-x.low, x.high)
-    most = (limit.high * bound / isqrt(times) + size * max(inner[1], 0)) / 2 ** inner[2]
-    return max((most + outer[1]) // 2 ** outer[2], -((-most + outer[1]) // 2 ** outer[2]))
+    most = (limit.high * bound / isqrt(times) + size * max(inner[1], Fraction(0))) / 2 ** inner[2]
+    ends = [(end + outer[1]) // 2 ** outer[2] for end in (most, -most)]
+    return int(max(ends[0], -ends[1]))
 
 
 # Part 4. The certificate: calls, with what their arguments can be.

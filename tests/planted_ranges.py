@@ -38,7 +38,6 @@ _TEXTS = (
     (r"link < 16384", "link < 0", "shares"),
     (r"link \*= 2", "link *= 1", "shares"),
     (r"uint32_t places = 15U", "uint32_t places = 3U", "shares"),
-    (r"16384, 0U, 0 \},\n", "16384, 0U, 16384 },\n", "gains"),
     (r"8192, 536854528 \},", "8192, 936854528 },", "gains"),
     (r"    14189,\n", "    0,\n", "gains"),
     (r"\{ 18919, 14U, 8192 \}", "{ 78919, 14U, 8192 }", "gains"),
@@ -51,10 +50,9 @@ _TEXTS = (
     (r"step = 4U", "step = 8U", "reference"),
     (r"reference_torque_q15\[row \+ 1U\] -", "reference_torque_q15[row + 2U] -", "reference"),
     (r"\* 16384\) / ", "* 163840) / ", "reference"),
-    (r"    0, 3997, 8003,", "    0, 8003, 8003,", "reference"),
     (r"\{ -7390, 31924 \}", "{ -7390, 51924 }", "reference"),
     (r"reaches 99\.9977%", "reaches 99.9877%", "said"),
-    (r"reaches 24\.9229%", "reaches 24.9129%", "said"),
+    (r"reaches 24\.9229%", "reaches 4.9229%", "said"),
     (r"!= \(-1\)\n#error", "!= (-2)\n#error", "shifts"),
 )
 
@@ -63,7 +61,7 @@ def planted_texts(files: dict[str, str]) -> Iterator[tuple[str, dict[str, str]]]
     """Name of a fault and the headers with it; each is planted once."""
     for place, text, name in _TEXTS:
         for file, content in files.items():
-            changed = re.sub(place, lambda _, text=text: text, content, count=1)
+            changed = re.sub(place, text, content, count=1)
             if file.endswith(".h") and changed != content:
                 yield f"{name}: {place}", files | {file: changed}
 

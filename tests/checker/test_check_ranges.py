@@ -31,7 +31,9 @@ DRIVE = "abb-ipmsm-2k2"
 Files = dict[str, str]
 # Machines whose phases are controlled one by one, or not in integers.
 FIRST = (DRIVE, "paper001-pmsm-bench", "paper000-ipmsm-100kw")
-CODES = {"back"}
+# Variables of 32 bits that 16 hold in the headers of DRIVE; of the polynomials for every argument.
+CODES = {"across", "along", "back", "coarse_d", "coarse_q", "limit", "limited", "unit", "x"}
+CODES |= {"p_1", "p_2", "p_3", "p_4"}
 NONE = ("paper002-phase-waveforms", "salient-phase-waveforms", "vdyno-trampa-6340")
 
 
