@@ -232,11 +232,11 @@ class Run:
                     pass
                 while ways and not ways[-1]:
                     ways.pop()
-                if not ways or len(found) > MOST_WAYS:
+                if len(found) > MOST_WAYS:
+                    raise self.fault("it has too many ways")
+                if not ways:
                     break
                 ways[-1] = False
-            if ways and len(found) > MOST_WAYS:
-                raise self.fault("it has too many ways")
         if not found:
             raise Impossible
         bound = None if None in bounds else max(x for x in bounds if x is not None)
@@ -245,9 +245,7 @@ class Run:
 
     def once(self, kind: str, parameters: Any, body: Tree, given: list[Any]) -> Any:
         """One way through a function."""
-        self.here = {"": kind}
-        for x, (_, name, _) in zip(given, parameters):
-            self.here[name] = x
+        self.here = {"": kind} | {name: x for x, (_, name, _) in zip(given, parameters)}
         found = self.do(body)
         return found[1] if found else None
 
@@ -487,10 +485,12 @@ class Run:
             value.narrow(-bound, bound)
         if low <= value.low and value.high <= high:
             return Node(value.low, value.high, kind, "same", (value,))
-        if wraps:
-            return Node(low, high, kind)
         found = Node(low, high, kind, "cut", (value,))
-        found.lost = str(self.fault(f"{value.low} to {value.high} is more than {kind} holds"))
+        found.lost = (
+            ""
+            if wraps
+            else str(self.fault(f"{value.low} to {value.high} is more than {kind} holds"))
+        )
         return found
 
     def one(self, sign: str, a: Node) -> Node:
@@ -569,8 +569,7 @@ def put(record: Any, after: Any) -> None:
 
 def shifted(node: Node) -> tuple[Node, Fraction, int] | None:
     """What x, c, k make a node (x + c) >> k; c is a constant."""
-    while node.op == "same":
-        node = node.of[0]
+    node = bare(node)
     if node.op != ">>" or node.of[1].low != node.of[1].high:
         return None
     k, inner = node.of[1].low, bare(node.of[0])
@@ -624,7 +623,10 @@ def bound_of_root(result: Node, s: Node) -> Fraction | None:
         y.high * (u * y.high + max(middle[1], Fraction(0))) / 2**k2 + max(c1, Fraction(0))
     ) / 2**k1
     squared = Fraction(4, 27) * whole.low**3 * 2**k3 / 4 ** (k1 + k2)
-    return root(squared * (2 ** from_s[1] + from_s[0] / t.low)) + off * root(Fraction(s.high))
+    found: Fraction = root(squared * (2 ** from_s[1] + from_s[0] / t.low)) + off * root(
+        Fraction(s.high)
+    )
+    return found
 
 
 def root(value: Fraction) -> Fraction:
@@ -662,11 +664,9 @@ def bound_of_product(node: Node) -> int | None:
     while whole.op == "*" and whole.of[1].low == whole.of[1].high > 0:
         whole, times = bare(whole.of[0]), times * whole.of[1].low
     squares = [bare(x) for x in whole.of] if whole.op == "+" else []
-    if isqrt(times) ** 2 != times or not any(
-        z.op == "*" and {*map(bare, z.of)} == {x} for z in squares
-    ):
+    if isqrt(times) ** 2 != times or not all(z.op == "*" and z.of[0] is z.of[1] for z in squares):
         return None
-    if not all(z.op == "*" and z.of[0] is z.of[1] for z in squares):
+    if not any(bare(z.of[0]) is x for z in squares):
         return None
     size = max(-x.low, x.high)
     most = (limit.high * bound / isqrt(times) + size * max(inner[1], Fraction(0))) / 2 ** inner[2]
