@@ -540,7 +540,7 @@ class Run:
         if low < first or high > last:
             words = {"neg": "the negative", "+": "a sum", "-": "a difference", "*": "a product"}
             raise self.fault(f"{words.get(op, 'a shift')} can reach {low} to {high}, beyond {kind}")
-        doubled = op == "*" and of[1].low == of[1].high and of[1].low.bit_count() == 1
+        doubled = op == "*" and of[1].low == of[1].high and of[1].low in (2, 4)
         if op in ("+", "-", "*") and first and not doubled:
             used, place = Fraction(max(-low, high), last + 1), str(self.fault(f"'{op}'"))
             own = (self.code.functions[self.name][4] if self.name else "", kind)
