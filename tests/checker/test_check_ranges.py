@@ -92,7 +92,7 @@ def test_the_checker_runs_alone(tmp_path: Path) -> None:
 
 def test_it_imports_nothing_of_what_it_checks() -> None:
     for module in (checker, c_text):
-        source = Path(module.__file__).read_text("utf-8")
+        source = Path(str(module.__file__)).read_text("utf-8")
         imported = set(re.findall(r"^(?:import|from) ([\w.]+)", source, re.M))
         own = {"__future__", "collections.abc", "fractions", "importlib", "json", "math"}
         assert imported <= own | {"pathlib", "re", "sys", "typing"}
