@@ -38,6 +38,7 @@ from dqforge.reports.report import render_report
 from dqforge.reports.run_folder import REPORT, RESULT, listed_files
 from dqforge.reports.verification.host import Verification, stated_verification, verify_files
 from dqforge.reports.verification.independent import certificate_files
+from dqforge.reports.verification.range_claims import range_files
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +146,7 @@ def export_design(
     stage("emitting the headers")
     files, told = _words(_emitted(solution, capabilities, dialect))
     if dialect is NEUTRAL:
-        certified = certificate_files(solution, files)
+        certified = certificate_files(solution, files) | range_files(solution, files)
         files |= certified
         told |= dict.fromkeys(certified, "what is proven, for the independent checker")
     plain = plain_solution(solution, capabilities)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from dqforge.checker import check_certificate as checker
-from dqforge.checker import check_loops, check_observer, check_speed
+from dqforge.checker import check_loops, check_observer, check_ranges, check_speed
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.current_reference.forms import FixedReference
@@ -24,14 +24,16 @@ from dqforge.optimizer.solution import Solution
 from dqforge.reports.loops.firmware_text import CERTIFICATE
 from dqforge.reports.observers.position_text import rounded_up
 from dqforge.reports.plain_data import PlainData
+from dqforge.reports.verification.range_claims import RANGES
 
 SUFFIX, SPEED_SUFFIX, OBSERVER_SUFFIX = "_certificate.json", "_speed.json", "_observer.json"
 _MOST_BOXES = 1500  # Boxes that are looked at before the claim is left.
 _NARROWEST = Fraction(1, 2**64)  # Of the domain: a box that is not confirmed there is left.
 
 # What the header's certificate leaves to the one beside it.
-_LOOPS, _SPEED, _OBSERVER = (
-    f"left to {name}.py" for name in ("check_loops", "check_speed", "check_observer")
+_LOOPS, _SPEED, _OBSERVER, _RANGES = (
+    f"left to {program}.py"
+    for program in ("check_loops", "check_speed", "check_observer", "check_ranges")
 )
 
 # The programs, with the certificate that each reads, what that is about, and who has one.
@@ -40,6 +42,7 @@ _PROGRAMS = (
     (check_loops, CERTIFICATE, "both current loops", "with tolerances and a largest speed"),
     (check_speed, SPEED_SUFFIX, "the speed loop", "with tolerances, a speed loop and a sensor"),
     (check_observer, OBSERVER_SUFFIX, "the position observer", "with method flux"),
+    (check_ranges, RANGES, "ranges in fixed point", "with control of d and q in Q15 or Q31"),
 )
 
 Boxes = list[tuple[Fraction, Fraction]]
@@ -139,7 +142,7 @@ def _not_covered(solution: Solution) -> list[str]:
         "reference of negative torque": solution.negative,
         "reference over torque and flux linkage": solution.weakening,
         "references in fixed point": solution.fixed_references or None,
-        "ranges of the control in fixed point": solution.fixed or None,
+        f"ranges of the control in fixed point ({_RANGES})": solution.fixed or None,
         f"current loops over the tolerances ({_LOOPS})": robust,
         f"speed loop over the tolerances ({_SPEED})": None if loops is None else loops.speed,
         f"position observer ({_OBSERVER})": solution.observer_proof,

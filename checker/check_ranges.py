@@ -1,0 +1,800 @@
+"""Confirms `<prefix>_ranges.json`: that no integer of the control in fixed point leaves its type.
+
+    python -I -S check_ranges.py abb2k2_ranges.json
+
+The program imports nothing but the standard library and the reader of C beside it, `c_text.py`, and
+calculates in integers and fractions alone. It runs every function that the certificate names on
+ranges in place of numbers, and believes nothing: what the certificate tells of a state must hold
+again after each call. Read it from top to bottom: numbers (part 1), running the C (part 2), two
+inequalities (part 3), the certificate (part 4), and what is printed (part 5). It ends with 0 where
+all is confirmed, else with 1 and the place where it is not.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import re
+import sys
+from collections.abc import Callable
+from fractions import Fraction
+from math import isqrt
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent))
+c_text = importlib.import_module("c_text")
+sys.path.pop(0)
+Fault: type[Exception] = c_text.Fault
+LIMITS: dict[str, tuple[int, int]] = c_text.LIMITS
+STRENGTH: dict[str, int] = c_text.STRENGTH
+common: Callable[..., str] = c_text.common
+Tree = tuple[Any, ...]
+
+
+# Part 1. Numbers: ranges that remember what they were made of.
+#
+# A Node is a value of the C on one way through a function: all integers from low to high, and the
+# operation that made it. Where a condition is taken to hold, ranges become narrower, and with them
+# those of what they were made of (narrow). So |d| <= 32766 tells of d, and x x <= 9 of x.
+
+
+class Impossible(Exception):
+    """No number takes this way through a function."""
+
+
+class Node:
+    """All integers from ``low`` to ``high``, of a type; made by ``op`` of nodes."""
+
+    __slots__ = ("fact", "high", "kind", "lost", "low", "of", "op")
+
+    def __init__(
+        self, low: int, high: int, kind: str, op: str = "", of: tuple[Node, ...] = ()
+    ) -> None:
+        self.low, self.high, self.kind, self.op, self.of = low, high, kind, op, of
+        self.lost = ""  # says where a conversion may have taken digits off
+        self.fact: tuple[Node, Fraction] | None = None  # of part 4
+
+    def narrow(self, low: int, high: int) -> None:
+        """It is known to lie there, too."""
+        low, high = max(low, self.low), min(high, self.high)
+        if low > high:
+            raise Impossible
+        if (low, high) == (self.low, self.high):
+            return
+        self.low, self.high = low, high
+        of = self.of
+        match self.op:
+            case "same":
+                of[0].narrow(low, high)
+            case "neg":
+                of[0].narrow(-high, -low)
+            case "+":
+                of[0].narrow(low - of[1].high, high - of[1].low)
+                of[1].narrow(low - of[0].high, high - of[0].low)
+            case "-":
+                of[0].narrow(low + of[1].low, high + of[1].high)
+                of[1].narrow(of[0].low - high, of[0].high - low)
+            case ">>" if of[1].low == of[1].high:
+                of[0].narrow(low << of[1].low, (high + 1 << of[1].low) - 1)
+            case "*" if of[0] is of[1]:
+                of[0].narrow(-isqrt(max(high, 0)), isqrt(max(high, 0)))
+                if low > 0 and (of[0].low >= 0 or of[0].high <= 0):
+                    least = isqrt(low - 1) + 1
+                    of[0].narrow(*((least, of[0].high) if of[0].low >= 0 else (of[0].low, -least)))
+            case "*" if of[1].low == of[1].high > 0:
+                of[0].narrow(-(-low // of[1].low), high // of[1].low)
+
+
+class Struct(dict[str, Any]):
+    """Members by name."""
+
+
+class Pointer:
+    """A place in an array: the array and the index of what it points to."""
+
+    def __init__(self, array: list[Any], index: Node) -> None:
+        self.array, self.index = array, index
+
+
+def hull(values: list[Any]) -> Any:
+    """What holds all values; it forgets what they were made of."""
+    first = values[0]
+    if isinstance(first, Node):
+        if all(x is first for x in values):
+            return first
+        for value in values:
+            if value.lost:
+                raise Fault(value.lost)
+        return Node(min(x.low for x in values), max(x.high for x in values), first.kind)
+    if isinstance(first, dict):
+        return Struct({name: hull([x[name] for x in values]) for name in first})
+    if isinstance(first, list):
+        return [hull(list(column)) for column in zip(*values)]
+    return None
+
+
+def copied(value: Any, fresh: bool = True) -> Any:
+    """A copy whose members can change; fresh nodes know nothing of what made them."""
+    if isinstance(value, Node):
+        if not fresh or value.low == value.high:
+            return value
+        if value.lost:
+            raise Fault(value.lost)
+        return Node(value.low, value.high, value.kind)
+    if isinstance(value, dict):
+        return Struct({name: copied(x, fresh) for name, x in value.items()})
+    if isinstance(value, list):
+        return [copied(x, fresh) for x in value]
+    return value
+
+
+def spans(value: Any) -> Any:
+    """Ranges alone: what a call is known by."""
+    if isinstance(value, Node):
+        if value.lost:
+            raise Fault(value.lost)
+        return (value.low, value.high)
+    if isinstance(value, dict):
+        return tuple(map(spans, value.values()))
+    if isinstance(value, list):
+        return tuple(map(spans, value))
+    return (id(value.array), spans(value.index)) if isinstance(value, Pointer) else value
+
+
+# Part 2. Running the C on ranges.
+#
+# A condition that ranges do not decide is tried both ways, one run after the other; what the ways
+# leave is put together where the function ends. A function without conditions is run in place, so
+# that what it makes remembers what it was made of.
+
+MOST_WAYS, MOST_ROUNDS = 20000, 80
+
+
+class Run:
+    """Runs functions; keeps what it found of each call."""
+
+    def __init__(self, code: Any, cuts: dict[str, int], wraps: list[str]) -> None:
+        self.code, self.cuts, self.wraps = code, cuts, wraps
+        self.fullest: dict[tuple[str, str], tuple[Fraction, str]] = {}  # by header and type
+        self.known: dict[Any, Any] = {}
+        self.kept: dict[Any, Any] = {}  # constants
+        self.called: set[str] = set()
+        self.name, self.row = "", 0
+        self.ways: list[bool] = []
+        self.way = 0
+        self.taken: list[tuple[str, Node, Node]] = []  # conditions of this way
+        self.here: dict[str, Any] = {}
+
+    def fault(self, words: str) -> Exception:
+        return Fault(f"{self.name}, line {self.row}: {words}")
+
+    # Calls.
+
+    def forks(self, tree: Any) -> bool:
+        """Whether a function has conditions of its own."""
+        if isinstance(tree, tuple) and tree and tree[0] in ("if", "while", "choice"):
+            return True
+        return isinstance(tree, list | tuple) and any(map(self.forks, tree))
+
+    def call(self, name: str, given: list[Any]) -> Any:
+        """What a function returns; what it changes in records stands there afterwards."""
+        if name not in self.code.functions:
+            raise self.fault(f"{name} is not known")
+        kind, parameters, body, row, _ = self.code.functions[name]
+        if len(given) != len(parameters):
+            raise self.fault(f"{name} has {len(parameters)} arguments")
+        self.called.add(name)
+        given = [
+            x if pointer or own not in LIMITS else self.converted(x, own)
+            for x, (own, _, pointer) in zip(given, parameters)
+        ]
+        before = (self.name, self.row, self.here, self.ways, self.way, self.taken)
+        self.name, self.row = name, row
+        try:
+            if before[0] and not self.forks(body) and name not in self.cuts:
+                own = [x if y[2] else copied(x, False) for x, y in zip(given, parameters)]
+                return self.once(kind, parameters, body, own)
+            key = (name, spans(given))
+            if key not in self.known:
+                self.known[key] = self.every(kind, parameters, body, given)
+            value, left, bound = self.known[key]
+            for x, after, (_, _, pointer) in zip(given, left, parameters):
+                if pointer and isinstance(x, dict):
+                    put(x, after)
+            value = copied(value)
+            if bound and isinstance(value, Node):
+                value.fact = (given[0], bound)
+            return value
+        finally:
+            self.name, self.row, self.here, self.ways, self.way, self.taken = before
+
+    def every(self, kind: str, parameters: Any, body: Tree, given: list[Any]) -> Any:
+        """All ways through a function, for all pieces of its first argument."""
+        found, bounds = [], []
+        pieces = self.cuts.get(self.name, 1)
+        for piece in range(pieces):
+            ways: list[bool] = []
+            while True:
+                own = [copied(x) for x in given]
+                if pieces > 1:
+                    low, size = given[0].low, given[0].high - given[0].low + 1
+                    first, after = (low + size * (piece + k) // pieces for k in (0, 1))
+                    if first == after:
+                        break
+                    own[0] = Node(first, after - 1, own[0].kind)
+                self.ways, self.way, self.taken = ways, 0, []
+                try:
+                    value = self.once(kind, parameters, body, own)
+                    bounds.append(bound_of_root(value, own[0]) if isinstance(value, Node) else None)
+                    found.append((value, own))
+                except Impossible:
+                    pass
+                while ways and not ways[-1]:
+                    ways.pop()
+                if len(found) > MOST_WAYS:
+                    raise self.fault("it has too many ways")
+                if not ways:
+                    break
+                ways[-1] = False
+        if not found:
+            raise Impossible
+        bound = None if None in bounds else max(x for x in bounds if x is not None)
+        left = [hull(list(x)) for x in zip(*(y for _, y in found))]
+        return copied(hull([x for x, _ in found])), left, bound
+
+    def once(self, kind: str, parameters: Any, body: Tree, given: list[Any]) -> Any:
+        """One way through a function."""
+        self.here = {"": kind} | {name: x for x, (_, name, _) in zip(given, parameters)}
+        found = self.do(body)
+        return found[1] if found else None
+
+    # Statements.
+
+    def do(self, tree: Tree) -> tuple[str, Any] | None:
+        """Runs a statement; what it returns, if it does."""
+        what = tree[0]
+        if what == "block":
+            for each in tree[1]:
+                found = self.do(each)
+                if found:
+                    return found
+            return None
+        self.row = tree[1]
+        if what == "local":
+            _, _, kind, name, many, value, pointer = tree
+            if many and value:
+                made = self.kept.get(id(value)) or self.filled(kind, many, value)
+                self.kept[id(value)] = made
+            elif value is None:
+                made = self.filled(kind, many, None)
+            else:
+                made = self.value(value)
+                made = made if pointer else self.stored(made, kind)
+            self.here[name] = made
+        elif what == "set":
+            value = self.value(tree[3])
+            record, name = self.place(tree[2])
+            kind = record[name].kind if isinstance(record[name], Node) else ""
+            record[name] = self.stored(value, kind)
+        elif what == "if":
+            return self.do(tree[3] if self.holds(tree[2]) else tree[4])
+        elif what == "while":
+            for _ in range(MOST_ROUNDS):
+                found = ("end", None) if not self.holds(tree[2]) else self.do(tree[3])
+                if found:
+                    return found if found[0] == "return" else None
+                self.row = tree[1]
+            raise self.fault("the loop may not end")
+        elif what == "return":
+            return ("return", self.stored(self.value(tree[2]), self.here[""]))
+        else:
+            self.value(tree[2])
+        return None
+
+    def any(self, kind: str, lost: str = "") -> Any:
+        """Every value of a type; ``lost`` says why none may be used."""
+        if kind in LIMITS:
+            found = Node(*LIMITS[kind], kind)
+            found.lost = lost
+            return found
+        made = Struct()
+        for own, name, size in self.code.types[kind]:
+            items = [self.any(own, lost) for _ in range(size or 1)]
+            made[name] = items if size else items[0]
+        return made
+
+    def filled(self, kind: str, many: int, value: Tree | None) -> Any:
+        """A constant or variable from its list."""
+        if value is None:
+            lost = str(self.fault("a value is used that may not be set"))
+            return [self.any(kind, lost) for _ in range(many)] if many else self.any(kind, lost)
+        if many:
+            if value[0] != "list" or len(value[1]) != many:
+                raise self.fault(f"a table has not {many} entries")
+            return [self.filled(kind, 0, item) for item in value[1]]
+        if kind in LIMITS:
+            return self.converted(self.value(value), kind)
+        members = self.code.types[kind]
+        if value[0] != "list" or len(value[1]) != len(members):
+            raise self.fault(f"a constant of {kind} has not {len(members)} members")
+        rows = zip(members, value[1])
+        return Struct({name: self.filled(own, size, x) for (own, name, size), x in rows})
+
+    def stored(self, value: Any, kind: str) -> Any:
+        """A value as a variable holds it."""
+        if not isinstance(value, Node):
+            return copied(value, False)
+        return value if value.lost else self.converted(value, kind)
+
+    def place(self, tree: Tree) -> tuple[Any, Any]:
+        """Where an assignment goes: the record or array, and the member."""
+        if tree[0] == "name" and tree[1] in self.here:
+            return self.here, tree[1]
+        if tree[0] in ("member", "index"):
+            record, name = self.place(tree[1])
+            if tree[0] == "member":
+                return record[name], tree[2]
+            index = self.value(tree[2])
+            if index.low == index.high and 0 <= index.low < len(record[name]):
+                return record[name], index.low
+            raise self.fault(f"the index {index.low} to {index.high} is not one place of the array")
+        raise self.fault("an assignment is not understood")
+
+    # Conditions.
+
+    def holds(self, tree: Tree) -> bool:
+        """Whether a condition holds on this way; then ranges are narrowed to that."""
+        if tree[0] == "one" and tree[1] == "!":
+            return not self.holds(tree[2])
+        if tree[0] == "two" and tree[1] in ("&&", "||"):
+            first = self.holds(tree[2])
+            return self.holds(tree[3]) if first == (tree[1] == "&&") else first
+        if tree[0] == "two" and STRENGTH[tree[1]] in (6, 7):
+            a, b, sign = self.value(tree[2]), self.value(tree[3]), tree[1]
+        else:
+            a, b, sign = self.value(tree), Node(0, 0, "int32_t"), "!="
+        if sign in ("<", "<="):
+            a, b, sign = b, a, sign.replace("<", ">")
+        if sign == "==" and a.op == "cut" and a.of[0] is b:
+            return self.unchanged(a)
+        kind = common(a.kind, b.kind)
+        a, b = self.converted(a, kind), self.converted(b, kind)
+        if a.low > b.high or (sign == ">=" and a.low >= b.high):
+            return bool(sign != "==")
+        if sign in (">", ">=") and (a.high < b.low or (sign == ">" and a.high <= b.low)):
+            return False
+        if sign in ("==", "!=") and (a.high < b.low or a.low == a.high == b.low == b.high):
+            return bool((sign == "==") == (a.low == b.low))
+        chosen = self.chosen()
+        if sign in ("==", "!="):
+            self.taken.append(("==" if chosen == (sign == "==") else "!=", a, b))
+        elif chosen:
+            self.taken.append((sign, a, b))
+        else:
+            self.taken.append((">" if sign == ">=" else ">=", b, a))
+        for _ in range(2):
+            for sign, a, b in self.taken:
+                less = int(sign == ">")
+                if sign == "==":
+                    a.narrow(b.low, b.high)
+                    b.narrow(a.low, a.high)
+                elif sign != "!=":
+                    a.narrow(b.low + less, a.high)
+                    b.narrow(b.low, a.high - less)
+                else:
+                    for one, other in ((a, b), (b, a)):
+                        if (x := other.low) == other.high:
+                            one.narrow(one.low + (one.low == x), one.high - (one.high == x))
+        return chosen
+
+    def chosen(self) -> bool:
+        """The side that this way takes of a condition."""
+        if self.way == len(self.ways):
+            self.ways.append(True)
+        self.way += 1
+        return self.ways[self.way - 1]
+
+    def unchanged(self, cut: Node) -> bool:
+        """Whether a conversion kept the number, which is asked for: then it is that number."""
+        low, high = LIMITS[cut.kind]
+        whole = cut.of[0]
+        if low <= whole.low and whole.high <= high:
+            same = True
+        else:
+            same = False if whole.low > high or whole.high < low else self.chosen()
+        if same:
+            whole.narrow(low, high)
+            cut.low, cut.high, cut.op, cut.lost = whole.low, whole.high, "same", ""
+        return same
+
+    # Values.
+
+    def value(self, tree: Tree) -> Any:
+        """What an expression is."""
+        match tree:
+            case ("number", value, kind):
+                return Node(value, value, kind)
+            case ("name", name):
+                return self.named(name)
+            case ("cast", kind, inner):
+                wraps = inner[0] == "name" and inner[1] in self.wraps and kind.startswith("u")
+                return self.cast(self.value(inner), kind, wraps)
+            case ("call", name, given):
+                return self.call(name, [self.value(x) for x in given])
+            case ("member", inner, name):
+                record = self.value(inner)
+                if not isinstance(record, dict) or name not in record:
+                    raise self.fault(f"there is no member {name}")
+                return record[name]
+            case ("index", inner, index):
+                return self.entry(self.value(inner), self.value(index))
+            case ("one", "&", ("index", inner, index)):
+                return Pointer(self.value(inner), self.value(index))
+            case ("one", "&", inner):
+                return self.value(inner)
+            case ("one", sign, inner):
+                return self.one(sign, self.value(inner))
+            case ("choice", condition, first, second):
+                return self.value(first if self.holds(condition) else second)
+            case ("two", sign, first, second):
+                if sign in ("&&", "||") or STRENGTH[sign] in (6, 7):
+                    truth = int(self.holds(tree))
+                    return Node(truth, truth, "int32_t")
+                return self.two(sign, self.value(first), self.value(second))
+        raise self.fault("an expression is not understood")
+
+    def named(self, name: str) -> Any:
+        if name in self.here:
+            return self.here[name]
+        if name not in self.kept:
+            if name not in self.code.constants:
+                raise self.fault(f"{name} is not known")
+            self.kept[name] = self.filled(*[self.code.constants[name][x] for x in (2, 4, 5)])
+        return self.kept[name]
+
+    def entry(self, array: Any, index: Node) -> Any:
+        """An entry of a table, or what holds all that it may be."""
+        if isinstance(array, Pointer):
+            array, index = array.array, self.two("+", array.index, index)
+        if not isinstance(array, list) or index.low < 0 or index.high >= len(array):
+            raise self.fault(f"the index {index.low} to {index.high} leaves the table")
+        return hull(array[index.low : index.high + 1])
+
+    def converted(self, value: Any, kind: str) -> Any:
+        """A value by a type that must hold it."""
+        if not isinstance(value, Node):
+            return value
+        if value.lost:
+            raise Fault(value.lost)
+        if value.kind == kind or not kind:
+            return value
+        low, high = LIMITS[kind]
+        if value.low < low or value.high > high:
+            raise self.fault(f"{value.low} to {value.high} is more than {kind} holds")
+        return Node(value.low, value.high, kind, "same", (value,))
+
+    def cast(self, value: Node, kind: str, wraps: bool = False) -> Node:
+        """A conversion that is written; what it takes off is a fault where it is used."""
+        if value.lost:
+            raise Fault(value.lost)
+        low, high = LIMITS[kind]
+        fits = low <= value.low and value.high <= high
+        bound = None if fits or wraps else bound_of_product(value)
+        if bound is not None:
+            value.narrow(-bound, bound)
+        if low <= value.low and value.high <= high:
+            return Node(value.low, value.high, kind, "same", (value,))
+        found = Node(low, high, kind, "cut", (value,))
+        found.lost = (
+            ""
+            if wraps
+            else str(self.fault(f"{value.low} to {value.high} is more than {kind} holds"))
+        )
+        return found
+
+    def one(self, sign: str, a: Node) -> Node:
+        a = self.converted(a, common(a.kind))
+        if sign != "-":
+            raise self.fault(f"'{sign}' is not understood")
+        return self.made("neg", -a.high, -a.low, a.kind, (a,))
+
+    def two(self, sign: str, a: Node, b: Node) -> Node:
+        """An operation of two numbers."""
+        if sign in ("<<", ">>"):
+            a, b = self.converted(a, common(a.kind)), self.converted(b, common(b.kind))
+            bits = int(a.kind.strip("uint_"))
+            if b.low < 0 or b.high >= bits:
+                raise self.fault(f"a shift by {b.low} to {b.high} of {bits} bits")
+            if sign == "<<" and a.low < 0:
+                raise self.fault("a left shift of a negative number")
+            ends = corners(a, b, int.__lshift__ if sign == "<<" else int.__rshift__)
+            return self.made(sign, min(ends), max(ends), a.kind, (a, b))
+        kind, same = common(a.kind, b.kind), a is b
+        a = self.converted(a, kind)
+        b = a if same else self.converted(b, kind)
+        if sign in ("+", "-", "*"):
+            ends = corners(a, b, {"+": int.__add__, "-": int.__sub__, "*": int.__mul__}[sign])
+            least = 0 if sign == "*" and same and a.low <= 0 <= a.high else min(ends)
+            if sign == "*" and same and least:
+                least = min(a.low**2, a.high**2)
+            return self.made(sign, least, max(ends), kind, (a, b))
+        if sign == "/" and b.low > 0:
+            ends = corners(a, b, lambda x, y: abs(x) // y * (1 if x > 0 else -1))
+            return self.made(sign, min(ends), max(ends), kind, (a, b))
+        if sign == "&" and a.low >= 0 and b.low >= 0:
+            m = b.low  # in a part of a where higher bits are the same, a mask leaves a range
+            size = m + 1 if m & (m + 1) == 0 else m if m & (m - 1) == 0 else 0
+            if m == b.high and size and a.low // size == a.high // size:
+                return Node(a.low & m, a.high & m, kind)
+            return Node(0, min(a.high, b.high), kind)
+        raise self.fault(f"'{sign}' of {a.low} to {a.high}, {b.low} to {b.high} is not understood")
+
+    def made(self, op: str, low: int, high: int, kind: str, of: tuple[Node, ...]) -> Node:
+        """A result, which must lie in its type; without a sign it takes the remainder."""
+        first, last = LIMITS[kind]
+        if first == 0 and op == "+" and high > last:  # an angle wraps
+            size = last + 1
+            whole = low // size != high // size
+            return Node(*((first, last) if whole else (low % size, high % size)), kind)
+        if low < first or high > last:
+            words = {"neg": "the negative", "+": "a sum", "-": "a difference", "*": "a product"}
+            raise self.fault(f"{words.get(op, 'a shift')} can reach {low} to {high}, beyond {kind}")
+        doubled = op == "*" and of[1].low == of[1].high and of[1].low in (2, 4)
+        if op in ("+", "-", "*") and first and not doubled:
+            used, place = Fraction(max(-low, high), last + 1), str(self.fault(f"'{op}'"))
+            own = (self.code.functions[self.name][4] if self.name else "", kind)
+            self.fullest[own] = max(self.fullest.get(own, (Fraction(0), "")), (used, place))
+        return Node(low, high, kind, op, of)
+
+
+def corners(a: Node, b: Node, of: Callable[[int, int], int]) -> list[int]:
+    """A function of two numbers that is monotone in each, at the ends of ranges."""
+    return [of(x, y) for x in (a.low, a.high) for y in (b.low, b.high)]
+
+
+def put(record: Any, after: Any) -> None:
+    """Sets the members of a record in place."""
+    for name, value in after.items():
+        if isinstance(value, dict):
+            put(record[name], value)
+        elif isinstance(value, list):
+            record[name] = value
+        elif isinstance(value, Node):
+            record[name] = Node(value.low, value.high, value.kind)
+
+
+# Part 3. Two inequalities that ranges do not show.
+
+
+def shifted(node: Node) -> tuple[Node, Fraction, int] | None:
+    """What x, c, k make a node (x + c) >> k; c is a constant."""
+    node = bare(node)
+    if node.op != ">>" or node.of[1].low != node.of[1].high:
+        return None
+    k, inner = node.of[1].low, bare(node.of[0])
+    if inner.op in ("+", "-") and inner.of[1].low == inner.of[1].high:
+        return bare(inner.of[0]), Fraction(inner.of[1].low * (1 if inner.op == "+" else -1)), k
+    return inner, Fraction(0), k
+
+
+def bare(node: Node) -> Node:
+    """A node without conversions that keep it."""
+    while node.op == "same":
+        node = node.of[0]
+    return node
+
+
+def bound_of_root(result: Node, s: Node) -> Fraction | None:
+    """A bound of r sqrt(s) for the last step r of Newton's rule for 1/sqrt(s).
+
+    A shift takes less than 1 off: with a = (t y + c3) >> k3, b = (C - a y + c2) >> k2 and
+    r = (y b + c1) >> k1 and a >= t y/2^k3 - u
+
+        r <= (C y - t y^3/2^k3)/2^(k1+k2) + (y (u y + c2)/2^k2 + c1)/2^k1 <= K/sqrt(t) + E
+
+    since the first part is largest where y^2 = C 2^k3/(3 t), whatever the steps before found; and
+    s <= 2^k t + m.
+    """
+    last = shifted(result)
+    if last is None or last[0].op != "*":
+        return None
+    (y, rest), c1, k1 = map(bare, last[0].of), last[1], last[2]
+    middle = shifted(rest)
+    if middle is None or middle[0].op != "-" or y.low < 0:
+        return None
+    whole, product = middle[0].of[0], bare(middle[0].of[1])
+    if (
+        whole.low != whole.high
+        or whole.low <= 0
+        or product.op != "*"
+        or bare(product.of[1]) is not y
+    ):
+        return None
+    first = shifted(bare(product.of[0]))
+    if first is None or first[0].op != "*" or bare(first[0].of[1]) is not y:
+        return None
+    t, k2, k3 = bare(first[0].of[0]), middle[2], first[2]
+    from_s = below(t, bare(s))
+    if from_s is None or t.low <= 0:
+        return None
+    u = max(Fraction(0), 1 - Fraction(first[1] + 1, 2**k3))
+    off = (
+        y.high * (u * y.high + max(middle[1], Fraction(0))) / 2**k2 + max(c1, Fraction(0))
+    ) / 2**k1
+    squared = Fraction(4, 27) * whole.low**3 * 2**k3 / 4 ** (k1 + k2)
+    found: Fraction = root(squared * (2 ** from_s[1] + from_s[0] / t.low)) + off * root(
+        Fraction(s.high)
+    )
+    return found
+
+
+def root(value: Fraction) -> Fraction:
+    """A square root, rounded up."""
+    return Fraction(isqrt(value.numerator * 4**64 // value.denominator) + 1, 2**64)
+
+
+def below(node: Node, s: Node) -> tuple[Fraction, int] | None:
+    """Numbers m, k with s <= 2^k node + m, where the node is made of s by shifts."""
+    if bare(node) is s:
+        return Fraction(0), 0
+    step = shifted(node)
+    inner = below(step[0], s) if step else None
+    if step is None or inner is None:
+        return None
+    return inner[0] + 2 ** inner[1] * (2 ** step[2] - 1 - step[1]), inner[1] + step[2]
+
+
+def bound_of_product(node: Node) -> int | None:
+    """A bound of |(x p + c) >> k| with p = (l r + c2) >> b, where r sqrt(w) is bounded and w is
+    x^2 + y^2 times a square: |x| r <= r sqrt(w) over the root of the latter.
+    """
+    outer = shifted(node)
+    if outer is None or outer[0].op != "*":
+        return None
+    x, share = map(bare, outer[0].of)
+    inner = shifted(share)
+    if inner is None or inner[0].op != "*" or share.low < 0:
+        return None
+    limit, reciprocal = map(bare, inner[0].of)
+    if reciprocal.fact is None or limit.low < 0:
+        return None
+    (whole, bound), times = reciprocal.fact, 1
+    whole = bare(whole)
+    while whole.op == "*" and whole.of[1].low == whole.of[1].high > 0:
+        whole, times = bare(whole.of[0]), times * whole.of[1].low
+    squares = [bare(x) for x in whole.of] if whole.op == "+" else []
+    if isqrt(times) ** 2 != times or not all(z.op == "*" and z.of[0] is z.of[1] for z in squares):
+        return None
+    if not any(bare(z.of[0]) is x for z in squares):
+        return None
+    size = max(-x.low, x.high)
+    most = (limit.high * bound / isqrt(times) + size * max(inner[1], Fraction(0))) / 2 ** inner[2]
+    ends = [(end + outer[1]) // 2 ** outer[2] for end in (most, -most)]
+    return int(max(ends[0], -ends[1]))
+
+
+# Part 4. The certificate: calls, with what their arguments can be.
+
+
+class Claims:
+    """The calls of a certificate, run one after the other."""
+
+    def __init__(self, stated: dict[str, Any], code: Any) -> None:
+        self.stated, self.code = stated, code
+        self.run = Run(code, stated["cuts"], stated["wraps"])
+
+    def argument(self, told: Any, kind: str) -> Any:
+        """What an argument can be."""
+        if isinstance(told, str):
+            if told == "any" or told in self.stated["states"]:
+                told = {} if told == "any" else self.stated["states"][told]
+                return self.argument(told, kind)
+            value, *members = told.split(".")
+            value = self.run.named(value)
+            for member in members:
+                value = value[member]
+            return value
+        if isinstance(told, dict):
+            whole, known = (
+                self.run.any(kind),
+                {x: own for own, x, _ in self.code.types.get(kind, ())},
+            )
+            for name, member in told.items():
+                whole[name] = self.argument(member, known[name])
+            return whole
+        low, high = told
+        if not LIMITS[kind][0] <= low <= high <= LIMITS[kind][1]:
+            raise Fault(f"{low} to {high} are no numbers of {kind}")
+        return Node(low, high, kind)
+
+    def inside(self, value: Any, told: Any, place: str) -> None:
+        """A record must hold what is told of it."""
+        if isinstance(value, dict):
+            for name, member in value.items():
+                self.inside(member, told[name], f"{place}.{name}")
+        elif isinstance(value, list):
+            for each, other in zip(value, told):
+                self.inside(each, other, place)
+        elif value.lost or value.low < told.low or value.high > told.high:
+            raise Fault(
+                f"{place} may be {value.low} to {value.high}, not {told.low} to {told.high}"
+            )
+
+    def call(self, told: dict[str, Any]) -> str:
+        """One call; says what is confirmed.
+
+        A record that is changed is of a named state before and after; it may be anything before.
+        """
+        name, arguments = told["function"], told["arguments"]
+        parameters = self.code.functions[name][1]
+        given = [self.argument(arguments[own], kind) for kind, own, _ in parameters]
+        self.run.call(name, given)
+        for value, (kind, own, pointer) in zip(given, parameters):
+            state = told.get("after", arguments)[own] if pointer and own != "gains" else None
+            if state is None or arguments[own] in self.code.constants or own == "measured":
+                continue
+            if arguments[own] not in ("any", state) or state not in self.stated["states"]:
+                raise Fault(f"{name}: {own} is not told by a state")
+            self.inside(value, self.argument(state, kind), f"{name}: {own}")
+        words = ", ".join(f"{own} {plain(x)}" for own, x in arguments.items())
+        return f"{name}: nothing leaves its type for {words}"
+
+
+def plain(told: Any) -> str:
+    """Ranges in words."""
+    if isinstance(told, dict):
+        return "(" + ", ".join(f"{name} {plain(x)}" for name, x in told.items()) + ")"
+    return told if isinstance(told, str) else f"{told[0]} to {told[1]}"
+
+
+FULLEST = re.compile(r"the fullest, '[^']*', reaches ([\d.]+)% of (int\d+_t)")
+
+
+def check(stated: dict[str, Any], folder: Path) -> list[str]:
+    """All claims; what is confirmed, in words, after what is not covered."""
+    code = c_text.Code()
+    for name in stated["headers"]:
+        code.read(folder, name)
+    claims = Claims(stated, code)
+    said = [claims.call(told) for told in stated["calls"]]
+    said += [f"{name} stays within {plain(told)}" for name, told in stated["states"].items()]
+    said += [f"'{name}' is an angle and wraps" for name in stated["wraps"]]
+    for name, comments in code.said.items():
+        found = FULLEST.search(comments)
+        if found is None:
+            raise Fault(f"{name}: it does not say how full its words are")
+        used, place = claims.run.fullest.get((name, found[2]), (Fraction(0), ""))
+        if used * 100 > Fraction(found[1]) + Fraction(1, 20000):
+            raise Fault(f"{place} reaches {float(used):.4%} of {found[2]}, {name} says {found[1]}%")
+        said.append(f"{name}: no product and no sum exceeds {found[1]}% of {found[2]}")
+    left = sorted(set(code.functions) - claims.run.called)
+    return ["not covered: " + "; ".join([*stated["not_covered"], *left] or ["nothing"]), *said]
+
+
+# Part 5. What is printed.
+
+
+def main(arguments: list[str]) -> int:
+    """Checks the certificate that is named; the headers lie beside it."""
+    if len(arguments) != 1:
+        print("write: check_ranges.py PREFIX_ranges.json")
+        return 2
+    path = Path(arguments[0])
+    try:
+        stated = json.loads(path.read_text("utf-8"))
+        first, *said = check(stated, path.parent)
+        print(first)
+        for words in said:
+            print(f"confirmed: {words}")
+    except Fault as fault:
+        print(f"not confirmed: {fault}")
+        return 1
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, OSError) as fault:
+        print(f"not confirmed: the certificate or the header is damaged ({fault!r})")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
