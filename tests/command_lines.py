@@ -223,7 +223,7 @@ def _run(words: list[str], work: Path, temporary: Path) -> tuple[int, str, str, 
     for stream in (out, err):
         with suppress(ValueError):
             stream.flush()
-        said.append(stream.buffer.getvalue().decode("utf-8", "replace"))  # type: ignore[attr-defined]
+        said.append(stream.buffer.getvalue().decode("utf-8", "replace"))
     return code if isinstance(code, int) else 97, said[0], said[1], raised
 
 

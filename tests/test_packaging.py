@@ -131,10 +131,10 @@ def test_neither_help_nor_check_loads_what_they_do_not_need() -> None:
 @pytest.mark.parametrize(
     ("most", "command"),
     [
-        (18, "--help"),
-        (88, "check paper000-ipmsm-100kw"),
-        (115, "mtpa paper000-ipmsm-100kw"),
-        (147, "tune vdyno-trampa-6340"),
+        (19, "--help"),
+        (89, "check paper000-ipmsm-100kw"),
+        (116, "mtpa paper000-ipmsm-100kw"),
+        (148, "tune vdyno-trampa-6340"),
     ],
 )
 def test_commands_load_modules_that_they_use(most: int, command: str) -> None:

@@ -37,6 +37,7 @@ from dqforge.optimizer.solution import Solution
 from dqforge.reports.firmware.design_simulation import simulate_with_firmware
 from dqforge.reports.firmware.target import decoded_file
 from dqforge.reports.loops.firmware_text import CERTIFICATE
+from dqforge.reports.operating_system.packages import computed_with
 from dqforge.reports.output.folder import (
     COMMAND,
     EXISTING,
@@ -49,7 +50,6 @@ from dqforge.reports.output.folder import (
     VERIFIED,
     Manifest,
     Part,
-    computed_with,
     files_below,
     input_root,
     named_in_folder,

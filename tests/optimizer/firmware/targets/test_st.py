@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -228,7 +229,8 @@ def test_a_dead_time_is_in_nanoseconds_and_none_is_nothing(
     dead_time: float | None, ns: int
 ) -> None:
     base = base_design()
-    design = replace(base, inverter=replace(base.inverter, dead_time=dead_time))
+    unknown: Any = dead_time
+    design = replace(base, inverter=replace(base.inverter, dead_time=unknown))
     assert ST.configure(asked(design)).own["SW_DEADTIME_NS"] == ns
 
 
