@@ -92,5 +92,6 @@ def test_evidence_names_tests_that_are_there() -> None:
 
 def test_evidence_has_one_row_for_each_requirement() -> None:
     rows = [line.split("|")[1].strip() for line in EVIDENCE if line.startswith("| ")]
-    named = [row for row in rows if not row.startswith("...")]
+    draws = re.compile("`[0-9a-f]{12}`")  # of planted changes, by their commit
+    named = [row for row in rows if not row.startswith("...") and not draws.fullmatch(row)]
     assert sorted({row for row in named if named.count(row) > 1}) == []

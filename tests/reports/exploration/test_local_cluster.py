@@ -12,11 +12,11 @@ from dqforge.reports.exploration.local_cluster import EngineStoppedError, local_
 
 
 def cluster(**_: object) -> SimpleNamespace:
-    return SimpleNamespace(workers={}, close=lambda **_: None)
+    return SimpleNamespace(workers={}, close=lambda **_: None, status="running")
 
 
 def client(*_: object, **__: object) -> SimpleNamespace:
-    return SimpleNamespace(close=lambda **_: None)
+    return SimpleNamespace(close=lambda **_: None, status="running")
 
 
 def lost(*_: object, **__: object) -> None:
