@@ -22,6 +22,7 @@ import random
 import shlex
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 import tempfile
@@ -289,6 +290,13 @@ class Steps:
             self.happen(event, given)
 
 
+def halved(handle: int) -> None:
+    """A file loses its second half; a folder has none."""
+    about = os.fstat(handle)
+    if stat.S_ISREG(about.st_mode):
+        os.ftruncate(handle, about.st_size // 2)
+
+
 def failing(code: int, *, only_new: bool) -> Callable[[str, tuple[Any, ...]], None]:
     """A step that the system refuses; ``only_new`` lets what takes no room pass."""
 
@@ -297,7 +305,7 @@ def failing(code: int, *, only_new: bool) -> Callable[[str, tuple[Any, ...]], No
         if event == "subprocess.Popen" or (only_new and event in free):
             return
         if event == "fsync":
-            os.ftruncate(given[0], os.fstat(given[0]).st_size // 2)
+            halved(given[0])
             raise OSError(code, os.strerror(code))
         raise OSError(code, os.strerror(code), given[0] if isinstance(given[0], str) else None)
 
@@ -309,7 +317,7 @@ def struck(number: int) -> Callable[[str, tuple[Any, ...]], None]:
 
     def happen(event: str, given: tuple[Any, ...]) -> None:
         if event == "fsync" and number == signal.SIGKILL:
-            os.ftruncate(given[0], os.fstat(given[0]).st_size // 2)
+            halved(given[0])
         os.kill(os.getpid(), number)
 
     return happen

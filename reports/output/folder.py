@@ -508,10 +508,18 @@ def finish_pending(folder: Path, marker: str) -> None:
     pending = folder / PENDING
     names = sorted(files_below(pending), key=lambda name: (name == marker, name))
     for name in names:
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        _make_room(folder, name)
         (pending / name).replace(folder / name)
-    flush_folder(folder)
+    with suppress(OSError):  # as in `_swap`: it is new from here on
+        flush_folder(folder)
     shutil.rmtree(pending)
+
+
+def _make_room(folder: Path, name: str) -> None:
+    """The folder in which a file is to lie."""
+    place = (folder / name).parent
+    if not place.is_dir():
+        place.mkdir(parents=True)
 
 
 def _replace_inside(
@@ -522,9 +530,14 @@ def _replace_inside(
     shutil.rmtree(staged, ignore_errors=True)
     try:
         _fill(staged, contents)
+        for name in contents:  # what takes room is done before anything moves
+            _make_room(folder, name)
         staged.rename(pending)
+        flush_folder(folder)
     except BaseException:
         shutil.rmtree(staged, ignore_errors=True)
+        shutil.rmtree(pending, ignore_errors=True)
+        remove_empty_folders(folder, contents)
         raise
     try:
         _move_in(folder, superseded, marker)
@@ -534,7 +547,6 @@ def _replace_inside(
 
 
 def _move_in(folder: Path, superseded: Collection[str], marker: str) -> None:
-    flush_folder(folder)
     for name in superseded:
         (folder / name).unlink(missing_ok=True)
     if (folder / PENDING).is_dir():
