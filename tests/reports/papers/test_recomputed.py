@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -224,3 +225,24 @@ def test_command_shows_both_circuits_side_by_side(tmp_path: Path) -> None:
     assert document["closed_loops_left_out"] is None
     for run in document["closed_loops"]:
         assert len(run["theta_rad"]) == len(run["i_alphabeta0_A"][0]) == 400
+
+
+def _named(paper: str) -> set[str]:
+    """Numbers of the figures that the page has a row for."""
+    page = (Path(__file__).parents[3] / "docs/project/papers.md").read_text("utf-8")
+    table = page.split(f"| `reproduce {paper}` |")[1].split("\n\n")[0]
+    found: set[str] = set()
+    for row in re.findall(r"^\| (Figures? [^|]*)\|", table, re.MULTILINE):
+        for first, last in re.findall(r"(\d+\.?\d*)(?: to (\d+\.?\d*))?", row):
+            chapter, _, low = first.rpartition(".")
+            high = (last or first).rpartition(".")[2]
+            found |= {f"{chapter}.{k}".strip(".") for k in range(int(low), int(high) + 1)}
+    return found
+
+
+def test_every_figure_has_a_row() -> None:
+    assert _named("000") == {"3", "4", "5"}
+    assert _named("001") == {f"8.{k}" for k in range(1, 34)}
+    numbers = {number for row in FIGURES for number in row.numbers.split(", ")}
+    assert numbers <= _named("002")
+    assert {f"6.{k}" for k in range(1, 19)} | {"4.1", "4.2", "4.3"} <= _named("002")
