@@ -1,0 +1,818 @@
+"""Confirms `<prefix>_surface.json`: bounds of the field-weakening surface of `<prefix>_weakening.h`.
+
+    python -I -S check_surface.py pump_surface.json
+
+The program imports nothing but the standard library and the header's reader of
+`check_certificate.py` beside it (its part 2), and calculates in integers and fractions alone. It
+believes nothing in the certificate: constants and polynomials are read from the C, what lies around
+them must be there word for word, and boxes are cut here. Read it from top to bottom: functions on
+boxes (part 1), the header (part 2), the errors (part 3), the domain (part 4), and what is printed
+(part 5). It ends with 0 where all is confirmed, else with 1 and the place where it is not.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import sys
+from fractions import Fraction
+from math import comb, isqrt
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING or __package__:
+    from . import check_certificate as base
+else:  # run alone: it lies beside this one
+    sys.path.insert(0, str(Path(__file__).resolve().parent))
+    import check_certificate as base
+
+Fault = base.Fault
+Span = tuple[int, int]
+Rows = list[list[int]]
+
+
+# Part 1. Functions on boxes of the torque t and the excess flux linkage x.
+#
+# Numbers are integers in units of 2^-BITS. A polynomial on a box is held by its coefficients in
+# Bernstein's basis: its values lie between the least and the largest of them, and those of either
+# half of the box are means of neighbours (de Casteljau).
+
+BITS = 160
+ONE = 1 << BITS
+
+
+def below(value: Fraction) -> int:
+    """A rational in units, rounded down; it is off by less than one."""
+    return (value.numerator << BITS) // value.denominator
+
+
+def above(value: Fraction) -> int:
+    """A rational in units, rounded up."""
+    return -((-value.numerator << BITS) // value.denominator)
+
+
+def times(x: int, y: int) -> int:
+    """A product, rounded up."""
+    return -(-x * y >> BITS)
+
+
+class Poly:
+    """An exact polynomial: coefficients by the powers of t and x."""
+
+    def __init__(self, terms: dict[tuple[int, int], Fraction]) -> None:
+        self.terms = terms
+
+    def __add__(self, other: Poly) -> Poly:
+        terms = dict(self.terms)
+        for power, c in other.terms.items():
+            terms[power] = terms.get(power, Fraction(0)) + c
+        return Poly(terms)
+
+    def __neg__(self) -> Poly:
+        return Poly({power: -c for power, c in self.terms.items()})
+
+    def __sub__(self, other: Poly) -> Poly:
+        return self + -other
+
+    def __mul__(self, other: Poly) -> Poly:
+        terms: dict[tuple[int, int], Fraction] = {}
+        for (i, j), c in self.terms.items():
+            for (k, m), e in other.terms.items():
+                terms[i + k, j + m] = terms.get((i + k, j + m), Fraction(0)) + c * e
+        return Poly(terms)
+
+    def degree(self, axis: int) -> int:
+        """Its largest power of t (0) or x (1)."""
+        return max((power[axis] for power, c in self.terms.items() if c), default=0)
+
+    def on(self, spans: tuple[Span, Span], degrees: tuple[int, int]) -> Rows:
+        """Its coefficients on a box, rounded down: a row per power of t."""
+        rows = [[Fraction(0)] * (degrees[1] + 1) for _ in range(degrees[0] + 1)]
+        for (i, j), c in self.terms.items():
+            if c:
+                rows[i][j] = c
+        columns = [based(list(column), spans[0]) for column in zip(*rows)]
+        return [[below(c) for c in based(list(row), spans[1])] for row in zip(*columns)]
+
+
+def constant(value: Fraction | int) -> Poly:
+    """A number."""
+    return Poly({(0, 0): Fraction(value)})
+
+
+T, X = Poly({(1, 0): Fraction(1)}), Poly({(0, 1): Fraction(1)})
+
+
+def based(row: list[Fraction], span: Span) -> list[Fraction]:
+    """Bernstein's coefficients on an interval, of rising ones."""
+    start, width = Fraction(span[0], ONE), Fraction(span[1] - span[0], ONE)
+    n = len(row) - 1
+    for first in range(n):  # in powers of t - start
+        for i in range(n - 1, first - 1, -1):
+            row[i] += start * row[i + 1]
+    row = [c * width**i / comb(n, i) for i, c in enumerate(row)]
+    return [sum((comb(k, i) * row[i] for i in range(k + 1)), Fraction(0)) for k in range(n + 1)]
+
+
+def halves(rows: Rows) -> tuple[Rows, Rows]:
+    """The coefficients on both halves along the first axis."""
+    left, right = [rows[0]], [rows[-1]]
+    while len(rows) > 1:
+        rows = [[x + y >> 1 for x, y in zip(*pair)] for pair in zip(rows, rows[1:])]
+        left.append(rows[0])
+        right.append(rows[-1])
+    return left, right[::-1]
+
+
+class Wide:
+    """What single precision makes of an expression on a box: the exact values lie between ``low``
+    and ``high``, the rounded ones within ``err`` of them.
+
+    Each operation adds half a unit of its last place; a fused multiply-add rounds once less.
+    """
+
+    __slots__ = ("err", "high", "low")
+
+    def __init__(self, low: int, high: int, err: int = 0) -> None:
+        self.low, self.high, self.err = low, high, err
+
+    def size(self) -> int:
+        """No value, rounded or not, is larger in magnitude."""
+        return max(abs(self.low), abs(self.high)) + self.err
+
+    def rounded(self) -> Wide:
+        size = self.size()
+        if size >= ONE << 127:
+            raise Fault("a result may leave the range of single precision")
+        self.err += 1 << max(BITS - 150, size.bit_length() - 25)
+        return self
+
+    def __add__(self, other: Wide) -> Wide:
+        return Wide(self.low + other.low, self.high + other.high, self.err + other.err).rounded()
+
+    def __neg__(self) -> Wide:
+        return Wide(-self.high, -self.low, self.err)
+
+    def __sub__(self, other: Wide) -> Wide:
+        return self + -other
+
+    def __mul__(self, other: Wide) -> Wide:
+        ends = [x * y >> BITS for x in (self.low, self.high) for y in (other.low, other.high)]
+        err = times(self.size(), other.err) + times(other.size(), self.err)
+        return Wide(min(ends), max(ends) + 1, err).rounded()
+
+
+def value(node: ast.expr, known: dict[str, Any], literal: Any) -> Any:
+    """An expression of C in sums and products, of polynomials or on a box."""
+    match node:
+        case ast.Name(id=name) if name in known:
+            return known[name]
+        case ast.Call(func=ast.Name(id="number"), args=[ast.Constant(value=str(text))]):
+            return literal(base.number(text))
+        case ast.UnaryOp(op=ast.USub(), operand=inner):
+            return -value(inner, known, literal)
+        case ast.BinOp(left=left, op=ast.Add(), right=right):
+            return value(left, known, literal) + value(right, known, literal)
+        case ast.BinOp(left=left, op=ast.Sub(), right=right):
+            return value(left, known, literal) - value(right, known, literal)
+        case ast.BinOp(left=left, op=ast.Mult(), right=right):
+            return value(left, known, literal) * value(right, known, literal)
+    raise Fault(f"the header's C has what is not understood: {ast.unparse(node)[:60]}")
+
+
+def wide(number: Fraction) -> Wide:
+    """A literal, which single precision holds exactly."""
+    return Wide(below(number), above(number))
+
+
+_ASSIGNED = re.compile(r" ?(?:const float )?(\w+) = ([^;{}=?]+);")
+
+
+def run(code: str, known: dict[str, Any], literal: Any) -> dict[str, Any]:
+    """Runs assignments; what is known after them."""
+    known, place = dict(known), 0
+    while place < len(code.rstrip()):
+        found = _ASSIGNED.match(code, place)
+        if found is None:
+            raise Fault(f"the header's C is not understood at '{code[place : place + 30]}'")
+        known[found[1]] = value(base.parsed(found[2]), known, literal)
+        place = found.end()
+    return known
+
+
+# Part 2. The header: what must be there word for word, and its constants and polynomials.
+
+CODE = {
+    "limit": "const float f = flux_Wb - P_FLUX_MIN_WB; {limit} return limit;",
+    "flux": (
+        "const float top = omega * P_FLUX_MAX_WB; if (squared >= (top * top)) { "
+        "flux = P_FLUX_MAX_WB; } else if (squared > 0.0F) { const float found = "
+        "sqrtf(squared) / omega; flux = (found < P_FLUX_MAX_WB) ? found : P_FLUX_MAX_WB; } "
+        "else { flux = 0.0F; } return flux;"
+    ),
+    "reference": (
+        "const float omega = (omega_e_rad_per_s < 0.0F) ? -omega_e_rad_per_s : omega_e_rad_per_s; "
+        "const float volts = (v_max_V > 0.0F) ? v_max_V : 0.0F; const float room = volts * volts; "
+        "const float drop = {per_torque} * omega; const float per_torque = ((torque_Nm < 0.0F) != "
+        "(omega_e_rad_per_s < 0.0F)) ? -drop : drop; const float size = (torque_Nm < 0.0F) ? "
+        "-torque_Nm : torque_Nm; const float some = (size > 0.0F) ? size : 0.0F; const float asked "
+        "= (some < {torque_max}) ? some : {torque_max}; t = 0.0F; a = 0.0F; beyond = asked; trial = "
+        "asked; for (k = 0U; k < P_TRIALS; k++) { if ((k >= (P_TRIALS - 1U)) && (t <= 0.0F)) { "
+        "trial = 0.0F; } const float flux = P_least_flux(room - (per_torque * trial), omega); if "
+        "((flux >= P_FLUX_MIN_WB) && (trial <= P_limit(flux))) { t = trial; a = flux; } else { "
+        "beyond = trial; } trial = 0.5F * (t + beyond); if (t >= asked) { break; } } const float "
+        "a_held = (a > 0.0F) ? a : P_FLUX_MIN_WB; {curves} if (taken > a_held) { {weakened} } else "
+        "{ i_d = mtpa_d; i_q = mtpa_q; } *i_d_A = i_d; *i_q_A = (torque_Nm < 0.0F) ? -i_q : i_q;"
+    ),
+}
+LEAST = (
+    "return P_flux(squared - {reserve}, omega);",
+    "const float flux = P_flux(squared - {reserve}, omega); const float rest = squared - {near}; "
+    "if (rest > 0.0F) { const float found = sqrtf(rest / ((omega * omega) + {slope}));"
+    " const float held = (found < P_FLUX_MAX_WB) ? found : P_FLUX_MAX_WB; least = (held > flux) ? "
+    "held : flux; } else { least = flux; } return least;",
+)
+WEAKENED = (
+    "const float delta = taken - a_held; {surface} i_d = (delta * d) + mtpa_d; "
+    "i_q = ((delta * t) * q) + mtpa_q;",
+    "const float left = room - (per_torque * t); weak_d = mtpa_d; weak_q = mtpa_q; flux = a_held; for (n = 0U; n < 2U; n++) { const "
+    "float delta = (taken > flux) ? (taken - flux) : 0.0F; {surface} weak_d = (delta * d) + "
+    "mtpa_d; weak_q = ((delta * t) * q) + mtpa_q; if (n < 1U) { const float used = (weak_d * "
+    "weak_d) + (weak_q * weak_q); const float more = P_flux(left - (used * {square}), omega); flux "
+    "= (more > flux) ? more : flux; } } i_d = weak_d; i_q = weak_q;",
+)
+ADDED = "i_d = (delta * d) + mtpa_d; i_q = ((delta * t) * q) + mtpa_q;"
+PLAIN = {"limit", "curves", "weakened", "surface"}  # text; the others are numbers
+SAID = re.compile(
+    r"(?P<poles>\d+) pole pairs, (?P<i_max_A>\S+) A \(peak\), up to .*"
+    r"Made for (?P<v_max_V>\S+) V up to (?P<omega_e_rad_per_s>\S+) rad/s, and from .*"
+    r"The phase resistance is (?P<r_s_Ohm>\S+) Ohm .*Bounds of the errors, proven for every torque "
+    r"and speed up to the largest, against the equations of the machine, for voltages from "
+    r"(?P<share>\S+) % of (?P<volts>\S+) V up, motoring and generating; rounding included, with "
+    r"and without fused multiply-add; in brackets what was found by sampling: the phase voltage, "
+    r"resistance drop included, exceeds its limit by (?:no proven bound|(?P<voltage_percent>\S+) %)"
+    r" \(\S+ %\), the current its limit by (?P<current_percent>\S+) % \(\S+ %\), the torque that "
+    r"is granted errs by at most (?P<torque_Nm>\S+) N m, (?P<torque_percent>\S+) % of the largest "
+    r"one, (?P<torque_max>\S+) N m"
+)
+BOUNDS = ("voltage_percent", "current_percent", "torque_Nm", "torque_percent")
+LIMITS = ("i_max_A", "v_max_V", "omega_e_rad_per_s")
+
+
+def fitted(template: str, text: str) -> dict[str, str] | None:
+    """What stands in the places of a template, None where the text is another."""
+    parts = re.split(r"\{(\w+)\}", template)
+    pattern = "".join(
+        re.escape(part)
+        if n % 2 == 0
+        else rf"(?P={part})"
+        if part in parts[1:n:2]
+        else rf"(?P<{part}>{'.*' if part in PLAIN else base.NUMBER.pattern})"
+        for n, part in enumerate(parts)
+    )
+    found = re.fullmatch(pattern, text)
+    return None if found is None else {name: found[name] for name in parts[1::2]}
+
+
+def pieces(code: str, variable: str) -> list[tuple[Fraction, str]]:
+    """Beginnings and assignments of the segments of a curve."""
+    if not code.startswith("if ("):
+        return [(Fraction(0), code)]
+    found, start = [], Fraction(0)
+    for branch in re.split(r" else (?=if |\{)", code):
+        parts = re.fullmatch(rf"(?:if \({variable} < ([^ ]+)\) )?\{{ ([^{{}}]*) \}}", branch)
+        if parts is None or (parts[1] is None) != branch.startswith("{"):
+            raise Fault(f"the header's C is not understood at '{branch[:30]}'")
+        found.append((start, parts[2]))
+        if parts[1] is not None:
+            end = base.number(parts[1])
+            if end <= start:
+                raise Fault("breakpoints of the header do not ascend")
+            start = end
+    if branch.startswith("if"):
+        raise Fault("the last segment of a curve ends")
+    return found
+
+
+class Surface:
+    """Numbers and polynomials of the header's step."""
+
+    def __init__(self, text: str, prefix: str) -> None:
+        macro = f"{prefix.upper()}_WEAKENING_"
+        text, trials = re.subn(rf"#define {macro}TRIALS \([1-9]\d*U\)", "", text)
+        header = base.Header(text, f"{prefix}_weakening")
+        self.said = SAID.search(header.said)
+        if self.said is None:
+            raise Fault("the header states no bounds that are known here")
+        self.least, self.most = header.constant("FLUX_MIN_WB"), header.constant("FLUX_MAX_WB")
+        if trials != 1:
+            raise Fault("the header makes no trials of the torque")
+        found: dict[str, str] = {}
+
+        def read(name: str, *templates: str) -> None:
+            body = header.function(name).replace(f"{prefix}_weakening_", "P_").replace(macro, "P_")
+            fill(name, re.sub(r"(float|unsigned int) \w+; ", "", body), *templates)
+
+        def fill(name: str, body: str, *templates: str) -> None:
+            for number, template in enumerate(templates):
+                parts = fitted(template, body)
+                if parts is not None:
+                    found.update(parts)
+                    found[f"{name} form"] = str(number)
+                    return
+            raise Fault(f"the header has another {prefix}_weakening_{name}")
+
+        for name, template in CODE.items():
+            read(name, template)
+        read("least_flux", *LEAST)
+        fill("reference", found["weakened"], *WEAKENED)
+        self.numbers = {
+            name: base.number(text)
+            for name, text in found.items()
+            if name not in PLAIN and not name.endswith("form")
+        }
+        self.largest, self.reserve = self.numbers["torque_max"], self.numbers["reserve"]
+        self.twice = found["reference form"] == "1"
+        self.curves, self.surface = pieces(found["curves"], "t"), found["surface"] + ADDED
+        self.limit = [
+            (start, run(code, {"f": X}, constant)["limit"], code)
+            for start, code in pieces(found["limit"], "f")
+        ]
+        if not 0 < self.least < self.most or self.largest <= 0:
+            raise Fault("the header's range of flux linkage or torque is none")
+
+
+# Part 3. The errors of a box.
+#
+# With k = 1/(1.5 p), tau = k times the torque that is made, a the flux linkage that the step has
+# found, s = 1 motoring and -1 generating, and u = 1/omega, voltage and limit are
+#
+#     u^2 |v|^2 = psi^2 + 2 R s tau u + R^2 |i|^2 u^2
+#     u^2 V^2 (1 + RHO) >= a^2 + 2 R (s - KAPPA) k t u + R^2 J^2 u^2
+#
+# where J^2 is what the step takes for |i|^2: the reserve, on the line of MTPV where it has one, or
+# what its first pass gives, i_1. RHO and KAPPA are what rounding costs (e = 2^-24): V^2 once, the
+# drop 3 times in its factors, the differences twice, root and quotient 4 times in the square (7
+# with the line), the squared current 5 times; so that 13 and 12 are enough for 20 and 16 here.
+# So |v| <= (1 + B) V holds where, with b = (1 + B)^2/(1 + RHO),
+#
+#     F(u) = b a^2 - psi^2 + 2 R (s (b k t - tau) - KAPPA b k t) u + R^2 (b J^2 - |i|^2) u^2 >= 0
+#
+# Speeds at which that keeps V below its least value V_0 need |v| <= V_0 alone; |v|^2 is convex in
+# the speed and at standstill R^2 |i|^2, so that the others are enough. They are those with u <= U,
+#
+#     U = (s R k t + sqrt((R k t)^2 + a^2 M))/M           M = V_0^2 - R^2 J^2
+#
+# F has in u Bernstein's coefficients F(0), F(0) + F'(0) U/2 and F(U): none may be negative. With
+# x = p(t) - a, where p are the header's `taken`, all of this are polynomials of t and x.
+# Where the field is not weakened a is p or more: in u/a all terms of F/a^2 rise with a but those
+# of the torque, which die away, so that a = p is the worst, with or without them.
+# The first pass has less flux linkage, a_1: as a^2 - a_1^2 <= u^2 R^2 (J^2 - i_1^2) and rounding,
+# |i|^2 - |i_1|^2 is at most what |i|^2 rises with a, times what a differs by.
+
+E = Fraction(1, 2**24)
+RHO, KAPPA = 20 * E, 16 * E
+NAMES = {"voltage_percent": "voltage", "current_percent": "current", "torque_Nm": "torque"}
+
+
+class Box:
+    """A part of a segment: ranges of t and x, and the coefficients there of a^2, psi^2, tau, |i|^2
+    and p - x; where x is a single number the field is not weakened.
+    """
+
+    __slots__ = ("depth", "open", "rows", "t", "x")
+
+    def __init__(self, t: Span, x: Span, rows: Rows, depth: int, still: tuple[str, ...]) -> None:
+        self.t, self.x, self.rows, self.depth, self.open = t, x, rows, depth, still
+
+    def ends(self, which: int) -> Span:
+        """Bounds of one of the polynomials."""
+        found = [c for row in self.rows for c in row[which::5]]
+        slack = 40 * self.depth + 2
+        return min(found) - slack, max(found) + slack
+
+    def cut(self, along: bool) -> list[Box]:
+        """Both halves, across t or across x."""
+        span, parts = (self.t if along else self.x), []
+        middle = span[0] + span[1] >> 1
+        rows = self.rows if along else turned(self.rows)
+        for part, half in zip(halves(rows), ((span[0], middle), (middle, span[1]))):
+            t, x = (half, self.x) if along else (self.t, half)
+            parts.append(Box(t, x, part if along else turned(part), self.depth + 1, self.open))
+        return parts
+
+
+def turned(rows: Rows) -> Rows:
+    """Coefficients with the other axis first."""
+    return [[c for row in rows for c in row[j : j + 5]] for j in range(0, len(rows[0]), 5)]
+
+
+class Errors:
+    """The errors of a surface on a machine, against bounds that are claimed."""
+
+    def __init__(self, surface: Surface, stated: dict[str, Any]) -> None:
+        self.surface = surface
+        machine = {name: Fraction(stated["machine"][name]) for name in base.CONSTANTS}
+        self.r_s, self.psi = machine["r_s_Ohm"], machine["psi_pm_Wb"]
+        self.l_d, self.l_q = machine["l_d_H"], machine["l_q_H"]
+        self.k = 1 / (Fraction(3, 2) * machine["pole_pairs"])
+        self.i_max, v_max, omega = (Fraction(stated[name]) for name in LIMITS)
+        bounds = {name: Fraction(text) for name, text in stated["bounds"].items()}
+        self.claims = tuple(name for name in NAMES if name in bounds)
+        least = (v_max * Fraction(surface.said["share"]) / 100) ** 2
+        self.reserve, self.near = surface.reserve, surface.numbers.get("near")
+        self.slope = surface.numbers.get("slope", Fraction(0))
+        self.check_constants(least, v_max, omega)
+        self.torque = surface.largest * bounds.get("torque_percent", Fraction(10**9)) / 100
+        self.torque = min(self.torque, bounds.get("torque_Nm", self.torque))
+        self.current = below((self.i_max * (1 + bounds.get("current_percent", 0) / 100)) ** 2)
+        self.b = (1 + bounds.get("voltage_percent", Fraction(0)) / 100) ** 2 / (1 + RHO)
+        self.room = least * (1 - 64 * E) - Fraction(102, 100) * self.reserve  # M
+        self.rise = self.moved = self.off = 0  # of |i|^2 with a; of it and of a by rounding
+        if self.room <= 0:
+            raise Fault("the resistance takes all of the voltage")
+        u = [below(part) for part in (2 * self.r_s, self.r_s**2, self.r_s * self.k)]
+        self.r_2, self.r_squared, self.r_k = u
+        self.units = {
+            "b": below(self.b), "more": below(self.b - 1), "bkt": below(self.b * self.k),
+            "kappa": above(KAPPA * self.b * self.k), "reserve": below(self.reserve),
+            "k": below(self.k), "room": below(self.room),
+        }  # fmt: skip
+
+    def check_constants(self, least: Fraction, v_max: Fraction, omega: Fraction) -> None:
+        """Constants of the step are those of the machine, and standstill and the largest speed keep
+        the voltage.
+        """
+        numbers = self.surface.numbers
+        if numbers["per_torque"] != base.single(2 * self.r_s * self.k):
+            raise Fault("the header has another drop per torque than the machine")
+        square = numbers.get("square", base.single(self.r_s**2))
+        if abs(square - self.r_s**2) > 2 * E * self.r_s**2:
+            raise Fault("the header has another squared resistance than the machine")
+        if self.near is not None and (self.near < 0 or self.slope <= 0):
+            raise Fault("the header's line of the squared current falls below zero")
+        ends = self.surface.least**2 * omega**2 * least
+        if (least - self.reserve) * v_max**2 * (1 - RHO) < ends * (1 + RHO):
+            raise Fault("the largest speed leaves less than FLUX_MIN_WB")
+
+    def polynomials(self, code: str) -> tuple[list[Poly], list[Poly]]:
+        """Those of a box, without and with weakening."""
+        found = []
+        for x, text in ((constant(0), code), (X, code + " " + self.surface.surface)):
+            names = run(text, {"t": T, "delta": x}, constant)
+            d, q = (names["i_d"], names["i_q"]) if x is X else (names["mtpa_d"], names["mtpa_q"])
+            a = names["taken"] - x
+            psi_d, psi_q = constant(self.l_d) * d + constant(self.psi), constant(self.l_q) * q
+            tau = psi_d * q - psi_q * d
+            found.append([a * a, psi_d * psi_d + psi_q * psi_q, tau, d * d + q * q, a])
+        return found[0], found[1]
+
+    def rounding(self, box: Box, code: str, weakens: bool) -> tuple[int, int, int]:
+        """What rounding adds to i_d, i_q and a."""
+        text = code + " " + self.surface.surface if weakens else code
+        names = run(text, {"t": Wide(*box.t), "delta": Wide(*box.x)}, wide)
+        d, q = (names["i_d"], names["i_q"]) if weakens else (names["mtpa_d"], names["mtpa_q"])
+        at = max(abs(box.x[0]), abs(box.x[1]))
+        return d.err, q.err, names["taken"].err + (1 << max(BITS - 150, at.bit_length() - 25))
+
+    def rooms(self, box: Box, code: str, weakens: bool) -> tuple[int, int, int, int]:
+        """What rounding adds to a^2, psi^2, tau and |i|^2, and the last bits of the polynomials."""
+        by_d, by_q, by_a = self.rounding(box, code, weakens)
+        size = isqrt(max(box.ends(3)[1], 0) << BITS) + 1 + by_d + by_q  # of each current
+        a = max(map(abs, box.ends(4))) + by_a
+        psi = above(self.psi)
+        flux = [
+            2 * times(times(above(inductance), by), times(above(inductance), size) + more)
+            for inductance, by, more in ((self.l_d, by_d, psi), (self.l_q, by_q, 0))
+        ]
+        apart = times(above(abs(self.l_d - self.l_q)), size)
+        last = 40 * box.depth + 8
+        return (
+            2 * times(a, by_a) + last,
+            sum(flux) + last,
+            times(psi + apart, by_q) + times(apart, by_d) + last,
+            2 * times(size, by_d + by_q) + last,
+        )
+
+    def largest_u(self, torque: int, a: int, s: int) -> int:
+        """U at a torque (the least for s = -1) and a flux linkage, rounded up."""
+        drop = times(self.r_k + 1, torque) if s > 0 else self.r_k * torque >> BITS
+        root = isqrt(drop * drop + (a * a * self.units["room"] >> BITS) + ONE) + 1
+        return (root + s * drop << BITS) // self.units["room"] + 1
+
+    def failing(self, box: Box, code: str, weakens: bool, claim: str) -> Rows | None:
+        """What should be nowhere negative on the box and may be; None where all is proven."""
+        rooms = self.rooms(box, code, weakens)
+        n, t = len(box.rows) - 1, box.t
+        if claim == "current":
+            rows = [[self.current - c for c in row[3::5]] for row in box.rows]
+            return rows if lacking(rows, rooms[3]) else None
+        if claim == "torque":
+            k, off, room = self.units["k"], below(self.torque * self.k), rooms[2] + 2
+            for s in (1, -1):
+                rows = []
+                for i, row in enumerate(box.rows):
+                    kt = (t[0] * (n - i) + t[1] * i) // max(n, 1) * k >> BITS
+                    rows.append([off - s * (c - kt) for c in row[2::5]])
+                if lacking(rows, room + t[1] // ONE):
+                    return rows
+            return None
+        return self.failing_voltage(box, rooms, weakens)
+
+    def failing_voltage(
+        self, box: Box, rooms: tuple[int, int, int, int], weakens: bool
+    ) -> Rows | None:
+        """As `failing`, of F in each direction and after each pass."""
+        square = times(self.r_squared + 1, box.ends(3)[1] + rooms[3])
+        if 50 * square > 51 * self.units["reserve"]:
+            return [[self.current - c for c in row[3::5]] for row in box.rows]
+        least = below(self.surface.least)
+        a_low, a_high = (max(a, least) for a in box.ends(4))
+        drop = times(self.r_k + 1, box.t[1])
+        for s in (1, -1):
+            torque = box.t[1] if s > 0 else box.t[0] if weakens else 0
+            u = self.largest_u(torque, a_high, s)
+            taken = self.units["reserve"]  # R^2 J^2, at least
+            if self.near is not None:
+                line = below(self.near) + (below(self.slope) * (a_low * a_low >> BITS) >> BITS)
+                taken = min(taken, line)
+                if 4 * times(drop, u) > 3 * (a_low * a_low >> BITS):
+                    raise Fault("the drop by the torque is too large for the line of MTPV")
+            uu, ww = times(u, u), times(times(self.r_squared + 1, u), u)
+            moved = 0
+            if self.surface.twice:
+                rounding = (a_high * a_high >> BITS) + 2 * times(drop, u)
+                squares = times(uu, self.units["reserve"])
+                squares += times(above(80 * E), rounding + squares)
+                apart = (squares << BITS) // (a_low + least) + 2 * self.off
+                moved = times(self.rise, apart) + 2 * self.moved
+            room = times(self.units["b"] + 1, rooms[0]) + rooms[1] + (ONE >> 100)
+            room += times(times(self.r_2 + 1, u), rooms[2]) + times(ww, rooms[3])
+            found = self.falling(box, (s, u, taken, moved), room, weakens)
+            if found is not None:
+                return found
+        return None
+
+    def falling(
+        self, box: Box, at: tuple[int, int, int, int], room: int, weakens: bool
+    ) -> Rows | None:
+        """The coefficients of F in u that may be negative; None if none may be."""
+        s, u, taken, moved = at
+        b, bkt, kappa = (self.units[name] for name in ("b", "bkt", "kappa"))
+        uu, n, w = u * u >> BITS, max(len(box.rows) - 1, 1), self.r_2 * u >> BITS
+        ww, constants = self.r_squared * uu >> BITS, [(0, b * (taken * uu >> BITS) >> BITS)]
+        if self.surface.twice:
+            constants.append((self.units["more"], -(b * (ww * moved >> BITS) >> BITS)))
+        least = b * below(self.surface.least**2) >> BITS
+        for plain in (False, True):  # FLUX_MIN_WB is available wherever the field is not weakened
+            starts, slopes = [], []
+            for i, row in enumerate(box.rows):
+                t = (box.t[0] * (n - i) + box.t[1] * i) // n
+                made, lost = bkt * t >> BITS, kappa * t >> BITS
+                taus = row[2::5]
+                slopes.append([w * (s * (made - tau) - lost) >> BITS for tau in taus])
+                squares = [least] * len(taus) if plain else [b * c >> BITS for c in row[0::5]]
+                starts.append([c - psi for c, psi in zip(squares, row[1::5])])
+            ends = [
+                [
+                    [ww * ((more * c >> BITS) - (0 if more else c)) + (rest << BITS) >> BITS
+                     for c in row[3::5]]
+                    for row in box.rows
+                ]
+                for more, rest in constants
+            ]  # fmt: skip
+            tried = [starts, summed(starts, [[c >> 1 for c in row] for row in slopes])]
+            tried += [summed(summed(starts, slopes), end) for end in ends]
+            if not weakens:
+                tried += [summed(starts, end) for end in ends]
+            found = next((rows for rows in tried if lacking(rows, room)), None)
+            if found is None or weakens:
+                return found
+        return found
+
+
+def summed(one: Rows, other: Rows) -> Rows:
+    """A sum of coefficients."""
+    return [[x + y for x, y in zip(*pair)] for pair in zip(one, other)]
+
+
+def lacking(rows: Rows, room: int) -> bool:
+    """Whether a function with these coefficients may fall below a number."""
+    return min(map(min, rows)) < room
+
+
+# Part 4. The domain: 0 <= t <= TORQUE, FLUX_MIN_WB <= a <= FLUX_MAX_WB, t at most the limit at a.
+
+MOST_BOXES, DEEPEST, FIRST = 60_000, 60, 10
+
+
+class Limit:
+    """The largest torque that the step grants within a flux linkage."""
+
+    def __init__(self, surface: Surface) -> None:
+        self.least, width = below(surface.least), below(surface.most - surface.least)
+        self.step = 1 << max(0, width.bit_length() - 25)  # what the difference may be rounded by
+        self.parts: list[tuple[int, int, list[int]]] = []
+        self.lost, err, before = 0, 0, None  # what a rounded limit may lose as a rises
+        ends = [below(start) for start, _, _ in surface.limit[1:]] + [width + self.step]
+        for (first, poly, code), end in zip(surface.limit, ends):
+            start = below(first)
+            if end <= start:
+                break
+            power = poly.degree(1)
+            slopes = Poly({(0, j - 1): j * c for (_, j), c in poly.terms.items() if j})
+            found = slopes.on(((0, 0), (start, end)), (0, max(power - 1, 0)))[0]
+            self.lost += times(max(-min(found) + 1, 0), end - start)
+            bottom = min(poly.on(((0, 0), (start, end)), (0, power))[0])
+            err = max(err, run(code, {"f": Wide(start, end)}, wide)["limit"].err)
+            if bottom < 2 * err:
+                raise Fault("the largest torque may be below zero")
+            self.parts.append(
+                (start, end, [below(poly.terms.get((0, j), Fraction(0))) for j in range(power + 1)])
+            )
+            if before is not None:
+                self.lost += max(before - self.at(start) + 2, 0)
+            before = horner(self.parts[-1][2], end)
+        self.lost += 2 * err
+
+    def at(self, f: int) -> int:
+        """Its polynomial above the least flux linkage."""
+        return horner(next(c for s, e, c in reversed(self.parts) if s <= f or s == 0), f)
+
+    def above(self, a: int) -> int:
+        """No torque above it is granted with a flux linkage up to a."""
+        f = min(max(a - self.least, 0) + self.step, self.parts[-1][1])
+        return self.at(f) + self.lost + (ONE >> 100)
+
+
+def horner(row: list[int], f: int) -> int:
+    """A polynomial to its last bits."""
+    total = 0
+    for c in reversed(row):
+        total = (total * f >> BITS) + c
+    return total
+
+
+class Domain:
+    """Goes over all boxes of a surface."""
+
+    def __init__(self, errors: Errors) -> None:
+        self.errors, self.surface = errors, errors.surface
+        self.limit, self.count = Limit(self.surface), 0
+        self.least, self.most = below(self.surface.least), below(self.surface.most)
+
+    def first(self) -> list[tuple[Box, str, bool]]:
+        """A box per segment and state; sets what rounding moves the flux linkage by."""
+        found, curves, errors = [], self.surface.curves, self.errors
+        ends = [start for start, _ in curves[1:]] + [self.surface.largest]
+        for (start, code), last in zip(curves, ends):
+            t = below(start), below(min(last, self.surface.largest))
+            if t[1] <= t[0]:
+                continue
+            plain, weak = errors.polynomials(code)
+            top = max(plain[4].on((t, (0, 0)), (plain[4].degree(0), 0)))[0]
+            errors.off = max(
+                errors.off, errors.rounding(Box(t, (0, top), [], 0, ()), code, weakens=False)[2]
+            )
+            spans = [((0, 0), plain), ((0, top - self.least + 2 * errors.off), weak)]
+            for x, polys in spans:
+                if x[1] >= x[0]:
+                    degrees = max(p.degree(0) for p in polys), max(p.degree(1) for p in polys)
+                    each = [poly.on((t, x), degrees) for poly in polys]
+                    rows = [[c for cs in zip(*lines) for c in cs] for lines in zip(*each)]
+                    weakens = polys is weak
+                    found.append((Box(t, x, rows, 0, errors.claims), code, weakens))
+        return found
+
+    def outside(self, box: Box, weakens: bool) -> bool:
+        """Whether no point of a box is in the domain."""
+        low, high = box.ends(4)
+        low, high = low - self.errors.off, high + self.errors.off
+        if not weakens:
+            return low > self.most
+        return high < self.least or low > self.most or box.t[0] > self.limit.above(high)
+
+    def moves(self, boxes: list[tuple[Box, str, bool]]) -> None:
+        """Bounds how |i|^2 rises with the flux linkage, and by rounding."""
+        waiting = [each for each in boxes if each[2]]
+        while waiting:
+            box, code, weakens = waiting.pop()
+            if self.outside(box, weakens):
+                continue
+            if box.depth < FIRST:
+                waiting += [(half, code, weakens) for half in box.cut(box.depth % 2 == 0)]
+                continue
+            m = len(box.rows[0]) // 5 - 1
+            falls = [x - y for row in box.rows for x, y in zip(row[3::5], row[8::5])]
+            rise = (max([0, *falls]) + 100 * box.depth + 9) * m
+            errors = self.errors
+            errors.rise = max(errors.rise, (rise << BITS) // (box.x[1] - box.x[0]) + 1)
+            errors.moved = max(errors.moved, errors.rooms(box, code, weakens)[3])
+
+    def check(self) -> None:
+        """Raises unless all claims hold in all boxes."""
+        boxes = self.first()
+        if self.surface.twice and "voltage_percent" in self.errors.claims:
+            self.moves(boxes)
+        while boxes:
+            box, code, weakens = boxes.pop()
+            if self.outside(box, weakens):
+                continue
+            self.count += 1
+            still, failed = [], None
+            for claim in box.open:
+                rows = self.errors.failing(box, code, weakens, NAMES[claim])
+                if rows is not None:
+                    still.append(claim)
+                    failed = failed or rows
+            if failed is None:
+                continue
+            if box.depth >= DEEPEST or self.count > MOST_BOXES:
+                ends = ", ".join(
+                    " to ".join(f"{end / ONE:.6g}" for end in span) + unit
+                    for span, unit in ((box.t, " N m"), (box.x, " Wb too much"))
+                )
+                raise Fault(f"surface, {still[0]}: not within its bound at {ends}")
+            box.open = tuple(still)
+            along = not weakens or self.direction(box, failed)
+            boxes += [(half, code, weakens) for half in box.cut(along)]
+
+    def direction(self, box: Box, rows: Rows) -> bool:
+        """Whether to cut across t: there the function that fails bends more, or runs more where the
+        box reaches out of the domain.
+        """
+        low, high = box.ends(4)
+        inside = self.least <= low and high <= self.most and self.limit.above(low) >= box.t[1]
+        sizes = []
+        for lines in (rows, [list(column) for column in zip(*rows)]):
+            count = max(len(lines) - 1, 1)
+            found = [[y - x for x, y in zip(*pair)] for pair in zip(lines, lines[1:])]
+            if inside and len(found) > 1:
+                found = [[y - x for x, y in zip(*pair)] for pair in zip(found, found[1:])]
+                count *= count
+            sizes.append(count * max((abs(c) for row in found for c in row), default=0))
+        return sizes[0] >= sizes[1]
+
+
+# Part 5. What is printed.
+
+UNITS = {"voltage_percent": "%", "current_percent": "%", "torque_Nm": "N m", "torque_percent": "%"}
+
+
+def check_surface(stated: dict[str, Any], text: str, main_text: str, prefix: str) -> str:
+    """What is confirmed of a certificate, in words."""
+    surface = Surface(text, prefix)
+    said = surface.said
+    machine = base.read_machine(stated["machine"], base.Header(main_text, prefix))
+    shown = {name: Fraction(stated[name]) for name in LIMITS}
+    shown |= {"poles": machine["pole_pairs"], "r_s_Ohm": machine["r_s_Ohm"]}
+    shown |= {"volts": shown["v_max_V"], "torque_max": surface.largest}
+    for name, number in shown.items():
+        if f"{float(number):.6g}" != said[name] or number <= 0:
+            raise Fault(f"{name}: the header says {said[name]}")
+    for name, bound in stated["bounds"].items():
+        if name not in BOUNDS or said[name] is None or Fraction(said[name]) != Fraction(bound):
+            raise Fault(f"{name}: the header states another bound")
+    errors = Errors(surface, stated)
+    domain = Domain(errors)
+    domain.check()
+    words = {
+        "voltage_percent": "the phase voltage, drop included, exceeds its limit by {} %",
+        "current_percent": "the current its limit by {} %",
+        "torque_Nm": "the torque that is granted errs by {} N m",
+    }
+    parts = [words[name].format(stated["bounds"][name]) for name in errors.claims]
+    return (
+        f"at most, {prefix}_weakening_reference: {'; '.join(parts)}; for every torque of either "
+        f"sign, voltages from {said['share']} % of {said['volts']} V up and speeds up to "
+        f"{said['omega_e_rad_per_s']} rad/s in proportion, rounding included ({domain.count} boxes)"
+    )
+
+
+def main(arguments: list[str]) -> int:
+    """Checks the certificate that is named; both headers lie beside it."""
+    if len(arguments) != 1:
+        print("write: check_surface.py PREFIX_surface.json")
+        return 2
+    path = Path(arguments[0])
+    try:
+        stated = json.loads(path.read_text("utf-8"), parse_float=Fraction)
+        prefix = path.name.removesuffix("_surface.json")
+        headers = [path.parent / f"{prefix}{part}.h" for part in ("_weakening", "")]
+        text, main_text = (header.read_text("utf-8") for header in headers)
+        left = ["torque beyond reach against the largest", "copper loss"]
+        left += [f"its bound {name}" for name in BOUNDS if name not in stated["bounds"]]
+        print(f"not covered: of the surface {', '.join(left)}")
+        print(f"confirmed: {check_surface(stated, text, main_text, prefix)}")
+    except Fault as fault:
+        print(f"not confirmed: {fault}")
+        return 1
+    except (KeyError, TypeError, ValueError, ArithmeticError, OSError) as fault:
+        print(f"not confirmed: the certificate or the header is damaged ({fault!r})")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
