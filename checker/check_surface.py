@@ -1,207 +1,47 @@
-"""Confirms `<prefix>_surface.json`: bounds of the field-weakening surface of `<prefix>_weakening.h`.
+"""Confirms `<prefix>_surface.json`: bounds of the field-weakening of `<prefix>_weakening.h`.
 
     python -I -S check_surface.py pump_surface.json
 
-The program imports nothing but the standard library and the header's reader of
-`check_certificate.py` beside it (its part 2), and calculates in integers and fractions alone. It
-believes nothing in the certificate: constants and polynomials are read from the C, what lies around
-them must be there word for word, and boxes are cut here. Read it from top to bottom: functions on
-boxes (part 1), the header (part 2), the errors (part 3), the domain (part 4), and what is printed
-(part 5). It ends with 0 where all is confirmed, else with 1 and the place where it is not.
+The program imports nothing but the standard library and, beside it, `polynomials.py` and the
+header's reader of `check_certificate.py` (its part 2), and calculates in integers and fractions
+alone. It believes nothing in the certificate: constants and polynomials are read from the C, what
+lies around them must be there word for word, and boxes are cut here. Read it from top to bottom:
+the header (part 1), the errors (part 2), the domain (part 3), and what is printed (part 4). It ends
+with 0 where all is confirmed, else with 1 and the place where it is not.
 """
 
 from __future__ import annotations
 
-import ast
 import json
 import re
 import sys
 from fractions import Fraction
-from math import comb, isqrt
+from itertools import pairwise
+from math import isqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING or __package__:
     from . import check_certificate as base
+    from . import polynomials
 else:  # run alone: it lies beside this one
     sys.path.insert(0, str(Path(__file__).resolve().parent))
     import check_certificate as base
+    import polynomials
 
+BITS, ONE, T, X = polynomials.BITS, polynomials.ONE, polynomials.T, polynomials.X
+Poly, Wide, Rows = polynomials.Poly, polynomials.Wide, polynomials.Rows
+below, above, times = polynomials.below, polynomials.above, polynomials.times
+constant, wide, run = polynomials.constant, polynomials.wide, polynomials.run
+Box, lacking, horner = polynomials.Box, polynomials.lacking, polynomials.horner
+turn, summed = polynomials.turn, polynomials.summed
+fitted, pieces = polynomials.fitted, polynomials.pieces
 Fault = base.Fault
 Span = tuple[int, int]
-Rows = list[list[int]]
+Room = tuple[int, int, int, int]
 
 
-# Part 1. Functions on boxes of the torque t and the excess flux linkage x.
-#
-# Numbers are integers in units of 2^-BITS. A polynomial on a box is held by its coefficients in
-# Bernstein's basis: its values lie between the least and the largest of them, and those of either
-# half of the box are means of neighbours (de Casteljau).
-
-BITS = 160
-ONE = 1 << BITS
-
-
-def below(value: Fraction) -> int:
-    """A rational in units, rounded down; it is off by less than one."""
-    return (value.numerator << BITS) // value.denominator
-
-
-def above(value: Fraction) -> int:
-    """A rational in units, rounded up."""
-    return -((-value.numerator << BITS) // value.denominator)
-
-
-def times(x: int, y: int) -> int:
-    """A product, rounded up."""
-    return -(-x * y >> BITS)
-
-
-class Poly:
-    """An exact polynomial: coefficients by the powers of t and x."""
-
-    def __init__(self, terms: dict[tuple[int, int], Fraction]) -> None:
-        self.terms = terms
-
-    def __add__(self, other: Poly) -> Poly:
-        terms = dict(self.terms)
-        for power, c in other.terms.items():
-            terms[power] = terms.get(power, Fraction(0)) + c
-        return Poly(terms)
-
-    def __neg__(self) -> Poly:
-        return Poly({power: -c for power, c in self.terms.items()})
-
-    def __sub__(self, other: Poly) -> Poly:
-        return self + -other
-
-    def __mul__(self, other: Poly) -> Poly:
-        terms: dict[tuple[int, int], Fraction] = {}
-        for (i, j), c in self.terms.items():
-            for (k, m), e in other.terms.items():
-                terms[i + k, j + m] = terms.get((i + k, j + m), Fraction(0)) + c * e
-        return Poly(terms)
-
-    def degree(self, axis: int) -> int:
-        """Its largest power of t (0) or x (1)."""
-        return max((power[axis] for power, c in self.terms.items() if c), default=0)
-
-    def on(self, spans: tuple[Span, Span], degrees: tuple[int, int]) -> Rows:
-        """Its coefficients on a box, rounded down: a row per power of t."""
-        rows = [[Fraction(0)] * (degrees[1] + 1) for _ in range(degrees[0] + 1)]
-        for (i, j), c in self.terms.items():
-            if c:
-                rows[i][j] = c
-        columns = [based(list(column), spans[0]) for column in zip(*rows)]
-        return [[below(c) for c in based(list(row), spans[1])] for row in zip(*columns)]
-
-
-def constant(value: Fraction | int) -> Poly:
-    """A number."""
-    return Poly({(0, 0): Fraction(value)})
-
-
-T, X = Poly({(1, 0): Fraction(1)}), Poly({(0, 1): Fraction(1)})
-
-
-def based(row: list[Fraction], span: Span) -> list[Fraction]:
-    """Bernstein's coefficients on an interval, of rising ones."""
-    start, width = Fraction(span[0], ONE), Fraction(span[1] - span[0], ONE)
-    n = len(row) - 1
-    for first in range(n):  # in powers of t - start
-        for i in range(n - 1, first - 1, -1):
-            row[i] += start * row[i + 1]
-    row = [c * width**i / comb(n, i) for i, c in enumerate(row)]
-    return [sum((comb(k, i) * row[i] for i in range(k + 1)), Fraction(0)) for k in range(n + 1)]
-
-
-def halves(rows: Rows) -> tuple[Rows, Rows]:
-    """The coefficients on both halves along the first axis."""
-    left, right = [rows[0]], [rows[-1]]
-    while len(rows) > 1:
-        rows = [[x + y >> 1 for x, y in zip(*pair)] for pair in zip(rows, rows[1:])]
-        left.append(rows[0])
-        right.append(rows[-1])
-    return left, right[::-1]
-
-
-class Wide:
-    """What single precision makes of an expression on a box: the exact values lie between ``low``
-    and ``high``, the rounded ones within ``err`` of them.
-
-    Each operation adds half a unit of its last place; a fused multiply-add rounds once less.
-    """
-
-    __slots__ = ("err", "high", "low")
-
-    def __init__(self, low: int, high: int, err: int = 0) -> None:
-        self.low, self.high, self.err = low, high, err
-
-    def size(self) -> int:
-        """No value, rounded or not, is larger in magnitude."""
-        return max(abs(self.low), abs(self.high)) + self.err
-
-    def rounded(self) -> Wide:
-        size = self.size()
-        if size >= ONE << 127:
-            raise Fault("a result may leave the range of single precision")
-        self.err += 1 << max(BITS - 150, size.bit_length() - 25)
-        return self
-
-    def __add__(self, other: Wide) -> Wide:
-        return Wide(self.low + other.low, self.high + other.high, self.err + other.err).rounded()
-
-    def __neg__(self) -> Wide:
-        return Wide(-self.high, -self.low, self.err)
-
-    def __sub__(self, other: Wide) -> Wide:
-        return self + -other
-
-    def __mul__(self, other: Wide) -> Wide:
-        ends = [x * y >> BITS for x in (self.low, self.high) for y in (other.low, other.high)]
-        err = times(self.size(), other.err) + times(other.size(), self.err)
-        return Wide(min(ends), max(ends) + 1, err).rounded()
-
-
-def value(node: ast.expr, known: dict[str, Any], literal: Any) -> Any:
-    """An expression of C in sums and products, of polynomials or on a box."""
-    match node:
-        case ast.Name(id=name) if name in known:
-            return known[name]
-        case ast.Call(func=ast.Name(id="number"), args=[ast.Constant(value=str(text))]):
-            return literal(base.number(text))
-        case ast.UnaryOp(op=ast.USub(), operand=inner):
-            return -value(inner, known, literal)
-        case ast.BinOp(left=left, op=ast.Add(), right=right):
-            return value(left, known, literal) + value(right, known, literal)
-        case ast.BinOp(left=left, op=ast.Sub(), right=right):
-            return value(left, known, literal) - value(right, known, literal)
-        case ast.BinOp(left=left, op=ast.Mult(), right=right):
-            return value(left, known, literal) * value(right, known, literal)
-    raise Fault(f"the header's C has what is not understood: {ast.unparse(node)[:60]}")
-
-
-def wide(number: Fraction) -> Wide:
-    """A literal, which single precision holds exactly."""
-    return Wide(below(number), above(number))
-
-
-_ASSIGNED = re.compile(r" ?(?:const float )?(\w+) = ([^;{}=?]+);")
-
-
-def run(code: str, known: dict[str, Any], literal: Any) -> dict[str, Any]:
-    """Runs assignments; what is known after them."""
-    known, place = dict(known), 0
-    while place < len(code.rstrip()):
-        found = _ASSIGNED.match(code, place)
-        if found is None:
-            raise Fault(f"the header's C is not understood at '{code[place : place + 30]}'")
-        known[found[1]] = value(base.parsed(found[2]), known, literal)
-        place = found.end()
-    return known
-
-
-# Part 2. The header: what must be there word for word, and its constants and polynomials.
+# Part 1. The header: what must be there word for word, and its constants and polynomials.
 
 CODE = {
     "limit": "const float f = flux_Wb - P_FLUX_MIN_WB; {limit} return limit;",
@@ -217,8 +57,8 @@ CODE = {
         "const float drop = {per_torque} * omega; const float per_torque = ((torque_Nm < 0.0F) != "
         "(omega_e_rad_per_s < 0.0F)) ? -drop : drop; const float size = (torque_Nm < 0.0F) ? "
         "-torque_Nm : torque_Nm; const float some = (size > 0.0F) ? size : 0.0F; const float asked "
-        "= (some < {torque_max}) ? some : {torque_max}; t = 0.0F; a = 0.0F; beyond = asked; trial = "
-        "asked; for (k = 0U; k < P_TRIALS; k++) { if ((k >= (P_TRIALS - 1U)) && (t <= 0.0F)) { "
+        "= (some < {torque_max}) ? some : {torque_max}; t = 0.0F; a = 0.0F; beyond = asked; trial "
+        "= asked; for (k = 0U; k < P_TRIALS; k++) { if ((k >= (P_TRIALS - 1U)) && (t <= 0.0F)) { "
         "trial = 0.0F; } const float flux = P_least_flux(room - (per_torque * trial), omega); if "
         "((flux >= P_FLUX_MIN_WB) && (trial <= P_limit(flux))) { t = trial; a = flux; } else { "
         "beyond = trial; } trial = 0.5F * (t + beyond); if (t >= asked) { break; } } const float "
@@ -228,21 +68,25 @@ CODE = {
 }
 LEAST = (
     "return P_flux(squared - {reserve}, omega);",
-    "const float flux = P_flux(squared - {reserve}, omega); const float rest = squared - {near}; "
-    "if (rest > 0.0F) { const float found = sqrtf(rest / ((omega * omega) + {slope}));"
-    " const float held = (found < P_FLUX_MAX_WB) ? found : P_FLUX_MAX_WB; least = (held > flux) ? "
-    "held : flux; } else { least = flux; } return least;",
-)
-WEAKENED = (
-    "const float delta = taken - a_held; {surface} i_d = (delta * d) + mtpa_d; "
-    "i_q = ((delta * t) * q) + mtpa_q;",
-    "const float left = room - (per_torque * t); weak_d = mtpa_d; weak_q = mtpa_q; flux = a_held; for (n = 0U; n < 2U; n++) { const "
-    "float delta = (taken > flux) ? (taken - flux) : 0.0F; {surface} weak_d = (delta * d) + "
-    "mtpa_d; weak_q = ((delta * t) * q) + mtpa_q; if (n < 1U) { const float used = (weak_d * "
-    "weak_d) + (weak_q * weak_q); const float more = P_flux(left - (used * {square}), omega); flux "
-    "= (more > flux) ? more : flux; } } i_d = weak_d; i_q = weak_q;",
+    (
+        "const float flux = P_flux(squared - {reserve}, omega); const float rest = squared - "
+        "{near}; if (rest > 0.0F) { const float found = sqrtf(rest / ((omega * omega) + {slope})); "
+        "const float held = (found < P_FLUX_MAX_WB) ? found : P_FLUX_MAX_WB; least = (held > flux) "
+        "? held : flux; } else { least = flux; } return least;"
+    ),
 )
 ADDED = "i_d = (delta * d) + mtpa_d; i_q = ((delta * t) * q) + mtpa_q;"
+WEAKENED = (
+    "const float delta = taken - a_held; {surface} " + ADDED,
+    (
+        "const float left = room - (per_torque * t); weak_d = mtpa_d; weak_q = mtpa_q; flux = "
+        "a_held; for (n = 0U; n < 2U; n++) { const float delta = (taken > flux) ? (taken - flux) : "
+        "0.0F; {surface} weak_d = (delta * d) + mtpa_d; weak_q = ((delta * t) * q) + mtpa_q; if (n "
+        "< 1U) { const float used = (weak_d * weak_d) + (weak_q * weak_q); const float more = "
+        "P_flux(left - (used * {square}), omega); flux = (more > flux) ? more : flux; } } i_d = "
+        "weak_d; i_q = weak_q;"
+    ),
+)
 PLAIN = {"limit", "curves", "weakened", "surface"}  # text; the others are numbers
 SAID = re.compile(
     r"(?P<poles>\d+) pole pairs, (?P<i_max_A>\S+) A \(peak\), up to .*"
@@ -260,41 +104,6 @@ BOUNDS = ("voltage_percent", "current_percent", "torque_Nm", "torque_percent")
 LIMITS = ("i_max_A", "v_max_V", "omega_e_rad_per_s")
 
 
-def fitted(template: str, text: str) -> dict[str, str] | None:
-    """What stands in the places of a template, None where the text is another."""
-    parts = re.split(r"\{(\w+)\}", template)
-    pattern = "".join(
-        re.escape(part)
-        if n % 2 == 0
-        else rf"(?P={part})"
-        if part in parts[1:n:2]
-        else rf"(?P<{part}>{'.*' if part in PLAIN else base.NUMBER.pattern})"
-        for n, part in enumerate(parts)
-    )
-    found = re.fullmatch(pattern, text)
-    return None if found is None else {name: found[name] for name in parts[1::2]}
-
-
-def pieces(code: str, variable: str) -> list[tuple[Fraction, str]]:
-    """Beginnings and assignments of the segments of a curve."""
-    if not code.startswith("if ("):
-        return [(Fraction(0), code)]
-    found, start = [], Fraction(0)
-    for branch in re.split(r" else (?=if |\{)", code):
-        parts = re.fullmatch(rf"(?:if \({variable} < ([^ ]+)\) )?\{{ ([^{{}}]*) \}}", branch)
-        if parts is None or (parts[1] is None) != branch.startswith("{"):
-            raise Fault(f"the header's C is not understood at '{branch[:30]}'")
-        found.append((start, parts[2]))
-        if parts[1] is not None:
-            end = base.number(parts[1])
-            if end <= start:
-                raise Fault("breakpoints of the header do not ascend")
-            start = end
-    if branch.startswith("if"):
-        raise Fault("the last segment of a curve ends")
-    return found
-
-
 class Surface:
     """Numbers and polynomials of the header's step."""
 
@@ -306,8 +115,6 @@ class Surface:
         if self.said is None:
             raise Fault("the header states no bounds that are known here")
         self.least, self.most = header.constant("FLUX_MIN_WB"), header.constant("FLUX_MAX_WB")
-        if trials != 1:
-            raise Fault("the header makes no trials of the torque")
         found: dict[str, str] = {}
 
         def read(name: str, *templates: str) -> None:
@@ -316,7 +123,7 @@ class Surface:
 
         def fill(name: str, body: str, *templates: str) -> None:
             for number, template in enumerate(templates):
-                parts = fitted(template, body)
+                parts = fitted(template, body, PLAIN)
                 if parts is not None:
                     found.update(parts)
                     found[f"{name} form"] = str(number)
@@ -339,11 +146,11 @@ class Surface:
             (start, run(code, {"f": X}, constant)["limit"], code)
             for start, code in pieces(found["limit"], "f")
         ]
-        if not 0 < self.least < self.most or self.largest <= 0:
-            raise Fault("the header's range of flux linkage or torque is none")
+        if not 0 < self.least < self.most or self.largest <= 0 or trials != 1:
+            raise Fault("the header's range of flux linkage or torque is none, or its trials are")
 
 
-# Part 3. The errors of a box.
+# Part 2. The errors of a box.
 #
 # With k = 1/(1.5 p), tau = k times the torque that is made, a the flux linkage that the step has
 # found, s = 1 motoring and -1 generating, and u = 1/omega, voltage and limit are
@@ -373,39 +180,11 @@ class Surface:
 
 E = Fraction(1, 2**24)
 RHO, KAPPA = 20 * E, 16 * E
-NAMES = {"voltage_percent": "voltage", "current_percent": "current", "torque_Nm": "torque"}
-
-
-class Box:
-    """A part of a segment: ranges of t and x, and the coefficients there of a^2, psi^2, tau, |i|^2
-    and p - x; where x is a single number the field is not weakened.
-    """
-
-    __slots__ = ("depth", "open", "rows", "t", "x")
-
-    def __init__(self, t: Span, x: Span, rows: Rows, depth: int, still: tuple[str, ...]) -> None:
-        self.t, self.x, self.rows, self.depth, self.open = t, x, rows, depth, still
-
-    def ends(self, which: int) -> Span:
-        """Bounds of one of the polynomials."""
-        found = [c for row in self.rows for c in row[which::5]]
-        slack = 40 * self.depth + 2
-        return min(found) - slack, max(found) + slack
-
-    def cut(self, along: bool) -> list[Box]:
-        """Both halves, across t or across x."""
-        span, parts = (self.t if along else self.x), []
-        middle = span[0] + span[1] >> 1
-        rows = self.rows if along else turned(self.rows)
-        for part, half in zip(halves(rows), ((span[0], middle), (middle, span[1]))):
-            t, x = (half, self.x) if along else (self.t, half)
-            parts.append(Box(t, x, part if along else turned(part), self.depth + 1, self.open))
-        return parts
-
-
-def turned(rows: Rows) -> Rows:
-    """Coefficients with the other axis first."""
-    return [[c for row in rows for c in row[j : j + 5]] for j in range(0, len(rows[0]), 5)]
+NAMES = {
+    "voltage_percent": "the phase voltage, drop included, exceeds its limit by {} %",
+    "current_percent": "the current exceeds its limit by {} %",
+    "torque_Nm": "the torque that is granted errs by {} N m",
+}
 
 
 class Errors:
@@ -424,10 +203,10 @@ class Errors:
         self.reserve, self.near = surface.reserve, surface.numbers.get("near")
         self.slope = surface.numbers.get("slope", Fraction(0))
         self.check_constants(least, v_max, omega)
-        self.torque = surface.largest * bounds.get("torque_percent", Fraction(10**9)) / 100
-        self.torque = min(self.torque, bounds.get("torque_Nm", self.torque))
-        self.current = below((self.i_max * (1 + bounds.get("current_percent", 0) / 100)) ** 2)
-        self.b = (1 + bounds.get("voltage_percent", Fraction(0)) / 100) ** 2 / (1 + RHO)
+        share = {name: bounds.get(name, Fraction(0)) / 100 for name in BOUNDS}
+        self.torque = min(surface.largest * share["torque_percent"], 100 * share["torque_Nm"])
+        self.current = below((self.i_max * (1 + share["current_percent"])) ** 2)
+        self.b = (1 + share["voltage_percent"]) ** 2 / (1 + RHO)
         self.room = least * (1 - 64 * E) - Fraction(102, 100) * self.reserve  # M
         self.rise = self.moved = self.off = 0  # of |i|^2 with a; of it and of a by rounding
         if self.room <= 0:
@@ -445,11 +224,10 @@ class Errors:
         the voltage.
         """
         numbers = self.surface.numbers
-        if numbers["per_torque"] != base.single(2 * self.r_s * self.k):
-            raise Fault("the header has another drop per torque than the machine")
-        square = numbers.get("square", base.single(self.r_s**2))
-        if abs(square - self.r_s**2) > 2 * E * self.r_s**2:
-            raise Fault("the header has another squared resistance than the machine")
+        square, drop = self.r_s**2, 2 * self.r_s * self.k
+        for said, right in ((numbers["per_torque"], drop), (numbers.get("square", square), square)):
+            if abs(said - right) > 2 * E * right:
+                raise Fault("the header has another resistance than the machine")
         if self.near is not None and (self.near < 0 or self.slope <= 0):
             raise Fault("the header's line of the squared current falls below zero")
         ends = self.surface.least**2 * omega**2 * least
@@ -476,7 +254,7 @@ class Errors:
         at = max(abs(box.x[0]), abs(box.x[1]))
         return d.err, q.err, names["taken"].err + (1 << max(BITS - 150, at.bit_length() - 25))
 
-    def rooms(self, box: Box, code: str, weakens: bool) -> tuple[int, int, int, int]:
+    def rooms(self, box: Box, code: str, weakens: bool) -> Room:
         """What rounding adds to a^2, psi^2, tau and |i|^2, and the last bits of the polynomials."""
         by_d, by_q, by_a = self.rounding(box, code, weakens)
         size = isqrt(max(box.ends(3)[1], 0) << BITS) + 1 + by_d + by_q  # of each current
@@ -501,28 +279,25 @@ class Errors:
         root = isqrt(drop * drop + (a * a * self.units["room"] >> BITS) + ONE) + 1
         return (root + s * drop << BITS) // self.units["room"] + 1
 
-    def failing(self, box: Box, code: str, weakens: bool, claim: str) -> Rows | None:
+    def failing(self, box: Box, rooms: Room, weakens: bool, claim: str) -> Rows | None:
         """What should be nowhere negative on the box and may be; None where all is proven."""
-        rooms = self.rooms(box, code, weakens)
         n, t = len(box.rows) - 1, box.t
-        if claim == "current":
+        if claim == "current_percent":
             rows = [[self.current - c for c in row[3::5]] for row in box.rows]
-            return rows if lacking(rows, rooms[3]) else None
-        if claim == "torque":
+            return rows if lacking(box, rows, rooms[3]) else None
+        if claim == "torque_Nm":
             k, off, room = self.units["k"], below(self.torque * self.k), rooms[2] + 2
             for s in (1, -1):
                 rows = []
                 for i, row in enumerate(box.rows):
                     kt = (t[0] * (n - i) + t[1] * i) // max(n, 1) * k >> BITS
                     rows.append([off - s * (c - kt) for c in row[2::5]])
-                if lacking(rows, room + t[1] // ONE):
+                if lacking(box, rows, room + t[1] // ONE):
                     return rows
             return None
         return self.failing_voltage(box, rooms, weakens)
 
-    def failing_voltage(
-        self, box: Box, rooms: tuple[int, int, int, int], weakens: bool
-    ) -> Rows | None:
+    def failing_voltage(self, box: Box, rooms: Room, weakens: bool) -> Rows | None:
         """As `failing`, of F in each direction and after each pass."""
         square = times(self.r_squared + 1, box.ends(3)[1] + rooms[3])
         if 50 * square > 51 * self.units["reserve"]:
@@ -537,8 +312,8 @@ class Errors:
             if self.near is not None:
                 line = below(self.near) + (below(self.slope) * (a_low * a_low >> BITS) >> BITS)
                 taken = min(taken, line)
-                if 4 * times(drop, u) > 3 * (a_low * a_low >> BITS):
-                    raise Fault("the drop by the torque is too large for the line of MTPV")
+                if 8 * times(drop, u) > 3 * (a_low * a_low >> BITS):  # the root of M is too small
+                    return [[self.current - c for c in row[3::5]] for row in box.rows]
             uu, ww = times(u, u), times(times(self.r_squared + 1, u), u)
             moved = 0
             if self.surface.twice:
@@ -554,9 +329,7 @@ class Errors:
                 return found
         return None
 
-    def falling(
-        self, box: Box, at: tuple[int, int, int, int], room: int, weakens: bool
-    ) -> Rows | None:
+    def falling(self, box: Box, at: Room, room: int, weakens: bool) -> Rows | None:
         """The coefficients of F in u that may be negative; None if none may be."""
         s, u, taken, moved = at
         b, bkt, kappa = (self.units[name] for name in ("b", "bkt", "kappa"))
@@ -586,23 +359,13 @@ class Errors:
             tried += [summed(summed(starts, slopes), end) for end in ends]
             if not weakens:
                 tried += [summed(starts, end) for end in ends]
-            found = next((rows for rows in tried if lacking(rows, room)), None)
+            found = next((rows for rows in tried if lacking(box, rows, room)), None)
             if found is None or weakens:
                 return found
         return found
 
 
-def summed(one: Rows, other: Rows) -> Rows:
-    """A sum of coefficients."""
-    return [[x + y for x, y in zip(*pair)] for pair in zip(one, other)]
-
-
-def lacking(rows: Rows, room: int) -> bool:
-    """Whether a function with these coefficients may fall below a number."""
-    return min(map(min, rows)) < room
-
-
-# Part 4. The domain: 0 <= t <= TORQUE, FLUX_MIN_WB <= a <= FLUX_MAX_WB, t at most the limit at a.
+# Part 3. The domain: 0 <= t <= TORQUE, FLUX_MIN_WB <= a <= FLUX_MAX_WB, t at most the limit at a.
 
 MOST_BOXES, DEEPEST, FIRST = 60_000, 60, 10
 
@@ -614,6 +377,7 @@ class Limit:
         self.least, width = below(surface.least), below(surface.most - surface.least)
         self.step = 1 << max(0, width.bit_length() - 25)  # what the difference may be rounded by
         self.parts: list[tuple[int, int, list[int]]] = []
+        self.bends: list[int] = []  # no second derivative is above
         self.lost, err, before = 0, 0, None  # what a rounded limit may lose as a rises
         ends = [below(start) for start, _, _ in surface.limit[1:]] + [width + self.step]
         for (first, poly, code), end in zip(surface.limit, ends):
@@ -624,6 +388,10 @@ class Limit:
             slopes = Poly({(0, j - 1): j * c for (_, j), c in poly.terms.items() if j})
             found = slopes.on(((0, 0), (start, end)), (0, max(power - 1, 0)))[0]
             self.lost += times(max(-min(found) + 1, 0), end - start)
+            bends = Poly({(0, j - 1): j * c for (_, j), c in slopes.terms.items() if j})
+            self.bends.append(
+                max(0, *bends.on(((0, 0), (start, end)), (0, max(power - 2, 0)))[0]) + 1
+            )
             bottom = min(poly.on(((0, 0), (start, end)), (0, power))[0])
             err = max(err, run(code, {"f": Wide(start, end)}, wide)["limit"].err)
             if bottom < 2 * err:
@@ -640,18 +408,36 @@ class Limit:
         """Its polynomial above the least flux linkage."""
         return horner(next(c for s, e, c in reversed(self.parts) if s <= f or s == 0), f)
 
+    def over(self, box: Box, off: int) -> Rows | None:
+        """No less than the limit less t on a box that reaches beyond it: its tangent in a, raised
+        by how it bends; None where no part of the limit serves alone.
+        """
+        low, high = box.ends(4)
+        low, high = max(low - self.least, 0), min(high - self.least, self.parts[-1][1])
+        if low > high or self.at(low) > box.t[1] + (ONE >> 30):
+            return None
+        n, middle, half = len(box.rows) - 1, low + high >> 1, (high - low >> 1) + 1 + off
+        for (start, end, row), bend in zip(self.parts, self.bends):
+            if (start <= low - off or start == 0) and (
+                high + off + self.step < end or end == self.parts[-1][1]
+            ):
+                slope = horner([j * c for j, c in enumerate(row)][1:] or [0], middle)
+                top = horner(row, middle) + times(times(half, half), bend) + self.lost
+                top += times(abs(slope), off + self.step) + (ONE >> 100)
+                return [
+                    [
+                        top + (slope * (a - self.least - middle) >> BITS)
+                        - (box.t[0] * (n - i) + box.t[1] * i) // n
+                        for a in line[4::5]
+                    ]
+                    for i, line in enumerate(box.rows)
+                ]  # fmt: skip
+        return None
+
     def above(self, a: int) -> int:
         """No torque above it is granted with a flux linkage up to a."""
         f = min(max(a - self.least, 0) + self.step, self.parts[-1][1])
         return self.at(f) + self.lost + (ONE >> 100)
-
-
-def horner(row: list[int], f: int) -> int:
-    """A polynomial to its last bits."""
-    total = 0
-    for c in reversed(row):
-        total = (total * f >> BITS) + c
-    return total
 
 
 class Domain:
@@ -720,9 +506,11 @@ class Domain:
             if self.outside(box, weakens):
                 continue
             self.count += 1
-            still, failed = [], None
+            still, failed, rooms = [], None, self.errors.rooms(box, code, weakens)
+            if weakens:
+                box.inside = self.limit.over(box, self.errors.off)
             for claim in box.open:
-                rows = self.errors.failing(box, code, weakens, NAMES[claim])
+                rows = self.errors.failing(box, rooms, weakens, claim)
                 if rows is not None:
                     still.append(claim)
                     failed = failed or rows
@@ -745,19 +533,17 @@ class Domain:
         low, high = box.ends(4)
         inside = self.least <= low and high <= self.most and self.limit.above(low) >= box.t[1]
         sizes = []
-        for lines in (rows, [list(column) for column in zip(*rows)]):
+        for lines in (rows, turn(rows)):
             count = max(len(lines) - 1, 1)
-            found = [[y - x for x, y in zip(*pair)] for pair in zip(lines, lines[1:])]
+            found = [[y - x for x, y in zip(*pair)] for pair in pairwise(lines)]
             if inside and len(found) > 1:
-                found = [[y - x for x, y in zip(*pair)] for pair in zip(found, found[1:])]
+                found = [[y - x for x, y in zip(*pair)] for pair in pairwise(found)]
                 count *= count
             sizes.append(count * max((abs(c) for row in found for c in row), default=0))
         return sizes[0] >= sizes[1]
 
 
-# Part 5. What is printed.
-
-UNITS = {"voltage_percent": "%", "current_percent": "%", "torque_Nm": "N m", "torque_percent": "%"}
+# Part 4. What is printed.
 
 
 def check_surface(stated: dict[str, Any], text: str, main_text: str, prefix: str) -> str:
@@ -774,15 +560,12 @@ def check_surface(stated: dict[str, Any], text: str, main_text: str, prefix: str
     for name, bound in stated["bounds"].items():
         if name not in BOUNDS or said[name] is None or Fraction(said[name]) != Fraction(bound):
             raise Fault(f"{name}: the header states another bound")
+    if ("torque_Nm" in stated["bounds"]) != ("torque_percent" in stated["bounds"]):
+        raise Fault("torque_Nm: one bound of the torque stands without the other")
     errors = Errors(surface, stated)
     domain = Domain(errors)
     domain.check()
-    words = {
-        "voltage_percent": "the phase voltage, drop included, exceeds its limit by {} %",
-        "current_percent": "the current its limit by {} %",
-        "torque_Nm": "the torque that is granted errs by {} N m",
-    }
-    parts = [words[name].format(stated["bounds"][name]) for name in errors.claims]
+    parts = [NAMES[name].format(stated["bounds"][name]) for name in errors.claims]
     return (
         f"at most, {prefix}_weakening_reference: {'; '.join(parts)}; for every torque of either "
         f"sign, voltages from {said['share']} % of {said['volts']} V up and speeds up to "
