@@ -37,7 +37,6 @@ Box, lacking, horner = polynomials.Box, polynomials.lacking, polynomials.horner
 turn, summed = polynomials.turn, polynomials.summed
 fitted, pieces = polynomials.fitted, polynomials.pieces
 Fault = base.Fault
-Span = tuple[int, int]
 Room = tuple[int, int, int, int]
 
 
@@ -93,12 +92,13 @@ SAID = re.compile(
     r"Made for (?P<v_max_V>\S+) V up to (?P<omega_e_rad_per_s>\S+) rad/s, and from .*"
     r"The phase resistance is (?P<r_s_Ohm>\S+) Ohm .*Bounds of the errors, proven for every torque "
     r"and speed up to the largest, against the equations of the machine, for voltages from "
-    r"(?P<share>\S+) % of (?P<volts>\S+) V up, motoring and generating; rounding included, with "
-    r"and without fused multiply-add; in brackets what was found by sampling: the phase voltage, "
-    r"resistance drop included, exceeds its limit by (?:no proven bound|(?P<voltage_percent>\S+) %)"
-    r" \(\S+ %\), the current its limit by (?P<current_percent>\S+) % \(\S+ %\), the torque that "
-    r"is granted errs by at most (?P<torque_Nm>\S+) N m, (?P<torque_percent>\S+) % of the largest "
-    r"one, (?P<torque_max>\S+) N m"
+    r"(?P<share>\S+) % of (?P<volts>\S+) (?P<unit>m?k?V) up, motoring and generating; rounding "
+    r"included, with and without fused multiply-add; in brackets what was found by sampling: the "
+    r"phase voltage, resistance drop included, exceeds its limit by "
+    r"(?:no proven bound|(?P<voltage_percent>\S+) %) \(\S+ %\), "
+    r"the current its limit by (?P<current_percent>\S+) % \(\S+ %\), the torque that is granted "
+    r"errs by at most (?P<torque_Nm>\S+) N m, (?P<torque_percent>\S+) % of the largest one, "
+    r"(?P<torque_max>\S+) N m"
 )
 BOUNDS = ("voltage_percent", "current_percent", "torque_Nm", "torque_percent")
 LIMITS = ("i_max_A", "v_max_V", "omega_e_rad_per_s")
@@ -220,9 +220,7 @@ class Errors:
         }  # fmt: skip
 
     def check_constants(self, least: Fraction, v_max: Fraction, omega: Fraction) -> None:
-        """Constants of the step are those of the machine, and standstill and the largest speed keep
-        the voltage.
-        """
+        """Constants are those of the machine, and the largest speed keeps the voltage."""
         numbers = self.surface.numbers
         square, drop = self.r_s**2, 2 * self.r_s * self.k
         for said, right in ((numbers["per_torque"], drop), (numbers.get("square", square), square)):
@@ -314,8 +312,7 @@ class Errors:
                 taken = min(taken, line)
                 if 8 * times(drop, u) > 3 * (a_low * a_low >> BITS):  # the root of M is too small
                     return [[self.current - c for c in row[3::5]] for row in box.rows]
-            uu, ww = times(u, u), times(times(self.r_squared + 1, u), u)
-            moved = 0
+            uu, ww, moved = times(u, u), times(times(self.r_squared + 1, u), u), 0
             if self.surface.twice:
                 rounding = (a_high * a_high >> BITS) + 2 * times(drop, u)
                 squares = times(uu, self.units["reserve"])
@@ -342,8 +339,7 @@ class Errors:
             starts, slopes = [], []
             for i, row in enumerate(box.rows):
                 t = (box.t[0] * (n - i) + box.t[1] * i) // n
-                made, lost = bkt * t >> BITS, kappa * t >> BITS
-                taus = row[2::5]
+                made, lost, taus = bkt * t >> BITS, kappa * t >> BITS, row[2::5]
                 slopes.append([w * (s * (made - tau) - lost) >> BITS for tau in taus])
                 squares = [least] * len(taus) if plain else [b * c >> BITS for c in row[0::5]]
                 starts.append([c - psi for c, psi in zip(squares, row[1::5])])
@@ -436,8 +432,8 @@ class Limit:
 
     def above(self, a: int) -> int:
         """No torque above it is granted with a flux linkage up to a."""
-        f = min(max(a - self.least, 0) + self.step, self.parts[-1][1])
-        return self.at(f) + self.lost + (ONE >> 100)
+        end = self.parts[-1][1]
+        return self.at(min(max(a - self.least, 0) + self.step, end)) + self.lost + (ONE >> 100)
 
 
 class Domain:
@@ -489,10 +485,9 @@ class Domain:
             if box.depth < FIRST:
                 waiting += [(half, code, weakens) for half in box.cut(box.depth % 2 == 0)]
                 continue
-            m = len(box.rows[0]) // 5 - 1
+            m, errors = len(box.rows[0]) // 5 - 1, self.errors
             falls = [x - y for row in box.rows for x, y in zip(row[3::5], row[8::5])]
             rise = (max([0, *falls]) + 100 * box.depth + 9) * m
-            errors = self.errors
             errors.rise = max(errors.rise, (rise << BITS) // (box.x[1] - box.x[0]) + 1)
             errors.moved = max(errors.moved, errors.rooms(box, code, weakens)[3])
 
@@ -553,10 +548,13 @@ def check_surface(stated: dict[str, Any], text: str, main_text: str, prefix: str
     machine = base.read_machine(stated["machine"], base.Header(main_text, prefix))
     shown = {name: Fraction(stated[name]) for name in LIMITS}
     shown |= {"poles": machine["pole_pairs"], "r_s_Ohm": machine["r_s_Ohm"]}
-    shown |= {"volts": shown["v_max_V"], "torque_max": surface.largest}
+    shown["torque_max"] = surface.largest
     for name, number in shown.items():
         if f"{float(number):.6g}" != said[name] or number <= 0:
             raise Fault(f"{name}: the header says {said[name]}")
+    volts = Fraction(said["volts"]) * {"V": 1, "kV": 1000, "mV": Fraction(1, 1000)}[said["unit"]]
+    if abs(volts / shown["v_max_V"] - 1) > Fraction(6, 10**4):  # it has four digits
+        raise Fault(f"v_max_V: the header has bounds for {said['volts']} {said['unit']}")
     for name, bound in stated["bounds"].items():
         if name not in BOUNDS or said[name] is None or Fraction(said[name]) != Fraction(bound):
             raise Fault(f"{name}: the header states another bound")
@@ -568,7 +566,7 @@ def check_surface(stated: dict[str, Any], text: str, main_text: str, prefix: str
     parts = [NAMES[name].format(stated["bounds"][name]) for name in errors.claims]
     return (
         f"at most, {prefix}_weakening_reference: {'; '.join(parts)}; for every torque of either "
-        f"sign, voltages from {said['share']} % of {said['volts']} V up and speeds up to "
+        f"sign, voltages from {said['share']} % of {said['v_max_V']} V up and speeds up to "
         f"{said['omega_e_rad_per_s']} rad/s in proportion, rounding included ({domain.count} boxes)"
     )
 

@@ -79,7 +79,7 @@ def said(
 
 
 def test_the_checker_runs_alone(tmp_path: Path) -> None:
-    header, main, certificate = sound("servo")
+    header, main, certificate = sound("small ipm")
     (tmp_path / "d_weakening.h").write_text(header)
     (tmp_path / "d.h").write_text(main)
     path = tmp_path / "d_surface.json"
@@ -123,7 +123,7 @@ def test_halves_have_the_values_of_the_polynomial() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["servo", *(pytest.param(name, marks=SLOW) for name in ("small ipm", "inverse"))]
+    "name", ["small ipm", *(pytest.param(name, marks=SLOW) for name in ("servo", "inverse"))]
 )
 def test_rounding_is_enclosed(name: str) -> None:
     """What the emitted arithmetic makes of currents, against the polynomials in fractions."""
@@ -169,7 +169,7 @@ def literal(place: int, factor: float) -> Change:
     def change(header: str, plain: Plain) -> str:
         start = header.index("const float mtpa_d")
         parts = re.split(r"((?<![\w.])[\d.]+(?:e[-+]?\d+)?F)", header[start:])
-        numbers = [k for k in range(1, len(parts), 2) if float(parts[k][:-1]) not in (0.0, 0.0081)]
+        numbers = [k for k in range(1, len(parts), 2) if float(parts[k][:-1]) != 0.0]
         at = numbers[place]
         parts[at] = f"{float(parts[at][:-1]) * factor:.9g}F"
         parts[at] = parts[at] if re.search(r"[.e]", parts[at]) else f"{parts[at][:-1]}.0F"
@@ -230,9 +230,6 @@ def planted() -> dict[str, tuple[Change, str]]:
     """Faults by name, each with what must be said of it."""
     place = r"surface, \w+: not within its bound at .* N m, .* Wb"
     faults: dict[str, tuple[Change, str]] = {}
-    for number in (2, 3, 4, 5, 6, 8, 9, 10, 11, 12, 13, 14, 15):
-        for factor in (1.05, 0.9) if number < 10 else (1.3, 0.7):
-            faults[f"literal {number} times {factor}"] = literal(number, factor), place
     for name, words in (
         ("voltage_percent", "exceeds its limit by "),
         ("current_percent", "the current its limit by "),
@@ -249,9 +246,9 @@ def planted() -> dict[str, tuple[Change, str]]:
     for name in checker.LIMITS:
         faults[f"{name} of the certificate"] = stated(name, by=0.99), f"{name}: the header says"
     for pattern, factor, words in (
-        (r"FLUX_MIN_WB \(", 1.1, "leaves less than FLUX_MIN_WB"),
+        (r"FLUX_MIN_WB \(", 1.3, "leaves less than FLUX_MIN_WB"),
         (r"FLUX_MIN_WB \(", 0.8, place),
-        (r"FLUX_MAX_WB \(", 0.5, "range of flux"),
+        (r"FLUX_MAX_WB \(", 0.3, "range of flux"),
         (r"squared - ", 0.5, place),
         (r"drop = ", 0.9, "another resistance"),
         (r"used \* ", 1.1, "another resistance"),
@@ -266,24 +263,29 @@ def planted() -> dict[str, tuple[Change, str]]:
         ("(delta * d) +", "(delta * d) -", "another d_weakening_reference"),
         ("(more > flux)", "(more < flux)", "another d_weakening_reference"),
         ("? -drop : drop", "? drop : -drop", "another d_weakening_reference"),
-        ("80 % of", "70 % of", place + "|resistance takes|leaves less"),
+        ("80 % of", "20 % of", place + "|resistance takes|leaves less"),
         ("proven for every", "found for every", "no bounds"),
-        ("The phase resistance is 0.09", "The phase resistance is 0.10", "r_s_Ohm"),
-        ("13.86 V up to", "13.96 V up to", "v_max_V"),
+        ("The phase resistance is 1.1", "The phase resistance is 1.2", "r_s_Ohm"),
+        ("41.57 V up to", "41.67 V up to", "v_max_V"),
     ):
         faults[f"{old} {new}"] = texts(old, new), words
+    harmless = {(8, 1.1), (13, 1.1), (2, 0.9), (12, 0.9), (14, 0.9), (17, 0.9)}  # as sampled
+    for number in range(20):
+        for factor in (1.1, 0.9):
+            if (number, factor) not in harmless:
+                faults[f"literal {number} times {factor}"] = literal(number, factor), place
     return faults
 
 
-@pytest.mark.parametrize("part", [0, *(pytest.param(k, marks=SLOW) for k in range(1, 12))])
+@pytest.mark.parametrize("part", [0, *(pytest.param(k, marks=SLOW) for k in range(1, 32))])
 def test_planted_faults_are_found(
     part: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    header, main, certificate = sound("servo with mtpv")
+    header, main, certificate = sound("small ipm")
     faults = planted()
     assert len(faults) >= 40
     missed = {}
-    for name, (change, words) in list(faults.items())[part::12]:
+    for name, (change, words) in list(faults.items())[part::32]:
         plain = json.loads(certificate)
         line = said(change(header, plain), main, plain, tmp_path, capsys)
         if not line.startswith("not confirmed: ") or not re.search(words, line):
@@ -292,7 +294,7 @@ def test_planted_faults_are_found(
 
 
 @SLOW
-@pytest.mark.parametrize("name", ["small ipm", "inverse", "reluctance", "interior"])
+@pytest.mark.parametrize("name", ["servo with mtpv", "inverse", "reluctance", "interior"])
 def test_other_machines_are_confirmed(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -309,3 +311,25 @@ def test_other_machines_are_confirmed(
     plain["bounds"]["voltage_percent"] = less
     line = said(header, main, plain, tmp_path, capsys)
     assert line.startswith("not confirmed: surface, voltage_percent: ")
+
+
+@SLOW
+@pytest.mark.parametrize(
+    ("name", "rpm"),
+    [
+        ("abb-ipmsm-2k2", 1500),
+        ("abb-syrm-6k7", 1500),
+        ("paper000-ipmsm-100kw", 4500),
+        ("paper001-pmsm-bench", 6000),
+    ],
+)
+def test_library_drives_have_their_certificate(name: str, rpm: float, tmp_path: Path) -> None:
+    speed = WeakeningSettings(rpm * weakened_drives.RPM, flash=4000)
+    solution = solve(replace(load(name), weakening=speed, losses=None))
+    files = emitted_files(solution)
+    files |= certificate_files(solution, files)
+    for file, content in files.items():
+        (tmp_path / file).write_bytes(content)
+    path = tmp_path / f"{solution.design.export.prefix}_surface.json"
+    assert checker.main([str(path)]) == 0
+    assert set(json.loads(path.read_text())["bounds"]) == set(checker.BOUNDS)
