@@ -30,10 +30,12 @@ else:  # run alone: it lies beside this one
     import polynomials
 
 BITS, ONE, T, X = polynomials.BITS, polynomials.ONE, polynomials.T, polynomials.X
-Poly, Wide, Rows = polynomials.Poly, polynomials.Wide, polynomials.Rows
+Poly = polynomials.Poly
+Box = polynomials.Box
+Rows = polynomials.Rows
 below, above, times = polynomials.below, polynomials.above, polynomials.times
 constant, wide, run = polynomials.constant, polynomials.wide, polynomials.run
-Box, lacking, horner = polynomials.Box, polynomials.lacking, polynomials.horner
+Wide, lacking, horner = polynomials.Wide, polynomials.lacking, polynomials.horner
 turn, summed = polynomials.turn, polynomials.summed
 fitted, pieces = polynomials.fitted, polynomials.pieces
 Fault = base.Fault
@@ -111,9 +113,10 @@ class Surface:
         macro = f"{prefix.upper()}_WEAKENING_"
         text, trials = re.subn(rf"#define {macro}TRIALS \([1-9]\d*U\)", "", text)
         header = base.Header(text, f"{prefix}_weakening")
-        self.said = SAID.search(header.said)
-        if self.said is None:
+        said = SAID.search(header.said)
+        if said is None:
             raise Fault("the header states no bounds that are known here")
+        self.said = said
         self.least, self.most = header.constant("FLUX_MIN_WB"), header.constant("FLUX_MAX_WB")
         found: dict[str, str] = {}
 
@@ -211,8 +214,8 @@ class Errors:
         self.rise = self.moved = self.off = 0  # of |i|^2 with a; of it and of a by rounding
         if self.room <= 0:
             raise Fault("the resistance takes all of the voltage")
-        u = [below(part) for part in (2 * self.r_s, self.r_s**2, self.r_s * self.k)]
-        self.r_2, self.r_squared, self.r_k = u
+        r_s = self.r_s
+        self.r_2, self.r_squared, self.r_k = map(below, (2 * r_s, r_s**2, r_s * self.k))
         self.units = {
             "b": below(self.b), "more": below(self.b - 1), "bkt": below(self.b * self.k),
             "kappa": above(KAPPA * self.b * self.k), "reserve": below(self.reserve),
@@ -374,7 +377,7 @@ class Limit:
         self.step = 1 << max(0, width.bit_length() - 25)  # what the difference may be rounded by
         self.parts: list[tuple[int, int, list[int]]] = []
         self.bends: list[int] = []  # no second derivative is above
-        self.lost, err, before = 0, 0, None  # what a rounded limit may lose as a rises
+        self.lost, err, before = 0, 0, 0  # what a rounded limit may lose as a rises
         ends = [below(start) for start, _, _ in surface.limit[1:]] + [width + self.step]
         for (first, poly, code), end in zip(surface.limit, ends):
             start = below(first)
@@ -395,8 +398,7 @@ class Limit:
             self.parts.append(
                 (start, end, [below(poly.terms.get((0, j), Fraction(0))) for j in range(power + 1)])
             )
-            if before is not None:
-                self.lost += max(before - self.at(start) + 2, 0)
+            self.lost += max(before - self.at(start) + 2, 0)
             before = horner(self.parts[-1][2], end)
         self.lost += 2 * err
 
@@ -463,14 +465,12 @@ class Domain:
                     degrees = max(p.degree(0) for p in polys), max(p.degree(1) for p in polys)
                     each = [poly.on((t, x), degrees) for poly in polys]
                     rows = [[c for cs in zip(*lines) for c in cs] for lines in zip(*each)]
-                    weakens = polys is weak
-                    found.append((Box(t, x, rows, 0, errors.claims), code, weakens))
+                    found.append((Box(t, x, rows, 0, errors.claims), code, polys is weak))
         return found
 
     def outside(self, box: Box, weakens: bool) -> bool:
         """Whether no point of a box is in the domain."""
-        low, high = box.ends(4)
-        low, high = low - self.errors.off, high + self.errors.off
+        low, high = (a + s * self.errors.off for s, a in zip((-1, 1), box.ends(4)))
         if not weakens:
             return low > self.most
         return high < self.least or low > self.most or box.t[0] > self.limit.above(high)
@@ -501,7 +501,8 @@ class Domain:
             if self.outside(box, weakens):
                 continue
             self.count += 1
-            still, failed, rooms = [], None, self.errors.rooms(box, code, weakens)
+            still: list[str] = []
+            failed, rooms = None, self.errors.rooms(box, code, weakens)
             if weakens:
                 box.inside = self.limit.over(box, self.errors.off)
             for claim in box.open:
@@ -552,7 +553,7 @@ def check_surface(stated: dict[str, Any], text: str, main_text: str, prefix: str
     for name, number in shown.items():
         if f"{float(number):.6g}" != said[name] or number <= 0:
             raise Fault(f"{name}: the header says {said[name]}")
-    volts = Fraction(said["volts"]) * {"V": 1, "kV": 1000, "mV": Fraction(1, 1000)}[said["unit"]]
+    volts = Fraction(said["volts"] + {"V": "", "kV": "e3", "mV": "e-3"}[said["unit"]])
     if abs(volts / shown["v_max_V"] - 1) > Fraction(6, 10**4):  # it has four digits
         raise Fault(f"v_max_V: the header has bounds for {said['volts']} {said['unit']}")
     for name, bound in stated["bounds"].items():
