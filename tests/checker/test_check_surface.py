@@ -19,6 +19,7 @@ import weakened_drives
 
 from dqforge.checker import check_surface as checker
 from dqforge.checker import polynomials
+from dqforge.checker.check_certificate import CONSTANTS
 from dqforge.machines.design.catalogue import load
 from dqforge.machines.design.settings import WeakeningSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
@@ -48,7 +49,7 @@ def sound(name: str) -> tuple[str, str, str]:
     machine = fit.region.machine
     assert isinstance(machine, LinearMachine)
     values = (machine.pole_pairs, machine.r_s, machine.l_d, machine.l_q, machine.psi_pm)
-    names = checker.base.CONSTANTS
+    names = CONSTANTS
     main = "".join(
         f"#define D_{constant} ({value!r}{'F' if isinstance(value, float) else ''})\n"
         for constant, value in zip(names.values(), values, strict=True)
@@ -241,7 +242,7 @@ def planted() -> dict[str, tuple[Change, str]]:
             stated("bounds", name, by=0.99),
             "another bound",
         )
-    for name in checker.base.CONSTANTS:
+    for name in CONSTANTS:
         faults[f"{name} of the certificate"] = stated("machine", name, by=1.01), "another|damaged"
     for name in checker.LIMITS:
         faults[f"{name} of the certificate"] = stated(name, by=0.99), f"{name}: the header says"
