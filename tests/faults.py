@@ -429,7 +429,7 @@ class Place:
         sys.stderr = open(2, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
         os.chdir(self.work)
         os.environ["TMPDIR"] = str(self.root / "tmp")
-        tempfile.tempdir = None
+        tempfile.tempdir = os.environ["TMPDIR"]  # found by trial, it may leave a file of Python's
         if (self.root / "compiler").is_symlink():
             os.environ["DQFORGE_CC"] = str(self.root / "compiler")
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -256,6 +256,9 @@ def _require_writable(place: Path) -> None:
 def _clear_up(place: Path, marker: str = MANIFEST) -> None:
     """Finish or remove what killed runs left."""
     if (place / PENDING).is_dir():
+        old, new = find_manifest(place), find_manifest(place / PENDING)
+        if old is not None and new is not None:
+            _remove(place, old.files.keys() - new.files.keys())
         finish_pending(place, marker)
     shutil.rmtree(place / _STAGED, ignore_errors=True)
     for sibling in siblings(place):
@@ -515,6 +518,11 @@ def finish_pending(folder: Path, marker: str) -> None:
     shutil.rmtree(pending)
 
 
+def _remove(folder: Path, names: Collection[str]) -> None:
+    for name in names:
+        (folder / name).unlink(missing_ok=True)
+
+
 def _make_room(folder: Path, name: str) -> None:
     """The folder in which a file is to lie."""
     place = (folder / name).parent
@@ -547,8 +555,7 @@ def _replace_inside(
 
 
 def _move_in(folder: Path, superseded: Collection[str], marker: str) -> None:
-    for name in superseded:
-        (folder / name).unlink(missing_ok=True)
+    _remove(folder, superseded)
     if (folder / PENDING).is_dir():
         finish_pending(folder, marker)
 

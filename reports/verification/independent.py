@@ -16,7 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from dqforge.checker import check_certificate as checker
-from dqforge.checker import check_loops, check_observer, check_ranges, check_speed
+from dqforge.checker import (
+    check_loops,
+    check_observer,
+    check_ranges,
+    check_speed,
+    check_surface,
+)
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.current_reference.forms import FixedReference
@@ -27,13 +33,13 @@ from dqforge.reports.plain_data import PlainData
 from dqforge.reports.verification.range_claims import RANGES
 
 SUFFIX, SPEED_SUFFIX, OBSERVER_SUFFIX = "_certificate.json", "_speed.json", "_observer.json"
+SURFACE_SUFFIX = "_surface.json"
 _MOST_BOXES = 1500  # Boxes that are looked at before the claim is left.
 _NARROWEST = Fraction(1, 2**64)  # Of the domain: a box that is not confirmed there is left.
 
 # What the header's certificate leaves to the one beside it.
-_LOOPS, _SPEED, _OBSERVER, _RANGES = (
-    f"left to {program}.py"
-    for program in ("check_loops", "check_speed", "check_observer", "check_ranges")
+_LOOPS, _SPEED, _OBSERVER, _RANGES, _SURFACE = (
+    f"left to check_{about}.py" for about in ("loops", "speed", "observer", "ranges", "surface")
 )
 
 # The programs, with the certificate that each reads, what that is about, and who has one.
@@ -43,14 +49,15 @@ _PROGRAMS = (
     (check_speed, SPEED_SUFFIX, "the speed loop", "with tolerances, a speed loop and a sensor"),
     (check_observer, OBSERVER_SUFFIX, "the position observer", "with method flux"),
     (check_ranges, RANGES, "ranges in fixed point", "with control of d and q in Q15 or Q31"),
+    (check_surface, SURFACE_SUFFIX, "field weakening", "with it and constant inductances"),
 )
 
 Boxes = list[tuple[Fraction, Fraction]]
 
 
 def certificate_files(solution: Solution, files: Mapping[str, bytes]) -> dict[str, bytes]:
-    """The certificates of the main header, the speed loop and the position observer, by their
-    names; none of those of which no claim is confirmed.
+    """The certificates of the main header, the speed loop, the position observer and field
+    weakening, by their names; none of those of which no claim is confirmed.
 
     Args:
         solution: What was solved.
@@ -62,7 +69,10 @@ def certificate_files(solution: Solution, files: Mapping[str, bytes]) -> dict[st
     further = files.get(f"{prefix}_control.h", b"").decode("utf-8")
     speed = _speed_claim(solution, check_loops.Header(text, prefix, further), further)
     observer = _observer_claim(solution, files.get(f"{prefix}_observer.h", b"").decode("utf-8"))
-    rest = {SPEED_SUFFIX: speed, OBSERVER_SUFFIX: observer}
+    surface = _surface_claim(
+        solution, files.get(f"{prefix}_weakening.h", b"").decode("utf-8"), text
+    )
+    rest = {SPEED_SUFFIX: speed, OBSERVER_SUFFIX: observer, SURFACE_SUFFIX: surface}
     found = {f"{prefix}{suffix}": claim for suffix, claim in rest.items() if claim is not None}
     claims, left = [], _not_covered(solution)
     machine = _machine(solution)
@@ -116,6 +126,27 @@ def _observer_claim(solution: Solution, header: str) -> bytes | None:
     return text.encode("ascii")
 
 
+def _surface_claim(solution: Solution, header: str, main: str) -> bytes | None:
+    """The certificate of field weakening with all bounds that the header states as proven; None
+    where its checker does not confirm them.
+    """
+    fit, prefix = solution.weakening, solution.design.export.prefix
+    if fit is None or fit.certificate is None or not header:
+        return None
+    if not isinstance(solution.design.machine, LinearMachine):
+        return None
+    limits = (fit.region.i_max, fit.domain.v_max, fit.domain.omega_e)
+    plain: dict[str, Any] = {"format": 1, "machine": _machine(solution)}
+    plain |= zip(check_surface.LIMITS, (repr(float(each)) for each in limits), strict=True)
+    try:
+        said = check_surface.Surface(header, prefix).said
+        plain["bounds"] = {name: said[name] for name in check_surface.BOUNDS if said[name]}
+        check_surface.check_surface(plain, header, main, prefix)
+    except check_surface.Fault:
+        return None
+    return (json.dumps(plain, indent=1) + "\n").encode("ascii")
+
+
 def _verdict_text(verdict: Any) -> str:
     """A cut or a word as it stands, matrices to twelve digits and a line each."""
     if isinstance(verdict, str) or not isinstance(verdict[0], list):
@@ -140,7 +171,7 @@ def _not_covered(solution: Solution) -> list[str]:
     robust = None if loops is None else loops.robust
     parts = {
         "reference of negative torque": solution.negative,
-        "reference over torque and flux linkage": solution.weakening,
+        f"reference over torque and flux linkage ({_SURFACE})": solution.weakening,
         "references in fixed point": solution.fixed_references or None,
         f"ranges of the control in fixed point ({_RANGES})": solution.fixed or None,
         f"current loops over the tolerances ({_LOOPS})": robust,
