@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from dqforge.optimizer.fixed_control.design import FixedControlFit
-from dqforge.optimizer.fixed_control.transforms import FixedControl, speed_loop_gains
+from dqforge.optimizer.fixed_control.transforms import FixedControl
 from dqforge.optimizer.solution import Solution
 
 RANGES = "_ranges.json"
@@ -72,7 +72,7 @@ def _states(control: FixedControl) -> dict[str, Any]:
         f"control_{control.format}": {
             "d": {"integral": _around(gains.d.most)},
             "q": {"integral": _around(gains.q.most)},
-            "speed": {"integral": _around(speed_loop_gains(control).speed.most)},
+            "speed": {"integral": _around(gains.speed.most)},
             "filtered": _around(control.top << (control.width - 2)),
             "count": [0, max(control.ratio - 1, 0)],
         }
