@@ -98,7 +98,7 @@ lint: $(VENV)/dev.stamp
 	$(BIN)/ruff check .
 
 types: $(VENV)/dev.stamp
-	$(BIN)/mypy
+	$(BIN)/mypy -n 2
 
 contracts: $(VENV)/dev.stamp
 	$(BIN)/lint-imports
@@ -132,7 +132,7 @@ docs: $(VENV)/dev.stamp
 site-checks: docs
 	$(BIN)/python tests/site_links.py -f docs/linkchecker.ini out/docs/index.html
 	$(BIN)/dqforge run $(DEMO_DESIGN) -o out/demo --no-verify
-	$(BIN)/pyspelling -c docs/spelling.yaml
+	PYTHONPATH=docs/extensions $(BIN)/pyspelling -c docs/spelling.yaml
 
 # Accessibility, HTML, links into folded parts, print and size of the reports of these drives and of a study, and of pages
 # of the site, where there is one (make docs). Needs node, npm, java and chromium; see docs/reference/report.md.

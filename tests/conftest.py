@@ -76,6 +76,11 @@ class _AfterSelection:
         self, config: pytest.Config, items: list[pytest.Item]
     ) -> None:
         drawn_cases.leave_out(config, items)
+        counted = tuple(config.getoption("--always"))
+        for item in items if counted else ():
+            # Counting lines slows all that runs by a fifth, and the proofs alone are counted.
+            if not item.nodeid.startswith(counted):
+                item.add_marker("no_cover")
 
 
 @pytest.fixture(scope="session")
