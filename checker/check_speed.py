@@ -84,6 +84,10 @@ class Box:
         friction, self.filter_time, *scales = (Fraction(inputs[name]) for name in OTHERS)
         if min(self.spans["r_s"][0], friction, self.filter_time) < 0:
             raise Fault("inputs: a resistance, the friction or the filter time is negative")
+        self.share = Block([[ONE]])  # of a new speed in the filter, 1 - exp(-t_s/T_f)
+        if self.filter_time:
+            kept = base.exponential(Block([[base.fixed(-self.t_s / self.filter_time)]], 1))
+            self.share = Block([[ONE - kept.rows[0][0]]], kept.r)
         if min(self.t_s, *scales) <= 0:
             raise Fault("inputs: the period or a scale is not positive")
         self.friction, (self.unit, self.scale) = friction, scales
@@ -111,14 +115,10 @@ class Box:
 
     def _as_run(self, control: str) -> None:
         """The header of the control, where there is one, runs on the same numbers."""
-        share = Fraction(1)
-        if self.filter_time:  # 1 - exp(-t_s/T_f)
-            kept = base.exponential(Block([[base.fixed(-self.t_s / self.filter_time)]], 1))
-            share = Fraction(ONE - kept.rows[0][0], ONE)
         for words, values in (
             ("i_q: kp, ki t_s", (self.kp, self.ki_ts)),
             ("speed: kp, ki t_s", (self.speed_kp, self.speed_ki_ts)),
-            ("speed_filter, ", (share,)),
+            ("speed_filter, ", (Fraction(self.share.rows[0][0], ONE),)),
             ("current samples per speed sample", (Fraction(self.ratio),)),
         ):
             found = re.findall(rf"^ +([{{}} \w.,+-]+),? /\* {re.escape(words)}", control, re.M)
@@ -161,7 +161,8 @@ class Box:
 #
 # The control measures at every sample and adds a PI for i to reach T/K; its voltage acts a sample
 # later. Every ratio-th sample another PI makes the torque T from the speed, or from the speed
-# behind a filter of the time T_f. With two free units, L_0 and m, let
+# behind a filter of the time T_f, which moves at every sample by the share a = 1 - exp(-t_s/T_f).
+# With two free units, L_0 and m, let
 #
 #     phi = i L/(g t_s)    w = omega/m L_0/(t_s K)    T and S, I: times L_0/(t_s K), and in V
 #     b = g L_0/L          s = (R + d g) L_0/L        n = f/J           e = e_0/g
@@ -169,7 +170,7 @@ class Box:
 # so that per sample, r = t_s/L_0,
 #
 #     phi' = -s r phi - (e r K m) w + v     w' = (t_s/m) n b phi - (B t_s n/f) w
-#     w_f' = (w - w_f) t_s/T_f              i r-scaled: i = b phi r
+#     w_f+ = w_f + a (w+ - w_f)             i r-scaled: i = b phi r
 #     v+ = I + (kp + ki) r (T - b phi)      I+ = I + ki r (T - b phi)
 #     T+ = S - (kp_s + ki_s) m y            S+ = S - ki_s m y          y = w or w_f
 #
@@ -189,14 +190,11 @@ class Loop:
         self.drag = box.friction * box.t_s
 
     def flow(self, point: Point) -> list[list[Fraction]]:
-        """Rows of phi', w', w_f' and v' over the same; f = 1 in the friction."""
+        """Rows of phi', w' and v' over the same; f = 1 in the friction."""
         b, s, n, e = point
-        rows = [[Fraction(0)] * (self.moving + 1) for _ in range(self.moving + 1)]
-        rows[0][0], rows[0][1], rows[0][-1] = -s * self.rate, -e * self.emf, Fraction(1)
-        rows[1][0], rows[1][1] = self.push * n * b, -self.drag * n
-        if self.moving == 3:
-            share = self.box.t_s / self.box.filter_time
-            rows[2][1], rows[2][2] = share, -share
+        rows = [[Fraction(0)] * 3 for _ in range(3)]
+        rows[0] = [-s * self.rate, -e * self.emf, Fraction(1)]
+        rows[1][:2] = self.push * n * b, -self.drag * n
         return rows
 
     def step(self, point: Point) -> Block:
@@ -205,13 +203,19 @@ class Loop:
         held = base.exponential(
             Block([[base.fixed(x) for x in row] for row in self.flow(point)], 1)
         )
-        rows = [[*row, 0, 0, 0] for row in held.rows[:k]]
+        moved = Block(held.rows[:2], held.r)
+        if k == 3:
+            ((share,),), r = box.share.rows, box.share.r
+            moved = Block([[ONE, 0], [0, ONE], [0, share]], r) * moved
+            kept = zip(moved.rows, (0, 0, ONE - share))
+            moved = Block([[*row[:2], x, row[2]] for row, x in kept], moved.r + r)
+        rows = [[*row, 0, 0, 0] for row in moved.rows]
         both, own = (box.kp + box.ki_ts) * self.rate, box.ki_ts * self.rate
         for gain in (both, own):
             row = [base.fixed(-gain * point[0]), *[0] * k, ONE, base.fixed(gain), 0]
             rows.append(row)
         rows += [[0] * (k + 2) + [ONE, 0], [0] * (k + 3) + [ONE]]
-        return Block(rows, max(held.r, 1))
+        return Block(rows, max(moved.r, 1))
 
     def update(self) -> Block:
         """The speed controller, from all states but T to all."""
@@ -267,7 +271,7 @@ def nested(most: Rows, slope: Rows, count: int) -> Rows:
 
 def rests(loop: Loop, low: Point, high: Point) -> Rows:
     """Bounds of the entries of E, in rows of phi, w, w_f over these and v."""
-    size, k = loop.moving + 1, loop.moving
+    size = 3
     flows = [loop.flow(corner) for corner in itertools.product(*zip(low, high))]
     most = [[0] * size for _ in range(size)]
     for i, j in itertools.product(range(size), repeat=2):
@@ -291,7 +295,11 @@ def rests(loop: Loop, low: Point, high: Point) -> Rows:
         parts.append((nested(sums, change, 1), ONE))
     for rows, factor in parts:
         total = [[x - (-y * factor >> BITS) for x, y in zip(*pair)] for pair in zip(total, rows)]
-    return total[:k]
+    if loop.moving == 2:
+        return total[:2]
+    share = loop.box.share.rows[0][0] + loop.box.share.r
+    behind = [-(-x * share >> BITS) for x in total[1]]
+    return [[*row[:2], 0, row[2]] for row in (*total[:2], behind)]
 
 
 class Chain:
@@ -521,7 +529,7 @@ def main(arguments: list[str]) -> int:
         header = Header((path.parent / f"{prefix}.h").read_text("utf-8"), prefix, further)
         print(
             "not covered: limits of torque, voltage and current, rounding of the control, the d "
-            "axis, margins of the speed loop, the filter of the speed as it is sampled, the share "
+            "axis, margins of the speed loop, the share "
             "of drives that is stated where cells are left open"
         )
         for words in check_speed(stated, header, further):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.settings import filter_share
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.cell_queue import (
     Cell,
@@ -132,7 +133,7 @@ def speed_numbers(
         eta=eta * scale,
         integral=gains.ki_ts / gains.kp,
         friction=machine.friction * t_s / inertia,
-        filtering=t_s / settings.filter_time if settings.filter_time > 0.0 else 0.0,
+        filter_share=filter_share(settings.filter_time, t_s),
         ratio=settings.ratio,
         uneven=max(abs(1.0 / side - 1.0) for side in drives.torque),
         scale=scale,
@@ -430,11 +431,12 @@ def _proposed(links: _Links, frames: list[FloatArray]) -> Chain | None:
 #
 #     d phi = -rho' c phi - e eta w + v
 #     d w   = h j b phi - (B t_s/J') (J'/J) w
-#     d w_f = (w - w_f) t_s/T_f
+#     w_f+ = w_f + a (w+ - w_f)
 #     v+ = I + (p + q) (T - b phi),   I+ = I + q (T - b phi)
 #     T+ = S - (1 + r) sigma y,       S+ = S - r sigma y       y = w or w_f
 #
-# the last line every ratio-th sample only. K is the torque constant that the controller assumes,
+# the last line every ratio-th sample only. a = 1 - exp(-t_s/T_f) is the filter's share of a new
+# sample, K is the torque constant that the controller assumes,
 # and
 #
 #     rho' = R' t_s/L',  p = kp t_s/L',  q = ki t_s^2/L',  r = ki_s ratio t_s/kp_s
@@ -461,7 +463,7 @@ _MORE = 1.0 + 1e-12  # Makes up for the rounding of a bound.
 class SpeedLoopNumbers:
     """The design's loop without unit, as above.
 
-    ``friction`` is B t_s/J', ``filtering`` t_s/T_f (0 without a filter), ``integral`` r,
+    ``friction`` is B t_s/J', ``filter_share`` a (1 without a filter), ``integral`` r,
     ``uneven`` the largest |1/f - 1|, ``scale`` sigma.
     """
 
@@ -472,7 +474,7 @@ class SpeedLoopNumbers:
     eta: float
     integral: float
     friction: float
-    filtering: float
+    filter_share: float
     ratio: int
     uneven: float
     scale: float
@@ -480,7 +482,7 @@ class SpeedLoopNumbers:
     @property
     def moving(self) -> int:
         """States of the drive: phi, w and, with a filter, w_f."""
-        return 3 if self.filtering > 0.0 else 2
+        return 3 if self.filter_share < 1.0 else 2
 
     @property
     def size(self) -> int:
@@ -498,23 +500,38 @@ class SpeedLoopNumbers:
         return matrix
 
     def flow(self, parameters: FloatArray) -> FloatArray:
-        """The drive over time in samples, with v as its last column, shape (N, k + 1, k + 1)."""
+        """Phi and w over time in samples, with v as the last column, shape (N, 3, 3)."""
         b, c, j, e = parameters.T
-        k = self.moving
-        flow = np.zeros((len(parameters), k + 1, k + 1))
-        flow[:, 0, 0], flow[:, 0, 1], flow[:, 0, k] = -c * self.rho, -e * self.eta, 1.0
+        flow = np.zeros((len(parameters), 3, 3))
+        flow[:, 0, 0], flow[:, 0, 1], flow[:, 0, 2] = -c * self.rho, -e * self.eta, 1.0
         flow[:, 1, 0], flow[:, 1, 1] = self.h * j * b, -self.friction * j
-        if k == 3:
-            flow[:, 2, 1], flow[:, 2, 2] = self.filtering, -self.filtering
         return flow
+
+    def drive(self, parameters: FloatArray) -> FloatArray:
+        """phi, w and w_f after a sample, of themselves and v, shape (N, k, k + 1)."""
+        from scipy.linalg import expm
+
+        found = self._filtered(expm(self.flow(parameters))[:, :2])
+        if self.moving == 3:
+            found[:, 2, 2] = 1.0 - self.filter_share
+        return found
+
+    def _filtered(self, rows: FloatArray) -> FloatArray:
+        """Phi and w of themselves and v, shape (N, 2, 3), with what w makes of w_f where there is a
+        filter, shape (N, k, k + 1).
+        """
+        if self.moving == 2:
+            return rows
+        found = np.zeros((len(rows), 3, 4))
+        found[:, :2, (0, 1, 3)] = rows
+        found[:, 2] = self.filter_share * found[:, 1]
+        return found
 
     def steps(self, parameters: FloatArray) -> FloatArray:
         """Steps of one current sample at parameters (b, c, j, e), shape (N, 4) -> (N, n, n)."""
-        from scipy.linalg import expm
-
         b, k, n = parameters[:, 0], self.moving, self.size
         matrix = np.zeros((len(parameters), n, n))
-        matrix[:, :k, : k + 1] = expm(self.flow(parameters))[:, :k]
+        matrix[:, :k, : k + 1] = self.drive(parameters)
         v, i, torque, total = range(k, n)
         matrix[:, v, 0], matrix[:, i, 0] = -(self.p + self.q) * b, -self.q * b
         matrix[:, v, i] = matrix[:, i, i] = 1.0
@@ -535,21 +552,20 @@ class SpeedLoopNumbers:
         """
         slopes = self._slopes(cell)
         most = self._most(cell)
-        size, k = len(most), self.moving
-        found = np.zeros((len(slopes) + 1, k, size))
+        found = np.zeros((len(slopes) + 1, 2, 3))
         for part, slope, width in zip(found, slopes, cell.width, strict=False):
             if width > 0.0:
-                part[:] = 0.25 * width**2 * _nested(most, slope, 2)[:k]
+                part[:] = 0.25 * width**2 * _nested(most, slope, 2)[:2]
         if self.friction * self.uneven > 0.0:
             rest = np.zeros_like(most)
             rest[1, 1] = self.friction * self.uneven * float(cell.high[2])
-            found[-1] = _nested(most + rest, rest, 1)[:k]
-        return found * _MORE
+            found[-1] = _nested(most + rest, rest, 1)[:2]
+        return self._filtered(found * _MORE)
 
     def _slopes(self, cell: Cell) -> FloatArray:
-        """Largest moduli of the flow's derivatives by b, c, j and e, shape (4, k + 1, k + 1)."""
+        """Largest moduli of the flow's derivatives by b, c, j and e, shape (4, 3, 3)."""
         b, j = float(cell.high[0]), float(cell.high[2])
-        slopes = np.zeros((4, self.moving + 1, self.moving + 1))
+        slopes = np.zeros((4, 3, 3))
         slopes[0, 1, 0], slopes[1, 0, 0] = self.h * j, self.rho
         slopes[2, 1, 0], slopes[2, 1, 1], slopes[3, 0, 1] = self.h * b, self.friction, self.eta
         return slopes

@@ -9,7 +9,7 @@ import numpy as np
 from random_loops import METHODS
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.settings import CurrentLoopSettings
+from dqforge.machines.design.settings import CurrentLoopSettings, filter_share
 from dqforge.optimizer.loops.pi_methods import current_pi
 from dqforge.optimizer.speed_box import SpeedBox, SpeedLoopNumbers, speed_scale
 
@@ -72,7 +72,7 @@ def _drawn(generator: np.random.Generator, ratio: int) -> SpeedDrive | None:
         eta=eta * scale,
         integral=ki_s * ratio * t_s / kp_s,
         friction=friction * t_s / inertia,
-        filtering=t_s / filter_time if filter_time > 0.0 else 0.0,
+        filter_share=filter_share(filter_time, t_s),
         ratio=ratio,
         uneven=0.0,
         scale=scale,

@@ -396,7 +396,9 @@ def speed_plants(
     With x = K i_q, K the torque constant that the controller assumes,
     f the torque factor and e the back-EMF's rest::
 
-        L dx/dt = g K v - R x - e omega,   J domega/dt = f x - B omega,   T_f dw/dt = omega - w
+        L dx/dt = g K v - R x - e omega,   J domega/dt = f x - B omega
+
+    and of a filter w_f[k + 1] = w_f[k] + (1 - exp(-t_s/T_f)) (omega[k + 1] - w_f[k]).
 
     Args:
         drive: The variants.
@@ -409,12 +411,10 @@ def speed_plants(
     """
     from scipy.linalg import expm
 
-    count, n = len(drive.r_s), 3 if np.all(np.asarray(filter_time) > 0.0) else 2
+    count, n = len(drive.r_s), 2
     block = np.zeros((count, n + 1, n + 1))
     block[:, 0, 0], block[:, 0, 1] = -drive.r_s / drive.l_q, -drive.back_emf / drive.l_q
     block[:, 1, 0], block[:, 1, 1] = drive.torque_factor / drive.inertia, -friction / drive.inertia
-    if n == 3:
-        block[:, 2, 1], block[:, 2, 2] = 1.0 / filter_time, -1.0 / filter_time
     block[:, 0, n] = drive.gain / drive.l_q
     held = expm(block * t_s)
     a, b = np.zeros((count, n + 1, n + 1)), np.zeros((count, n + 1))
@@ -422,14 +422,19 @@ def speed_plants(
     b[:, n] = 1.0
     inner, entry = _open(PlantBatch(a, b, 0, t_s), current_gains[0], current_gains[1] * t_s)
     inner[:, :, 1] -= entry
-    stepped = np.zeros((count, n + 3, n + 3))
-    stepped[:, : n + 2, : n + 2], stepped[:, : n + 2, n + 2], stepped[:, n + 2, n + 2] = (
-        inner,
-        entry,
-        1.0,
-    )
+    size, measured = n + 2, n
+    stepped = np.zeros((count, size + 2, size + 2))
+    stepped[:, :size, :size], stepped[:, :size, -1], stepped[:, -1, -1] = inner, entry, 1.0
+    if np.all(np.asarray(filter_time) > 0.0):
+        # w_f of the newest sample of the speed, as it is emitted
+        share = np.broadcast_to(-np.expm1(-t_s / np.asarray(filter_time)), count)
+        stepped[:, size] = share[:, np.newaxis] * stepped[:, measured]
+        stepped[:, size, size] = 1.0 - share
+        size, measured = size + 1, size
+    else:
+        stepped = np.delete(np.delete(stepped, size, axis=1), size, axis=2)
     stepped = np.linalg.matrix_power(stepped, ratio)
-    return PlantBatch(stepped[:, : n + 2, : n + 2], stepped[:, : n + 2, n + 2], n, t_s * ratio)
+    return PlantBatch(stepped[:, :size, :size], stepped[:, :size, size], measured, t_s * ratio)
 
 
 def _open(

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dqforge.machines.design.settings import SpeedMeasurementSettings
+from dqforge.machines.design.settings import SpeedMeasurementSettings, filter_share
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.sampled_systems import (
     ComplexArray,
@@ -56,8 +56,8 @@ class SpeedLoop:
     controller's samples (``drive``).
 
     ``drive`` steps with the current controller's period; its inputs are (torque reference, load
-    torque) in N m, its state is (integral, torque N m, speed rad/s[, filtered speed], previous
-    voltage).
+    torque) in N m, its state is (integral, torque N m, speed rad/s, previous
+    voltage[, filtered speed]).
     """
 
     loop: PiLoop
@@ -143,23 +143,32 @@ def current_loop(r_s: float, inductance: float, t_s: float, kp: float, ki: float
 
 
 def _mechanics(
-    r_s: float, inductance: float, inertia: float, friction: float, filter_time: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Continuous (A, b of the voltage, b of the load torque, c of the measured speed) of torque,
-    speed[, filter].
+    r_s: float, inductance: float, inertia: float, friction: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Continuous (A, b of the voltage, b of the load torque) of torque and speed.
 
     The first state is the torque K i_q; in this scale the winding reads L dT/dt = u - R T with u =
     K v_q, so that the current controller's gains hold unchanged and K = 3/2 p psi_pm drops out.
     """
-    n = 3 if filter_time > 0.0 else 2
-    a = np.zeros((n, n))
-    a[0, 0] = -r_s / inductance
-    a[1, 0], a[1, 1] = 1.0 / inertia, -friction / inertia
-    if n == 3:
-        a[2, 1], a[2, 2] = 1.0 / filter_time, -1.0 / filter_time
-    b_voltage, b_load, c = np.zeros((n, 1)), np.zeros((n, 1)), np.zeros((1, n))
-    b_voltage[0, 0], b_load[1, 0], c[0, n - 1] = 1.0 / inductance, -1.0 / inertia, 1.0
-    return a, b_voltage, b_load, c
+    a = np.array([[-r_s / inductance, 0.0], [1.0 / inertia, -friction / inertia]])
+    return a, np.array([[1.0 / inductance], [0.0]]), np.array([[0.0], [-1.0 / inertia]])
+
+
+def _measured(drive: SampledSystem, share: float) -> SampledSystem:
+    """The drive with its speed, the third state, as its output, where ``share`` is below 1 behind
+    the emitted filter: w_f moves by that share of the newest speed's distance at each sample.
+    """
+    speed = np.eye(1, len(drive.a), 2)
+    if share == 1.0:
+        return replace(drive, c=speed)
+    a = np.block(
+        [
+            [drive.a, np.zeros((len(drive.a), 1))],
+            [share * speed @ drive.a, np.array([[1.0 - share]])],
+        ]
+    )
+    b = np.vstack([drive.b, share * speed @ drive.b])
+    return replace(drive, a=a, b=b, c=np.eye(1, len(a), len(a) - 1))
 
 
 def speed_loop(
@@ -184,20 +193,16 @@ def speed_loop(
         current_gains: kp in V/A and ki in V/(A s) of the q axis.
         ratio: Sampling period of the speed controller in current samples.
         speed_gains: kp in N m s/rad and ki in N m/rad.
-        filter_time: Time constant in s of a continuous first-order filter on the measured speed, 0
-            for none.
+        filter_time: Time constant in s of the first-order filter of the measured speed, which acts
+            at each current sample; 0 for none.
     """
-    a, b_voltage, b_load, c_speed = _mechanics(*winding, *mechanics, filter_time)
-    torque = np.zeros_like(c_speed)
-    torque[0, 0] = 1.0
+    a, b_voltage, b_load = _mechanics(*winding, *mechanics)
+    torque = np.eye(1, 2)
     plant = _with_disturbance(delayed_plant(a, b_voltage, torque, t_s, tau=t_s), a, b_load)
-    drive = close_pi(plant, *current_gains).closed
-    measured = np.zeros((1, len(drive.a)))
-    measured[0, 1 : 1 + len(a)] = c_speed
-    loop = close_pi(lift(replace(drive, c=measured), ratio), *speed_gains)
+    drive = _measured(close_pi(plant, *current_gains).closed, filter_share(filter_time, t_s))
     return SpeedLoop(
-        loop=loop,
-        drive=replace(drive, c=measured),
+        loop=close_pi(lift(drive, ratio), *speed_gains),
+        drive=drive,
         ratio=ratio,
         kp=speed_gains[0],
         ki=speed_gains[1],

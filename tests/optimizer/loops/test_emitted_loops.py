@@ -134,8 +134,7 @@ def period(drives: Drives, k: int) -> tuple[FloatArray, FloatArray]:
 @pytest.mark.parametrize("filtered", [1.0, 0.3])
 def test_the_speed_loop_that_is_judged_is_the_step_s(filtered: float) -> None:
     """The answer to a step of the speed reference, the currents' loop within, of the axes as they
-    are judged: apart, without rotation. A filter sees the newest sample in the step, and the one
-    before in what is judged.
+    are judged: apart, without rotation.
     """
     drives, samples = Drives(2), 60 * RATIO
     gains = replace(
@@ -164,4 +163,4 @@ def test_the_speed_loop_that_is_judged_is_the_step_s(filtered: float) -> None:
             filter_time,
         )
         expected = speed_step(judged, samples // RATIO).reference
-        assert found[:, k] == pytest.approx(expected, abs=1e-6 if filtered == 1.0 else 3e-3)
+        assert found[:, k] == pytest.approx(expected, abs=1e-6)

@@ -66,9 +66,8 @@ def test_corners_err_by_no_more_than_is_left_out() -> None:
     """
     generator, largest = np.random.default_rng(7), 0.0
     for drive in [random_speed_drive(generator) for _ in range(12)]:
-        k = drive.loop.moving
         for cell in cells(generator, drive.box.root(), 20):
-            corners = expm(drive.loop.flow(cell_corners(cell)))[:, :k]
+            corners = drive.loop.drive(cell_corners(cell))
             bound = np.sum(drive.loop.left_out(cell), axis=0)
             for share in (np.full(4, 0.5), *generator.uniform(size=(5, 4))):
                 point = cell.low + share * cell.width
@@ -76,7 +75,7 @@ def test_corners_err_by_no_more_than_is_left_out() -> None:
                 for part in share:
                     weights = np.concatenate([weights * (1.0 - part), weights * part])
                 weights = weights.reshape((2,) * 4).transpose(3, 2, 1, 0).reshape(-1)
-                exact = expm(drive.loop.flow(point[np.newaxis]))[0, :k]
+                exact = drive.loop.drive(point[np.newaxis])[0]
                 error = np.abs(exact - np.tensordot(weights, corners, 1))
                 assert np.all(error <= bound + 1e-14)
                 large = bound > 1e-8
@@ -95,5 +94,6 @@ def test_friction_that_does_not_follow_the_torque_is_left_out() -> None:
     point = cell.high[np.newaxis]
     other = uneven.flow(point)
     other[0, 1, 1] -= 0.01 * 0.1 * 1.3
-    error = np.abs(expm(other) - expm(uneven.flow(point)))[0, : drive.loop.moving]
-    assert np.all(error <= rest + 1e-15)
+    error = np.abs(expm(other) - expm(uneven.flow(point)))[0, :2]
+    columns = [0, 1, rest.shape[1] - 1]
+    assert np.all(error <= rest[:2, columns] + 1e-15)
