@@ -386,7 +386,7 @@ def read_folder(folder: Path, capabilities: Capabilities = CAPABILITIES) -> Writ
     Raises:
         InputError: A file is missing or is not what dqforge writes.
     """
-    path = folder / "result.json"
+    path = folder / RESULT
     loaded = _load_result(path)
     header = loaded["header"]
     vectors = header.get("vectors")

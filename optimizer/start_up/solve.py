@@ -20,6 +20,7 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import controlled_frame
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.estimators import TunedTracker, solve_tracker, tune_tracker
+from dqforge.optimizer.exploration.acceptance import wilson
 from dqforge.optimizer.observers.conditions import lost_voltage
 from dqforge.optimizer.sampled_systems import ComplexArray
 from dqforge.optimizer.start_up.plan import (
@@ -277,7 +278,6 @@ ANGLE_LIMIT = math.radians(30.0)  # Largest error of the observer's angle in rad
 SWING_LIMIT = 0.2  # Largest swing of the speed, peak to peak, over its reference.
 _STANDS = 0.2  # of the reference: slower is a standstill
 _HALF_TURN = 0.5 * math.pi
-_Z_95 = 1.959963984540054
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -396,20 +396,6 @@ def judge_start(record: StartRecord, settled: float) -> StartVerdict:
     )
 
 
-def wilson_interval(succeeded: int, count: int) -> tuple[float, float]:
-    """Score interval of Wilson, 95 %, of a share of which ``succeeded`` of ``count`` were seen.
-
-    Args:
-        succeeded: How many.
-        count: Of how many, at least one.
-    """
-    share, z = succeeded / count, _Z_95
-    centre = (share + z * z / (2.0 * count)) / (1.0 + z * z / count)
-    spread = share * (1.0 - share) / count + z * z / (4.0 * count * count)
-    half = z * math.sqrt(spread) / (1.0 + z * z / count)
-    return max(0.0, centre - half), min(1.0, centre + half)
-
-
 @dataclass(frozen=True, slots=True)
 class StartRate:
     """How often drives started.
@@ -440,7 +426,7 @@ class StartRate:
     @property
     def interval(self) -> tuple[float, float]:
         """Within which the true share lies with 95 %."""
-        return wilson_interval(self.succeeded, self.count)
+        return wilson(self.succeeded, self.count)
 
     @property
     def failures(self) -> dict[str, int]:

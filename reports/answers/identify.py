@@ -24,8 +24,9 @@ from dqforge.reports.identification import (
 )
 from dqforge.reports.pages.answer import Answer, Files, shares, stage
 from dqforge.reports.pages.templating import to_text
+from dqforge.reports.run_folder import RESULT
 
-RESULT, DESIGN = "result.json", "design.yaml"
+DESIGN = "design.yaml"
 
 
 def answer(path: Path, *, plan: bool, page: bool) -> Answer:

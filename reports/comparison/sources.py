@@ -31,9 +31,7 @@ from dqforge.reports.pages.answer import LARGEST_FILE, LARGEST_JSON, read_output
 from dqforge.reports.pages.templating import FORMAT, strict_json, to_text
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.run import plain_solution
-
-_RESULT = "result.json"
-
+from dqforge.reports.run_folder import RESULT
 
 _PARTS = ("input", "drive", "header", "fit", "gains")
 
@@ -120,13 +118,13 @@ def read_side(text: str, load: Callable[[str], Design]) -> Side:
         )
     path = Path(text)
     if path.is_dir():
-        if not (path / _RESULT).exists():
+        if not (path / RESULT).exists():
             raise InputError(
-                f"the folder has no {_RESULT}; give the folder that 'dqforge run' or 'dqforge "
+                f"the folder has no {RESULT}; give the folder that 'dqforge run' or 'dqforge "
                 "export' wrote",
                 source=text,
             )
-        return _from_result(text, path / _RESULT)
+        return _from_result(text, path / RESULT)
     if path.suffix.lower() == ".json":
         return _from_result(text, path)
     if path.suffix.lower() == ".h":
