@@ -70,7 +70,12 @@ from dqforge.optimizer.identification.shaft_tests import (
     steps_fault,
 )
 from dqforge.optimizer.identification.speed_sweep import Sweep, analyse_sweep, sweep_fault
-from dqforge.optimizer.identification.voltage_terms import SteadyRows, analyse_rows, rows_fault
+from dqforge.optimizer.identification.voltage_terms import (
+    HALF_95,
+    SteadyRows,
+    analyse_rows,
+    rows_fault,
+)
 
 # What a design needs, and what is taken from what is known where no run holds it.
 DESIGN_PARAMETERS = (
@@ -425,7 +430,7 @@ def _rows(bench: Bench, runs: Sequence[LoggedRun], held: Held) -> Analysis:
     inductance: tuple[float, float, str] | None
     if own is None and "inductance_d" in known:
         value = known["inductance_d"][0]
-        sigma = bench.widths.get("inductance_d", _DATA_SHEET * value) / _WIDE
+        sigma = bench.widths.get("inductance_d", _DATA_SHEET * value) / HALF_95
         inductance = value, sigma, known["inductance_d"][1]
     else:
         inductance = None if own is None else (own.value, own.sigma, ", ".join(own.runs))
@@ -433,8 +438,8 @@ def _rows(bench: Bench, runs: Sequence[LoggedRun], held: Held) -> Analysis:
     return _examined(bench, runs, found)
 
 
-# Half of the 95 % interval of a data sheet's inductance, and in standard deviations.
-_DATA_SHEET, _WIDE = 0.2, 1.96
+# Half of the 95 % interval of a data sheet's inductance.
+_DATA_SHEET = 0.2
 
 
 def _offsets(bench: Bench, runs: Sequence[LoggedRun]) -> Analysis:
@@ -639,7 +644,7 @@ def _with_known(
     if half is not None:
         origin = f"machine.{bench.origins[parameter.key]}"
         mean, scale = with_prior(parameter, known, half, origin)
-        if scale > _FURTHEST:
+        if scale > HALF_95:  # 95 of 100 pairs of values are closer
             remarks.append(
                 f"{mean.label}: {parameter.value:.5g} {mean.unit} of the runs and {known:.5g} "
                 f"{mean.unit} of {origin} differ by more than their intervals; that of the mean is "
@@ -649,10 +654,6 @@ def _with_known(
     if parameter.status == "identified":
         return parameter
     return _from_known(bench, (parameter.key, parameter.label, parameter.unit), parameter.why)
-
-
-# The normal distribution leaves two values closer than this many standard deviations in 95 of 100.
-_FURTHEST = 1.96
 
 
 def _from_known(bench: Bench, named: tuple[str, str, str], why: str) -> Parameter:

@@ -378,8 +378,8 @@ def analyse_rows(
 
 # Half of the 95 % interval of L_d, over L_q, where nothing tells the saliency.
 _SALIENCY = 0.5
-# Standard deviations in it.
-_WIDE = 1.96
+# Standard deviations in half of a 95 % interval of the normal distribution.
+HALF_95 = 1.96
 
 
 def _less_d_current(
@@ -398,7 +398,7 @@ def _less_d_current(
     current = float(rows.omega_e @ (rows.omega_e * rows.i_d) / square)
     if inductance_d is None and "inductance_q" in terms:
         own = abs(float(fit.coefficients[terms.index("inductance_q")]))
-        inductance_d = own, _SALIENCY * own / _WIDE, "L_q, which stands for it"
+        inductance_d = own, _SALIENCY * own / HALF_95, "L_q, which stands for it"
     names, at = ", ".join(rows.runs), terms.index("magnet_flux")
     if inductance_d is None:
         if abs(current) < _TOLD_CURRENT * float(rows.current.max()):
