@@ -141,9 +141,17 @@ def explanation_table(found: Explanation) -> Table:
         )
         if not holds
     ]
+    with_it = ", ".join(
+        f"{of.name} {value:.4g} {of.unit}".strip()
+        for of, value, holds in zip(
+            found.printed, winner.found, found.explained(winner), strict=True
+        )
+        if holds
+    )
     said = [
         f"Scanned: {found.bounds}, {len(found.alternatives)} alternatives.",
         f"Best: {winner.assumed}.",
+        *([f"With it: {with_it}."] if not few and len(found.printed) <= _SHOWN else ()),
         f"Not explained by it: {', '.join(misses)}." if misses else "It explains all of them.",
         _as_good(len(found.as_good)),
     ]

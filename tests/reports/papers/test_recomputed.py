@@ -246,3 +246,29 @@ def test_every_figure_has_a_row() -> None:
     numbers = {number for row in FIGURES for number in row.numbers.split(", ")}
     assert numbers <= _named("002")
     assert {f"6.{k}" for k in range(1, 19)} | {"4.1", "4.2", "4.3"} <= _named("002")
+
+
+_NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?![\w.]*\w)")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("paper", ["000", "001", "002"])
+def test_numbers_of_the_rows_are_those_of_the_command(paper: str) -> None:
+    """Every number of "here" is printed by the command, with its digits, or in thousandths (s for
+    ms); rows about another command are left to its page.
+    """
+    from dqforge.cli import app
+
+    page = (Path(__file__).parents[3] / "docs/project/papers.md").read_text("utf-8")
+    rows = page.split(f"| `reproduce {paper}` |")[1].split("\n\n")[0].splitlines()[2:]
+    output = CliRunner().invoke(app, ["reproduce", paper]).output.replace("\u2212", "-")
+    printed = np.abs([float(text) for text in _NUMBER.findall(output)])
+    missing = []
+    for row in rows:
+        name, *_, here = (cell.strip() for cell in row[1:-1].split("|"))
+        for text in _NUMBER.findall("" if "`control." in here else here.replace("\u2212", "-")):
+            near = 0.51 * 10.0 ** -len(text.partition(".")[2])
+            value = abs(float(text))
+            if not any((np.abs(printed * scale - value) <= near).any() for scale in (1.0, 1e3)):
+                missing.append(f"{name}: {text}")
+    assert not missing
