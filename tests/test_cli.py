@@ -180,7 +180,7 @@ def test_changed_header_fails_verification(
     assert re.search(
         r"ipm100\.h:\d+: 0\.6295F, the design gives 0\.6294F$", one_line(run("verify", "out"), 1)
     )
-    header.write_text(text.replace("i_q = torque /", "i_q = torque //"))
+    header.write_text(text.replace("i_q_A = torque /", "i_q_A = torque //"))
     assert re.search(
         r"ipm100\.h:\d+: '/', the design gives ' '$", one_line(run("verify", "out"), 1)
     )
