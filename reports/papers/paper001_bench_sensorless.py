@@ -34,7 +34,7 @@ from dqforge.optimizer.solution import solve_control
 from dqforge.reports.control.header import plain_control
 from dqforge.reports.observers.position_header import REDUCED_ORDER, speed_observer_files
 from dqforge.reports.papers.explanations import Alternative, Explanation, Printed, explain
-from dqforge.reports.papers.paper001_emitted_control import ProgramBench
+from dqforge.reports.papers.paper001_emitted_control import Constants, ProgramBench
 from dqforge.reports.papers.transients import RPM, Bench
 from dqforge.reports.simulation.design_run import angle_error, controller_files
 from dqforge.reports.simulation.recorded_run import Simulation, simulator
@@ -308,9 +308,8 @@ def _run_starts(design: Design, starts: _Starts) -> tuple[FloatArray, FloatArray
     gains = solve_gains(design, proofs=False)
     speed, current = gains.speed, gains.i_q
     assert speed is not None
-    most_i, most_u = (
-        np.array([32_000.0, 13_000.0]) / 32_768.0 * (control.bases.current, control.bases.voltage)
-    ).tolist()
+    most_i = Constants().max_w / 32768.0 * control.bases.current
+    most_u = Constants().max_iq / 32768.0 * control.bases.voltage
     state = np.zeros((starts.load.size, 3))
     asked, error, voltage, missing = (np.zeros(starts.load.size) for _ in range(4))
     found = []
