@@ -1,9 +1,10 @@
-"""Margins of each loop alone for `check_certificate.py`: a claim about what `<prefix>.h` states.
+"""Margins of each loop alone, and the speed observer, for `check_certificate.py`.
 
 It imports nothing but the standard library and, beside it, `kit.py`, `cells.py`, `polynomials.py`,
 and of `check_speed.py` the loop of a drive (its parts 1 and 2). Gains, machine and period are read
 from the header's text, and no frequency is sought. Read it from top to bottom: polynomials on the
-unit circle (part 1), the loops (part 2), and what is confirmed (part 3).
+unit circle (part 1), the loops (part 2), the observer of the speed (part 3), and what is confirmed
+(part 4).
 """
 
 from __future__ import annotations
@@ -232,7 +233,54 @@ def speed_loop(header: kit.Header, inputs: dict[str, Any], control: str) -> tupl
     return Loop(check_speed.SPEED, polys[0], acting, header), box.words()
 
 
-# Part 3. What is confirmed.
+# Part 3. The observer of the speed.
+#
+# Winding and shaft, L di/dt = u - R i - p psi omega and J domega/dt = 3/2 p psi i - B omega, go
+# over a sample with u held to F (i, omega) + g u. The observer's state stands for omega + C i. On
+# the machine that it knows its error is multiplied by A in each sample if, for all i, omega and u,
+#
+#     omega+ + C i+ = A (omega + C i) + B_U u + B_I i
+#
+# which are three numbers, of omega, i and u.
+
+OBSERVED = "omega_hat[k] = zeta[k] - C i_q[k]; zeta[k+1] = A zeta[k] + B_U u_q[k] + B_I i_q[k]"
+NEAR = Fraction(1, 2**20)  # What numbers in single precision may be off, over the largest term.
+
+
+def check_observer(header: kit.Header, stated: dict[str, Any]) -> str:
+    """What is confirmed of the speed observer, in words."""
+    if OBSERVED not in header.said:
+        raise Fault("speed observer: the header states another law")
+    names = ("A", "C_RAD_PER_AS", "B_I_RAD_PER_AS", "B_U_RAD_PER_VS")
+    a, c, b_i, b_u = (header.constant(f"OBSERVER_{name}") for name in names)
+    machine = ("T_S_S", "R_S_OHM", "L_Q_H", "POLE_PAIRS", "PSI_PM_WB")
+    t_s, r_s, l_q, pairs, psi = (header.constant(name) for name in machine)
+    inertia, friction = (Fraction(stated[name]) for name in ("inertia", "friction"))
+    if not 0 <= a < 1 or min(inertia, c) <= 0 or friction < 0:
+        raise Fault("speed observer: its pole is not within the circle, or its inertia is none")
+    rate, push = t_s / l_q, t_s * c / inertia  # the speed in units of C: it is near a current
+    flow = [
+        [-rate * r_s, -rate * pairs * psi * c, rate],
+        [push * pairs * psi * Fraction(3, 2) / c**2, -t_s * friction / inertia, Fraction(0)],
+        [Fraction(0)] * 3,
+    ]
+    held = cells.exponential([[below(x) for x in row] for row in flow])
+    summed = [Fraction(x + y, ONE) for x, y in zip(*held.rows[:2])]
+    for what, found, right, size in (
+        ("A", summed[1], a, 1),
+        ("B_I", summed[0], a + b_i / c, 1),
+        ("B_U", summed[2], b_u / c, abs(b_u / c)),
+    ):
+        if abs(found - right) > NEAR * size - Fraction(2 * held.r, ONE):
+            raise Fault(f"speed observer: {what} is not that of the machine")
+    return (
+        f"errors of the speed observer shrink to {float(a):.6g} of themselves in every sample, but "
+        f"for rounding, on the machine that it knows, with {float(inertia):.6g} kg m^2, friction "
+        f"{float(friction):.6g} N m s/rad, at i_d = 0 and no load"
+    )
+
+
+# Part 4. What is confirmed.
 
 
 def check_margins(claim: dict[str, Any], header: kit.Header, control: str) -> Iterator[str]:
@@ -244,3 +292,5 @@ def check_margins(claim: dict[str, Any], header: kit.Header, control: str) -> It
     if "speed" in claim:
         loop, words = speed_loop(header, claim["speed"], control)
         yield f"{loop.check()}, on a drive with {words}"
+    if "observer" in claim:
+        yield check_observer(header, claim["observer"])

@@ -25,9 +25,11 @@ from dqforge.checker import (
     kit,
     margins,
 )
+from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.current_reference.forms import FixedReference
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.loops.firmware_text import CERTIFICATE
 from dqforge.reports.observers.position_text import rounded_up
@@ -227,39 +229,47 @@ def _reference_claim(solution: Solution, header: kit.Header, machine: dict[str, 
 def _margin_claims(
     solution: Solution, header: kit.Header, control: str, left: list[str]
 ) -> list[PlainData]:
-    """The claim of the margins of each loop alone; ``left`` takes on those that are not confirmed,
-    and why.
+    """The claim of the margins of each loop alone, and of the speed observer; ``left`` takes on
+    what is not confirmed, and why.
     """
     loops, design = solution.loops, solution.design
     if loops is None:
         return []
-    tried: dict[str, PlainData] = {name: {"axes": [name[-1]]} for name in ("i_d", "i_q")}
-    if loops.speed is not None:
-        settings, machine = design.control.speed_loop, design.machine
-        assert settings is not None
-        inertia = machine.inertia
-        drive = (machine.r_s, 0, machine.l_q, 1, 1, inertia, 0)
-        spans = zip(check_speed.SPANS, drive, strict=True)
-        speed: dict[str, Any] = {name: [value, value] for name, value in spans}
-        speed |= {"friction": machine.friction, "filter_time": settings.filter_time}
-        speed |= {"t_s": design.control.t_s, "kp": loops.i_q.kp, "ki_ts": loops.i_q.ki_ts}
-        speed |= {"speed_kp": loops.speed.kp, "speed_ki_ts": loops.speed.ki_ts}
-        speed |= {"ratio": settings.ratio, "inductance_scale": machine.l_q}
-        tried["the speed"] = {"axes": [], "speed": speed | {"speed_scale": 1.0 / loops.speed.kp}}
-        others = (loops.observer, loops.position, loops.tracker, loops.measured_speed)
-        if any(other is not None for other in others):
-            del tried["the speed"]
-            left.append("margins of the speed loop (on a speed that is observed)")
+    tried: dict[str, PlainData] = {
+        f"margins of {name}": {"axes": [name[-1]]} for name in ("i_d", "i_q")
+    }
+    seen = (loops.observer, loops.position, loops.tracker, loops.measured_speed)
+    if loops.speed is not None and any(each is not None for each in seen):
+        left.append("margins of the speed loop (on a speed that is observed)")
+    elif loops.speed is not None:
+        speed = _one_drive(design, loops.i_q, loops.speed)
+        tried["margins of the speed loop"] = {"axes": [], "speed": speed}
+    if loops.observer is not None:
+        shaft = {"inertia": design.machine.inertia, "friction": design.machine.friction}
+        tried["the speed observer"] = {"axes": [], "observer": shaft}
     kept: dict[str, Any] = {"name": "margins", "axes": []}
     for name, claim in tried.items():
         try:
             list(margins.check_margins(kit.plain(json.dumps(claim)), header, control))
         except kit.Fault as why:
-            left.append(f"margins of {name} ({why})")
+            left.append(f"{name} ({why})")
         else:
             kept["axes"] += claim["axes"]
-            kept |= {key: value for key, value in claim.items() if key == "speed"}
-    return [kept] if kept["axes"] or "speed" in kept else []
+            kept |= {key: value for key, value in claim.items() if key != "axes"}
+    return [kept] if kept["axes"] or len(kept) > 2 else []
+
+
+def _one_drive(design: Design, i_q: LoopGains, speed: LoopGains) -> PlainData:
+    """The inputs of the speed loop's certificate for the drive without deviations."""
+    settings, machine = design.control.speed_loop, design.machine
+    assert settings is not None
+    drive = (machine.r_s, 0, machine.l_q, 1, 1, machine.inertia, 0)
+    spans = zip(check_speed.SPANS, drive, strict=True)
+    found: dict[str, Any] = {name: [value, value] for name, value in spans}
+    found |= {"t_s": design.control.t_s, "kp": i_q.kp, "ki_ts": i_q.ki_ts}
+    found |= {"speed_kp": speed.kp, "speed_ki_ts": speed.ki_ts, "ratio": settings.ratio}
+    found |= {"friction": machine.friction, "filter_time": settings.filter_time}
+    return found | {"inductance_scale": machine.l_q, "speed_scale": 1.0 / speed.kp}
 
 
 def _confirmed_boxes(judge: checker.Reference, ends: list[Fraction]) -> Boxes:

@@ -26,7 +26,7 @@ Plain = dict[str, Any]
 
 
 @cache
-def sound(number: int = 0) -> tuple[GainSet, str, Plain]:
+def sound(number: int = 0, observed: bool = False) -> tuple[GainSet, str, Plain]:
     """Loops, header and claim of a design; those after the first are drawn."""
     random = np.random.default_rng(number)
     base = (INVERSE_SALIENT, IPM, SURFACE)[number % 3]
@@ -44,8 +44,9 @@ def sound(number: int = 0) -> tuple[GainSet, str, Plain]:
         **{name: float(value) for name, value in inductances.items()},
     )
     design = make_design(machine)
-    measured = replace(design.control, observer=None)
-    solution = solve(replace(design, control=measured, losses=None))
+    if not observed:
+        design = replace(design, control=replace(design.control, observer=None))
+    solution = solve(replace(design, losses=None))
     files = emitted_files(solution)
     certificate = json.loads(certificate_files(solution, files)["drive_certificate.json"])
     assert solution.loops is not None
@@ -147,3 +148,36 @@ def test_another_drive_is_not_confirmed(name: str, value: Any, words: str) -> No
     (line,) = said(header, claim | {"speed": claim["speed"] | {name: value}})[-1:]
     assert line.startswith("fault: ")
     assert words in line
+
+
+OBSERVED = 5  # of the drawn designs
+
+
+@pytest.mark.parametrize("number", [0, OBSERVED])
+def test_the_speed_observer_is_that_of_the_machine(number: int) -> None:
+    loops, header, claim = sound(number, observed=True)
+    *_, line = said(header, claim)
+    assert loops.observer is not None
+    assert line.startswith(f"errors of the speed observer shrink to {loops.observer.a:.6g} of ")
+
+
+@pytest.mark.parametrize("name", ["A", "C_RAD_PER_AS", "B_I_RAD_PER_AS", "B_U_RAD_PER_VS"])
+@pytest.mark.parametrize("factor", [1.01, -1.0])
+def test_another_observer_is_not_confirmed(name: str, factor: float) -> None:
+    _, header, claim = sound(observed=True)
+    (value,) = re.findall(rf"OBSERVER_{name} \((\S+)F\)", header)
+    changed = header.replace(
+        f"OBSERVER_{name} ({value}F)", f"OBSERVER_{name} ({float(value) * factor:.9g}F)"
+    )
+    (line,) = said(changed, claim | {"axes": []})[-1:]
+    assert line.startswith("fault: speed observer: ")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("inertia", 0.9e-3), ("inertia", -1.0), ("friction", 1.0)]
+)
+def test_an_observer_of_another_shaft_is_not_confirmed(name: str, value: float) -> None:
+    _, header, claim = sound(observed=True)
+    shaft = claim["observer"] | {name: value}
+    (line,) = said(header, claim | {"axes": [], "observer": shaft})[-1:]
+    assert line.startswith("fault: speed observer: ")
