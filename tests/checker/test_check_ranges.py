@@ -31,7 +31,7 @@ Files = dict[str, str]
 FIRST = (DRIVE, "paper001-pmsm-bench", "paper000-ipmsm-100kw")
 # Variables of 32 bits that 16 hold in the headers of DRIVE; of the polynomials for every argument.
 CODES = {"across", "along", "back", "coarse_d", "coarse_q", "limit", "limited", "unit", "x"}
-CODES |= {"p_1", "p_2", "p_3", "p_4"}
+CODES |= {"p_1", "p_2", "p_3", "p_4", "asked", "size", "share", "i_d", "i_q", "omega"}
 NONE = ("paper002-phase-waveforms", "salient-phase-waveforms", "vdyno-trampa-6340")
 
 
