@@ -320,7 +320,7 @@ def claims(stated: dict[str, Any], beside: kit.Beside) -> Iterator[str]:
     """What is not covered, and each claim that is confirmed, in words."""
     yield (
         "limits of the voltage, rounding of the control, drives that change, "
-        "inductances that depend on the current, margins of each loop, the speed loop"
+        "inductances that depend on the current"
     )
     header = Header(beside.text(".h"), beside.prefix, beside.text("_control.h", ""))
     box = Box(stated["inputs"], header)

@@ -411,9 +411,9 @@ def check_speed(stated: dict[str, Any], header: Header, control: str = "") -> st
 def claims(stated: dict[str, Any], beside: kit.Beside) -> Iterator[str]:
     """What is not covered, and the claim that is confirmed, in words."""
     yield (
-        "limits of torque, voltage and current, rounding of the control, the d "
-        "axis, margins of the speed loop, the filter of the speed as it is sampled, the share "
-        "of drives that is stated where cells are left open"
+        "limits of torque, voltage and current, rounding of the control, the d axis, "
+        "margins over the tolerances, the filter of the speed as it is sampled, the share of "
+        "drives that is stated where cells are left open"
     )
     control = beside.text("_control.h", "")
     yield check_speed(stated, Header(beside.text(".h"), beside.prefix, control), control)

@@ -75,14 +75,15 @@ def test_the_checker_runs_alone_and_says_first_what_is_left_out(sound: Path) -> 
     first, second, *loops = done.stdout.splitlines()
     left = "speed loop over the tolerances (left to check_speed.py)"
     observed = "margins of the speed loop (on a speed that is observed)"
-    assert first == f"not covered: {left}; {observed}"
+    over = "margins over the tolerances, crossovers, delay margins"
+    assert first == f"not covered: {left}; {observed}; {over}"
     assert second.startswith("confirmed: for every torque from 0 to ")
     begins = ("i_d: no pole", "i_q: no pole", "errors of the speed observer shrink to ")
     assert len(loops) == len(begins)
     for line, words in zip(loops, begins, strict=True):
         assert line.startswith(f"confirmed: {words}")
     about = "the current reference and margins of loops"
-    summary = f"confirmed: {about}; not covered of {about}: {left}, {observed}"
+    summary = f"confirmed: {about}; not covered of {about}: {left}, {observed}, {over}"
     assert check_independently(sound.parent).splitlines() == [summary, second, *loops]
 
 
