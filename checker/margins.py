@@ -59,12 +59,13 @@ def on_circle(a: Poly, b: Poly) -> tuple[Poly, Poly]:
             last, before = [Fraction(0), *(2 * x for x in each[-1])], each[-2]
             each.append([x - (before[i] if i < len(before) else 0) for i, x in enumerate(last)])
     real, imaginary = [Fraction(0)] * size, [Fraction(0)] * size
-    for i, x in enumerate(a):
-        for j, y in enumerate(b):
-            for power, c in enumerate(first[abs(i - j)]):
-                real[power] += x * y * c
-            for power, c in enumerate(second[abs(i - j) - 1] if i != j else ()):
-                imaginary[power] += x * y * c * (1 if i > j else -1)
+    for lag in range(size):
+        ahead = sum(map(Fraction.__mul__, a[lag:], b), Fraction(0))
+        behind = sum(map(Fraction.__mul__, a, b[lag:]), Fraction(0)) if lag else Fraction(0)
+        for power, c in enumerate(first[lag]):
+            real[power] += (ahead + behind) * c
+        for power, c in enumerate(second[lag - 1] if lag else ()):
+            imaginary[power] += (ahead - behind) * c
     return real, imaginary
 
 
@@ -192,17 +193,18 @@ def current_loop(header: kit.Header, axis: str) -> Loop:
 
 
 def characteristic(block: cells.Block) -> Poly:
-    """The polynomial whose zeros are the eigenvalues, after Faddeev and Leverrier."""
-    size = len(block.rows)
-    rows = [[Fraction(x, ONE) for x in row] for row in block.rows]
-    found, held = [Fraction(1)], [[Fraction(0)] * size for _ in range(size)]
+    """The polynomial whose zeros are the eigenvalues, after Faddeev and Leverrier: of a matrix of
+    integers it has integers, and the divisions leave no rest.
+    """
+    size, found = len(block.rows), [1]
+    held = [[0] * size for _ in range(size)]
     for n in range(1, size + 1):
         for i in range(size):
             held[i][i] += found[0]
-        held = [[sum(map(Fraction.__mul__, row, column), Fraction(0)) for column in zip(*held)]
-                for row in rows]  # fmt: skip
-        found.insert(0, -sum((held[i][i] for i in range(size)), Fraction(0)) / n)
-    return found
+        columns = list(zip(*held))
+        held = [[sum(map(int.__mul__, row, x)) for x in columns] for row in block.rows]
+        found.insert(0, -sum(held[i][i] for i in range(size)) // n)
+    return [Fraction(x, ONE ** (size - i)) for i, x in enumerate(found)]
 
 
 def speed_loop(header: kit.Header, inputs: dict[str, Any], control: str) -> tuple[Loop, str]:
