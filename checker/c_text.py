@@ -1,22 +1,24 @@
 """Takes the C of headers apart, as far as it is emitted in integers, for `check_ranges.py`.
 
-It imports nothing but the standard library. Names, signs and numbers (`TOKEN`) become tuples: types
-with their members, constants, and functions with the statements of their body. What it does not
-know it refuses, so that nothing is passed over.
+It imports nothing but the standard library and `kit.py` beside it. Names, signs and numbers
+(`TOKEN`) become tuples: types with their members, constants, and functions with the statements of
+their body. What it does not know it refuses, so that nothing is passed over.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+if TYPE_CHECKING or __package__:
+    from . import kit
+else:  # run alone: it lies beside this one
+    import kit
 
-class Fault(Exception):
-    """What is not confirmed, in words, with its place."""
-
-
+Fault = kit.Fault
 LIMITS = {
     f"{sign}int{bits}_t": (-(1 << bits - 1), (1 << bits - 1) - 1)
     if not sign
@@ -50,9 +52,7 @@ class Code:
         if name in self.said:
             return
         text = (folder / name).read_text("utf-8")
-        comments = " ".join(re.findall(r"/\*.*?\*/", text, re.S))
-        self.said[name] = re.sub(r"\s+\*?\s*", " ", comments)
-        code = re.sub(r"/\*.*?\*/", lambda x: re.sub(r"[^\n]", " ", x[0]), text, flags=re.S)
+        self.said[name], code = kit.comments(text), kit.uncommented(text)
         if SHIFT not in code:
             raise Fault(f"{name}: it does not check that right shifts keep the sign")
         kept, taken = [], [True]
@@ -273,6 +273,7 @@ class Code:
         return found
 
 
+@cache
 def common(*kinds: str) -> str:
     """The type in which C calculates with types: of 32 bits or more, the widest, unsigned first."""
     sizes = {kind: int(kind.strip("uint_")) for kind in kinds}

@@ -2,27 +2,32 @@
 
     python -I -S check_certificate.py abb2k2_certificate.json
 
-The program imports nothing but the standard library and believes nothing in the certificate: what
-the C does is read from the header's text, and every bound is computed here. Read it from top to
-bottom: numbers (part 1), the header's C (part 2), the reference over torque (part 3), and what is
-printed (part 4). It ends with 0 where all claims are confirmed, else with 1 and the place where one
-fails.
+The program imports nothing but the standard library and, beside it, `kit.py`, and `margins.py` for
+the margins of the loops. It believes nothing in the certificate: what the C does is read from the
+header's text, and every bound is computed here. Read it from top to bottom: numbers (part 1), the
+header's C (part 2), the reference over torque (part 3), and what is confirmed (part 4).
 """
 
 from __future__ import annotations
 
 import ast
-import json
 import re
 import sys
+from collections.abc import Iterator
 from fractions import Fraction
-from functools import cache
 from math import isqrt
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+if TYPE_CHECKING or __package__:
+    from . import kit, margins
+else:  # run alone: they lie beside this one
+    sys.path.insert(0, str(Path(__file__).resolve().parent))
+    import kit
+    import margins
 
-class Fault(Exception):
-    """What is not confirmed, in words, with its place."""
+BITS, ONE, Fault = kit.BITS, kit.ONE, kit.Fault
+Header = kit.Header
 
 
 # Part 1. Numbers: polynomials with a bound of what they leave out.
@@ -32,8 +37,6 @@ class Fault(Exception):
 # rounds or leaves out goes to r, so that the enclosure holds always. With one coefficient it is an
 # interval.
 
-BITS = 128
-ONE = 1 << BITS
 DEGREE = 6
 
 
@@ -63,18 +66,22 @@ class Model:
     def __mul__(self, other: Model) -> Model:
         if not (any(self.c) or self.r) or not (any(other.c) or other.r):
             return Model([0])
-        raw = [0] * (len(self.c) + len(other.c) - 1)
-        for i, x in enumerate(self.c):
-            if x:
-                for j, y in enumerate(other.c):
-                    raw[i + j] += x * y
+        long, short = (self.c, other.c) if len(self.c) >= len(other.c) else (other.c, self.c)
+        raw = [x * short[0] for x in long] + [0] * (len(short) - 1)
+        for j, y in enumerate(short[1:], 1):
+            for i, x in enumerate(long, j):
+                raw[i] += x * y
         cross = 0
         if self.r or other.r:
             mine, theirs = sum(map(abs, self.c)), sum(map(abs, other.c))
             cross = mine * other.r + theirs * self.r + self.r * other.r
         left = sum(map(abs, raw[DEGREE + 1 :])) + cross
         c = [x >> BITS for x in raw[: DEGREE + 1]]
-        return Model(c, len(c) + (left >> BITS) + 1)
+        plus = self.c[0] >= 0 <= other.c[0] and self.low() >= 0 <= other.low()
+        return Model(c, len(c) + (left >> BITS) + 1, plus)
+
+    def __truediv__(self, other: Model) -> Model:
+        return self * other.inverse()
 
     def spread(self) -> int:
         """How far it may be from its first coefficient."""
@@ -124,92 +131,30 @@ class Model:
         return Model(s.c, (rest << BITS) // s.low() + 1, plus=True)
 
 
+def rounded(exactly: Model) -> Model:
+    """What single precision makes of a result: half a unit of its last place is added."""
+    return Model(exactly.c, exactly.r + kit.half_place(exactly.size()), exactly.plus)
+
+
+def root(x: Model) -> Model:
+    """What single precision makes of a square root."""
+    return rounded(x.sqrt())
+
+
+def magnitude(x: Model) -> Model:
+    """A magnitude, of numbers of one sign."""
+    if x.low() < 0 < x.high():
+        raise Fault("the box lies on both sides of zero")
+    return -x if x.high() <= 0 else x
+
+
 def exact(value: Fraction | int) -> Model:
     """A rational; what its last bit leaves goes to the radius."""
-    scaled = Fraction(value) * ONE
-    whole = scaled.numerator // scaled.denominator
-    return Model([whole], int(scaled.denominator != 1))
+    whole = kit.below(value)
+    return Model([whole], kit.above(value) - whole)
 
 
-def above(value: Fraction) -> int:
-    """A rational in units, rounded up."""
-    return -((-value.numerator * ONE) // value.denominator)
-
-
-def single(value: Fraction) -> Fraction:
-    """The nearest number of single precision, ties to even."""
-    if value == 0:
-        return value
-    top, bottom = abs(value.numerator), value.denominator
-    exponent = top.bit_length() - bottom.bit_length()
-    if Fraction(2) ** exponent > abs(value):
-        exponent -= 1
-    unit = Fraction(2) ** max(exponent - 23, -149)
-    return round(value / unit) * unit
-
-
-def rounded(exactly: Model, plus: bool = False) -> Model:
-    """What single precision makes of a result: half a unit of its last place is added.
-
-    A fused multiply-add rounds once where two are allowed for here.
-    """
-    size = exactly.size()
-    if size >= ONE << 127:
-        raise Fault("a result may leave the range of single precision")
-    half = max(1, 1 << max(0, size.bit_length() - 25))
-    return Model(exactly.c, exactly.r + half, plus)
-
-
-# Part 2. The header: its constants, and the C of one function run over a box.
-#
-# Sums, products and conditions of C are written as in Python, whose parser takes them apart here.
-
-NUMBER = re.compile(r"(?<![\w.])((?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)([Ff]?)(?![\w.])")
-
-
-def number(text: str) -> Fraction:
-    """A number of C; with F it is rounded to single precision."""
-    found = NUMBER.fullmatch(text)
-    if found is None:
-        raise Fault(f"the header has '{text}' where a number is expected")
-    return single(Fraction(found[1])) if found[2] else Fraction(found[1])
-
-
-class Header:
-    """The text of a header: its constants, functions and comments."""
-
-    def __init__(self, text: str, prefix: str) -> None:
-        self.prefix = prefix
-        comments = re.findall(r"/\*.*?\*/", text, re.S)
-        self.said = " ".join(re.sub(r"\s+\*?\s*", " ", comment) for comment in comments)
-        self.code = re.sub(r"/\*.*?\*/|//[^\n]*", " ", text, flags=re.S)
-        self.constants: dict[str, Fraction] = {}
-        for name, sign, value in re.findall(
-            r"^[ ]*#[ ]*define[ ]+(\w+)[ ]+\((-?)([\w.+-]+)\)[ ]*$", self.code, re.M
-        ):
-            if name in self.constants:
-                raise Fault(f"{name} is defined twice")
-            self.constants[name] = -number(value) if sign else number(value)
-        if re.search(r"^[ ]*#[ ]*(undef|define[ ]+\w+\()", self.code, re.M):
-            raise Fault("the header has macros that this program does not read")
-
-    def constant(self, name: str) -> Fraction:
-        """A constant by its name without the prefix."""
-        full = f"{self.prefix.upper()}_{name}"
-        if full not in self.constants:
-            raise Fault(f"the header has no {full}")
-        return self.constants[full]
-
-    def function(self, name: str) -> str:
-        """The body of a function, between its braces, in one line."""
-        found = re.findall(rf"\b{self.prefix}_{name}\([^)]*\)\s*\{{\n(.*?)\n\}}", self.code, re.S)
-        if len(found) != 1 or "#" in found[0]:
-            raise Fault(f"the header has not one plain function {self.prefix}_{name}")
-        others = set(re.findall(r"#\s*define\s+(\w+)", self.code)) - set(self.constants)
-        if others & set(re.findall(r"\w+", found[0])):
-            raise Fault(f"a macro changes words of {self.prefix}_{name}")
-        return " ".join(found[0].split())
-
+# Part 2. The C of one function, run over a box.
 
 _STATEMENT = re.compile(
     r" ?(?:(?P<branch>if \((?P<condition>[^{}?;]+)\)|else if \((?P<other>[^{}?;]+)\)|else) \{"
@@ -225,8 +170,8 @@ class Run:
     A condition must come out alike in all of the box (its ends count to either side).
     """
 
-    def __init__(self, header: Header, given: Model) -> None:
-        self.header, self.known = header, {"torque_Nm": given}
+    def __init__(self, known: dict[str, Any], given: Model) -> None:
+        self.known = known | {"torque_Nm": given}
 
     def statements(self, code: str) -> None:
         """Runs a block: declarations, assignments, and chains of conditions."""
@@ -243,7 +188,7 @@ class Run:
             taken = taken and found["condition"] is None  # a chain begins with its first if
             condition = found["condition"] or found["other"]
             start, place = place, end_of_block(code, place)
-            if not taken and (condition is None or self.holds(parsed(condition))):
+            if not taken and (condition is None or self.holds(kit.parsed(condition))):
                 taken = True
                 self.statements(code[start : place - 1])
 
@@ -251,9 +196,9 @@ class Run:
         """A value, which may be one of two."""
         choice = _CHOICE.fullmatch(text)
         if choice is None:
-            return self.value(parsed(text))
-        first = self.holds(parsed(choice["condition"]))
-        return self.value(parsed(choice["first" if first else "second"]))
+            return self.value(kit.parsed(text))
+        first = self.holds(kit.parsed(choice["condition"]))
+        return self.value(kit.parsed(choice["first" if first else "second"]))
 
     def holds(self, node: ast.expr) -> bool:
         """Whether a comparison holds in all of the box; else it must hold nowhere."""
@@ -271,39 +216,8 @@ class Run:
 
     def value(self, node: ast.expr) -> Model:
         """What single precision makes of an expression."""
-        match node:
-            case ast.Name(id=name) if name in self.known:
-                return self.known[name]
-            case ast.Name(id=name) if name in self.header.constants:
-                return exact(self.header.constants[name])
-            case ast.Call(func=ast.Name(id="number"), args=[ast.Constant(value=str(text))]):
-                return exact(number(text))
-            case ast.Call(func=ast.Name(id="sqrtf"), args=[inner]):
-                return rounded(self.value(inner).sqrt(), plus=True)
-            case ast.Call(func=ast.Name(id="fabsf"), args=[inner]):
-                value = self.value(inner)
-                if value.low() < 0 < value.high():
-                    raise Fault("the box lies on both sides of zero")
-                return -value if value.high() <= 0 else value
-            case ast.UnaryOp(op=ast.USub(), operand=inner):
-                return -self.value(inner)
-            case ast.BinOp(left=left, op=sign, right=right):
-                a, b = self.value(left), self.value(right)
-                if isinstance(sign, ast.Add | ast.Sub):
-                    return rounded(a + b if isinstance(sign, ast.Add) else a - b)
-                if isinstance(sign, ast.Mult | ast.Div):
-                    positive = a.low() >= 0 and b.low() >= 0
-                    return rounded(a * (b if isinstance(sign, ast.Mult) else b.inverse()), positive)
-        raise Fault(f"the header's C has what is not understood: {ast.unparse(node)[:60]}")
-
-
-@cache
-def parsed(text: str) -> ast.expr:
-    """An expression taken apart; its numbers become number('...')."""
-    try:
-        return ast.parse(NUMBER.sub(r"number('\1\2')", text.strip()), mode="eval").body
-    except SyntaxError:
-        raise Fault(f"the header's C is not understood: '{text[:40]}'") from None
+        found: Model = kit.value(node, self.known, exact, rounded)
+        return found
 
 
 def end_of_block(code: str, place: int) -> int:
@@ -342,26 +256,6 @@ STATED = re.compile(
     r"copper loss (?P<loss_W>\S+) W above the least \((?P<loss_percent>\S+) % from 5 % torque up\)"
 )
 BOUNDS = ("i_d_A", "i_q_A", "torque_Nm", "torque_percent", "loss_W", "loss_percent")
-CONSTANTS = {
-    "pole_pairs": "POLE_PAIRS",
-    "r_s_Ohm": "R_S_OHM",
-    "l_d_H": "L_D_H",
-    "l_q_H": "L_Q_H",
-    "psi_pm_Wb": "PSI_PM_WB",
-}
-
-
-def read_machine(stated: dict[str, str], header: Header) -> dict[str, Fraction]:
-    """The machine of the certificate, which must be that of the header."""
-    machine = {name: Fraction(stated[name]) for name in CONSTANTS}
-    for name, constant in CONSTANTS.items():
-        if single(machine[name]) != header.constant(constant):
-            raise Fault(f"machine, {name}: the header has another {constant}")
-    if min(machine[name] for name in CONSTANTS if name != "psi_pm_Wb") <= 0:
-        raise Fault("machine: a parameter is not positive")
-    if machine["psi_pm_Wb"] < 0 or machine["pole_pairs"].denominator != 1:
-        raise Fault("machine: psi_pm is negative, or pole_pairs not whole")
-    return machine
 
 
 class Reference:
@@ -371,6 +265,10 @@ class Reference:
         self, header: Header, machine: dict[str, Fraction], strategy: str, bounds: dict[str, str]
     ) -> None:
         self.header, self.body = header, header.function("current_reference")
+        self.known: dict[str, Any] = {
+            name: exact(value) for name, value in header.constants.items()
+        }
+        self.known |= {"sqrtf": root, "fabsf": magnitude}
         self.largest = header.constant("TORQUE_MAX_NM")
         self.bounds = {name: Fraction(bounds[name]) for name in BOUNDS}
         self.factor = Fraction(3, 2) * machine["pole_pairs"]
@@ -399,7 +297,7 @@ class Reference:
         """
         runs = []
         for given in (torque, -torque):
-            run = Run(self.header, given)
+            run = Run(self.known, given)
             run.statements(self.body)
             runs.append(run.known)
         if not all("i_d_A" in run and "i_q_A" in run for run in runs):
@@ -543,36 +441,25 @@ def check_reference(claim: dict[str, object], machine: dict[str, Fraction], head
     return reference.statement(stated["strategy"])
 
 
-# Part 4. What is printed.
+# Part 4. What is confirmed.
 
 
-def main(arguments: list[str]) -> int:
-    """Checks the certificate that is named; the header lies beside it."""
-    if len(arguments) != 1:
-        print("write: check_certificate.py PREFIX_certificate.json")
-        return 2
-    path = Path(arguments[0])
-    try:
-        stated = json.loads(path.read_text("utf-8"), parse_float=Fraction)
-        left = "; ".join(stated["not_covered"]) or "nothing else is stated as proven"
-        print(f"not covered: {left}")
-        prefix = path.name.removesuffix("_certificate.json")
-        header = Header((path.parent / f"{prefix}.h").read_text("utf-8"), prefix)
-        machine = read_machine(stated["machine"], header)
-        for claim in stated["claims"]:
-            if claim["name"] == "reference":
-                found = check_reference(claim, machine, header)
-            else:
-                raise Fault(f"a claim '{claim['name']}' is not known here")
-            print(f"confirmed: {found}")
-    except Fault as fault:
-        print(f"not confirmed: {fault}")
-        return 1
-    except (KeyError, TypeError, ValueError, ArithmeticError, OSError) as fault:
-        print(f"not confirmed: the certificate or the header is damaged ({fault!r})")
-        return 1
-    return 0
+def claims(stated: dict[str, Any], beside: kit.Beside) -> Iterator[str]:
+    """What is not covered, and each claim that is confirmed, in words."""
+    yield "; ".join(stated["not_covered"]) or "nothing else is stated as proven"
+    header = Header(beside.text(".h"), beside.prefix)
+    machine = kit.read_machine(stated["machine"], header)
+    for claim in stated["claims"]:
+        match claim["name"]:
+            case "reference":
+                yield check_reference(claim, machine, header)
+            case "margins":
+                yield from margins.check_margins(claim, header, beside.text("_control.h", ""))
+            case name:
+                raise Fault(f"a claim '{name}' is not known here")
 
+
+main = kit.program("check_certificate", "_certificate.json", claims)
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))

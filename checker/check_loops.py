@@ -2,155 +2,42 @@
 
     python -I -S check_loops.py abb2k2_stability.json
 
-The program imports nothing but the standard library, calculates in integers and fractions alone,
-and believes nothing in the certificate: the gains are read from the header's text, cells are cut
-from the box here, and a matrix of the certificate counts only where it does what it should. Read it
-from top to bottom: matrices (part 1), the header (part 2), the loop of a drive (part 3), a cell
-(part 4), the box (part 5), and what is printed (part 6). It ends with 0 where all is confirmed,
-else with 1 and the place where it is not.
+The program imports nothing but the standard library and, beside it, `kit.py` and `cells.py`. It
+calculates in integers and fractions alone, and believes nothing in the certificate: the gains are
+read from the header's text, cells are cut from the box here, and a matrix of the certificate counts
+only where it does what it should. Read it from top to bottom: the header (part 1), the loop of a
+drive (part 2), a cell (part 3), the box (part 4), and what is confirmed (part 5).
 """
 
 from __future__ import annotations
 
 import itertools
-import json
 import re
 import sys
+from collections.abc import Iterator
 from fractions import Fraction
 from math import isqrt
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING or __package__:
+    from . import cells, kit
+else:  # run alone: they lie beside this one
+    sys.path.insert(0, str(Path(__file__).resolve().parent))
+    import cells
+    import kit
+
+BITS, ONE, above, below = kit.BITS, kit.ONE, kit.above, kit.below
+Fault = kit.Fault
+Block = cells.Block
+Header = kit.Header
+Cell = cells.Cell
+Point = cells.Point
+Rows = cells.Rows
+Span = cells.Span
 
 
-class Fault(Exception):
-    """What is not confirmed, in words, with its place."""
-
-
-# Part 1. Matrices of integers in units of 2^-BITS.
-#
-# A Block encloses a matrix: every entry of it lies within r units of that of rows.
-
-BITS = 160
-ONE = 1 << BITS
-Rows = list[list[int]]
-
-
-class Block:
-    """Entries ``rows`` and their common radius ``r``, in units of 2^-BITS."""
-
-    __slots__ = ("r", "rows")
-
-    def __init__(self, rows: Rows, r: int = 0) -> None:
-        self.rows, self.r = rows, r
-
-    def largest(self) -> int:
-        """No entry has a larger magnitude."""
-        return max(abs(x) for row in self.rows for x in row) + self.r
-
-    def norm(self) -> int:
-        """No row has a larger sum of magnitudes."""
-        return max(sum(abs(x) + self.r for x in row) for row in self.rows)
-
-    def __mul__(self, other: Block) -> Block:
-        columns = list(zip(*other.rows))
-        rows = [[sum(map(int.__mul__, x, y)) >> BITS for y in columns] for x in self.rows]
-        cross = self.largest() * other.r + other.largest() * self.r  # a little more than needed
-        return Block(rows, (len(columns) * cross >> BITS) + 2)
-
-
-def unit(size: int) -> Block:
-    """The unit matrix."""
-    return Block([[ONE if i == j else 0 for j in range(size)] for i in range(size)])
-
-
-def exponential(block: Block) -> Block:
-    """The exponential: its series, until all that follows is below two units.
-
-    Term n is at most h^n/n! with h the norm; from n = 2 h on each is at most half the one before.
-    """
-    size, h = len(block.rows), block.norm()
-    if h > 16 * ONE:
-        raise Fault("a loop turns or decays too much in one sample")
-    total, term, bound, n = unit(size), unit(size), ONE, 0
-    while bound > 2 or n * ONE < 2 * h:
-        n += 1
-        term = term * block
-        term = Block([[x // n for x in row] for row in term.rows], term.r // n + 2)
-        bound = (bound * h >> BITS) // n + 2 if bound > 2 else bound
-        rows = [[x + y for x, y in zip(*pair)] for pair in zip(total.rows, term.rows)]
-        total = Block(rows, total.r + term.r)
-    return Block(total.rows, total.r + bound)
-
-
-def fixed(value: Fraction) -> int:
-    """A rational in units, rounded down; it is off by less than one."""
-    return (value.numerator << BITS) // value.denominator
-
-
-def above(value: Fraction) -> int:
-    """A rational in units, rounded up."""
-    return -((-value.numerator << BITS) // value.denominator)
-
-
-def positive(rows: Rows) -> bool:
-    """Whether a symmetric matrix of integers is positive definite: all leading minors are.
-
-    Elimination without fractions; after each step the pivot is the next minor, exactly.
-    """
-    rows, before = [list(row) for row in rows], 1
-    for k in range(len(rows)):
-        pivot = rows[k][k]
-        if pivot <= 0:
-            return False
-        for i in range(k + 1, len(rows)):
-            for j in range(i, len(rows)):
-                made = (rows[i][j] * pivot - rows[k][i] * rows[k][j]) // before
-                rows[i][j] = rows[j][i] = made
-        before = pivot
-    return True
-
-
-# Part 2. The header: its constants and what its comments say.
-
-
-def single(value: Fraction) -> Fraction:
-    """The nearest number of single precision, ties to even."""
-    if value == 0:
-        return value
-    exponent = abs(value.numerator).bit_length() - value.denominator.bit_length()
-    if Fraction(2) ** exponent > abs(value):
-        exponent -= 1
-    step = Fraction(2) ** max(exponent - 23, -149)
-    return round(value / step) * step
-
-
-class Header:
-    """Constants of a header, and the words of the comments of all that belong to it."""
-
-    def __init__(self, text: str, prefix: str, further: str = "") -> None:
-        self.prefix = prefix
-        comments = re.findall(r"/\*.*?\*/", text + further, re.S)
-        self.said = " ".join(re.sub(r"\s+\*?\s*", " ", comment) for comment in comments)
-        code = re.sub(r"/\*.*?\*/|//[^\n]*", " ", text, flags=re.S)
-        self.constants: dict[str, Fraction] = {}
-        if re.search(r"^\s*#\s*undef", code, re.M):
-            raise Fault("the header takes a constant back")
-        for name, value in re.findall(
-            r"^\s*#\s*define\s+(\w+)\s+\((-?[\d.]+(?:[eE][-+]?\d+)?[Ff]?)\)\s*$", code, re.M
-        ):
-            if len(re.findall(rf"#\s*define\s+{name}\b", code)) != 1:
-                raise Fault(f"{name} is defined twice")
-            digits = value.rstrip("Ff")
-            number = Fraction(digits)
-            self.constants[name] = number if digits == value else single(number)
-
-    def constant(self, name: str) -> Fraction:
-        """A constant by its name without the prefix."""
-        full = f"{self.prefix.upper()}_{name}"
-        if full not in self.constants:
-            raise Fault(f"the header has no {full}")
-        return self.constants[full]
-
+# Part 1. The header: its constants and what its comments say.
 
 # Constants that the loop is made of, with the inputs of the certificate that must be the same.
 CONSTANTS = (
@@ -162,106 +49,52 @@ CONSTANTS = (
     ("decoupling", 0, "L_D_H"),
     ("decoupling", 1, "L_Q_H"),
 )
-PAIRS = ("kp", "ki_ts", "decoupling", "r_s", "dead_time", "l_d", "l_q", "gain")
-LAW = (
-    r"PI controller of {axis}: [^/]*?d\[k\] = d\[k-1\] \+ kp \(e\[k\] - e\[k-1\]\) \+ ki_ts e\[k\]"
-)
-STATED = re.compile(
-    r"Both current loops together: proven stable for every drive in the box at every constant "
-    r"speed up to (?P<rpm>\S+) rpm either way \([^)]*\): resistance (?P<r_s>.+?) Ohm, (?:dead time "
-    r"worth (?P<dead_time>.+?) Ohm, )?l_d (?P<l_d>.+?) mH, l_q (?P<l_q>.+?) mH, voltage gain "
-    r"(?P<gain>.+?), each constant;"
-)
+RANGES = ("r_s", "dead_time", "l_d", "l_q", "gain")
 BOUNDED = re.compile(
     r"Sensitivity of both axes together up to [^;]*; proven below (\S+), so that voltages"
 )
-# Ranges of the drives, with how they are called, their unit, and how often it is in the header's.
-RANGES = {
-    "r_s": ("resistance", " Ohm", 1),
-    "dead_time": ("dead time worth", " Ohm", 1),
-    "l_d": ("l_d", " H", 1000),
-    "l_q": ("l_q", " H", 1000),
-    "gain": ("voltage gain", "", 1),
-}
-
-
-def near(text: str, value: Fraction) -> bool:
-    """Whether a number of four digits is this one, rounded."""
-    shown = Fraction(text)
-    return abs(shown - value) * 1999 <= abs(value)
 
 
 class Box:
     """The control of the header, and the drives that the certificate is about."""
 
     def __init__(self, inputs: dict[str, Any], header: Header) -> None:
-        if set(inputs) != {*PAIRS, "t_s", "omega_e"}:
+        if set(inputs) != {*(name for name, _, _ in CONSTANTS), *RANGES, "omega_e"}:
             raise Fault("inputs: they are not those of a box of drives")
-        for name in PAIRS:
-            if len(inputs[name]) != 2:
-                raise Fault(f"inputs, {name}: it is no pair")
         found: dict[str, list[Fraction]] = {"t_s": [], "kp": [], "ki_ts": [], "decoupling": []}
         for name, place, constant in CONSTANTS:
             stated = inputs[name] if place is None else inputs[name][place]
-            found[name].append(header.constant(constant))
-            if single(Fraction(stated)) != found[name][-1]:
-                raise Fault(f"inputs, {name}: the header has another {constant}")
+            found[name].append(header.same(stated, constant, f"inputs, {name}"))
         # What runs is what the header has: its constants count, not those of the certificate.
-        self.t_s, self.kp, self.ki_ts = found["t_s"][0], found["kp"], found["ki_ts"]
-        self.decoupling = found["decoupling"]
-        self.ranges = {name: [Fraction(end) for end in inputs[name]] for name in RANGES}
+        (self.t_s,), self.kp, self.ki_ts, self.decoupling = found.values()
+        self.ranges = cells.spans_of(inputs, RANGES)
         self.omega_e = Fraction(inputs["omega_e"])
         self.pole_pairs = header.constant("POLE_PAIRS")
-        for name, (low, high) in self.ranges.items():
-            if low > high or (name != "dead_time" and low < 0):
-                raise Fault(f"inputs, {name}: it ends before it begins, or is negative")
-        if min(self.ranges[name][0] for name in ("l_d", "l_q", "gain")) <= 0:
-            raise Fault("inputs: an inductance or the gain is not positive")
         if min(self.t_s, *self.decoupling, self.pole_pairs) <= 0 or self.omega_e < 0:
             raise Fault("inputs: a period, inductance or speed is not positive")
         self.rho = [self.t_s / inductance for inductance in self.decoupling]
-        self._law(header)
-        self.promised = self._promised(header)
-
-    def _law(self, header: Header) -> None:
-        """The control must be the one that part 3 has."""
         for axis in ("i_d", "i_q"):
-            if not re.search(LAW.format(axis=axis), header.said):
-                raise Fault(f"the header states another law of {axis}")
+            cells.check_law(header, axis)
         for words in ("v_q += omega_e (L_D i_d + PSI_PM)", "v_d -= omega_e L_Q i_q"):
             if words not in header.said:
                 raise Fault(f"the header does not decouple by {words}")
-
-    def _promised(self, header: Header) -> bool:
-        """Whether the header says of every drive of this box that it is stable."""
-        said = STATED.search(header.said)
-        if said is None:
-            return False
+        # Whether the header says of every drive of this box that it is stable.
+        said = cells.stated_of(header, self.ranges)
+        self.promised = said is not None
         rpm = self.omega_e / self.pole_pairs * 30 / Fraction("3.14159265358979323846")
-        if not near(said["rpm"], rpm):
+        if said is not None and not cells.near(said["rpm"], rpm):
             raise Fault(f"the header states {said['rpm']} rpm, the certificate {float(rpm):.6g}")
-        for name, (_, _, scale) in RANGES.items():
-            words = said[name] or "0"
-            shown = words.split(" to ") if " to " in words else [words, words]
-            for text, end in zip(shown, self.ranges[name]):
-                if not near(text, end * scale):
-                    raise Fault(f"the header states another {name} ({words}) than the certificate")
-        return True
 
     def words(self) -> str:
         """The drives, in words."""
-        parts = []
-        for name, words in RANGES.items():
-            low, high = (f"{float(end):.6g}" for end in self.ranges[name])
-            parts.append(f"{words[0]} {low} to {high}{words[1]}")
         return (
-            f"{', '.join(parts)}, each constant, at every constant speed up to "
+            f"{cells.spoken(self.ranges)}, each constant, at every constant speed up to "
             f"{float(self.omega_e):.6g} rad/s electrical ({float(self.pole_pairs):g} pole pairs), "
             "either way"
         )
 
 
-# Part 3. The loop of a drive.
+# Part 2. The loop of a drive.
 #
 # With psi the flux linkages of the currents, v the voltage, g its gain and phi = psi/(g t_s), of
 # both axes in rotor coordinates, dphi/dt t_s = F phi + v' with
@@ -283,36 +116,31 @@ class Box:
 # Magnet, references and disturbances move no pole. Mirrored in d the loop is that of -x: x >= 0 is
 # enough. In the exponential of [F, 1; 0, W] Phi is at the upper left, the integral beside it.
 
-Point = tuple[Fraction, ...]
-
 
 def loop_of(box: Box, point: Point) -> Block:
     """The loop of the drive b_d, b_q, s, x: phi+, v+, I+ of phi, v, I, each of (d, q)."""
     b_d, b_q, s, x = point
-    turn, decay = fixed(x), [fixed(-s * rho * b) for rho, b in zip(box.rho, (b_d, b_q))]
-    held = exponential(
-        Block(
-            [
-                [decay[0], turn, ONE, 0],
-                [-turn, decay[1], 0, ONE],
-                [0, 0, 0, turn],
-                [0, 0, -turn, 0],
-            ],
-            1,
-        )
+    turn, decay = below(x), [below(-s * rho * b) for rho, b in zip(box.rho, (b_d, b_q))]
+    held = cells.exponential(
+        [
+            [decay[0], turn, ONE, 0],
+            [-turn, decay[1], 0, ONE],
+            [0, 0, 0, turn],
+            [0, 0, -turn, 0],
+        ]
     )
-    half = fixed(-x / 2)
+    half = below(-x / 2)
     integral = Block([row[2:] for row in held.rows[:2]], held.r)
-    gamma = integral * exponential(Block([[0, half], [-half, 0]], 2))
+    gamma = integral * cells.exponential([[0, half], [-half, 0]], 2)
     both = [(kp + ki) * rho for kp, ki, rho in zip(box.kp, box.ki_ts, box.rho)]
     own = [ki * rho for ki, rho in zip(box.ki_ts, box.rho)]
     rows = [
         [*held.rows[0][:2], *gamma.rows[0], 0, 0],
         [*held.rows[1][:2], *gamma.rows[1], 0, 0],
-        [fixed(-both[0] * b_d), fixed(-x * b_q), 0, 0, ONE, 0],
-        [fixed(x * b_d), fixed(-both[1] * b_q), 0, 0, 0, ONE],
-        [fixed(-own[0] * b_d), 0, 0, 0, ONE, 0],
-        [0, fixed(-own[1] * b_q), 0, 0, 0, ONE],
+        [below(-both[0] * b_d), below(-x * b_q), 0, 0, ONE, 0],
+        [below(x * b_d), below(-both[1] * b_q), 0, 0, 0, ONE],
+        [below(-own[0] * b_d), 0, 0, 0, ONE, 0],
+        [0, below(-own[1] * b_q), 0, 0, 0, ONE],
     ]
     return Block(rows, max(held.r, gamma.r, 1))
 
@@ -325,7 +153,7 @@ def disturbed(loop: Block) -> Block:
     return Block(rows, loop.r)
 
 
-# Part 4. A cell: least and largest b_d, b_q, s and x.
+# Part 3. A cell: least and largest b_d, b_q, s and x.
 #
 # A function f of one parameter differs from the straight line between the ends of an interval of
 # width w by at most w^2/8 times its largest second derivative. Taken in one parameter after the
@@ -376,14 +204,9 @@ class Witness:
     """A matrix P, and whether it proves a cell."""
 
     def __init__(self, entries: list[Any], bound: Fraction | None) -> None:
-        values = iter(fixed(Fraction(entry)) for entry in entries)
-        held = [[0] * 6 for _ in range(6)]
-        for i, j in itertools.combinations_with_replacement(range(6), 2):
-            held[i][j] = held[j][i] = next(values)
-        if not positive(held):
-            raise Fault("its matrix is not positive definite")
+        held = cells.symmetric(entries, 6)
         self.bound = bound
-        self.before = held if bound is None else bordered(held, fixed(bound * bound))
+        self.before = held if bound is None else bordered(held, below(bound * bound))
         self.after = held if bound is None else bordered(held, ONE)
         p, q, cross = held[0][0], held[1][1], held[0][1]
         self.largest = (p + q + isqrt((p - q) ** 2 + 4 * cross**2) + 2) // 2  # l, rounded up
@@ -407,8 +230,7 @@ class Witness:
 
     def falls(self, loop: Block, weights: tuple[int, int], power: int) -> bool:
         """The condition at a corner, with t = 2^power."""
-        p, rows, size = self.after, loop.rows, len(loop.rows)
-        shift = BITS - power
+        p, size, shift = self.after, len(loop.rows), BITS - power
         if shift < 0:
             return False
         q = [
@@ -418,24 +240,9 @@ class Witness:
             ]
             for i in range(size)
         ]  # not below P + t P U U' P: what is rounded down, the diagonal makes good
-        turned = [[sum(map(int.__mul__, line, column)) for column in zip(*rows)] for line in q]
-        form = [
-            [sum(map(int.__mul__, column, other)) for other in zip(*turned)]
-            for column in zip(*rows)
-        ]
-        # What the radius of the loop can change in a form, and a unit for each rounding below.
-        most = max(abs(x) for line in q for x in line)
-        change = size**3 * most * (2 * loop.largest() + loop.r) * loop.r
-        margin = (change >> (2 * BITS)) + 1 + size
         divisor = (ONE >> power if power >= 0 else ONE << -power) + 1 + self.largest
         lost = [-(-weight * divisor >> BITS) for weight in weights]
-        fall = [
-            [self.before[i][j] - (form[i][j] >> (2 * BITS)) for j in range(size)]
-            for i in range(size)
-        ]
-        for i in range(size):
-            fall[i][i] -= margin + (lost[i // 2] if i < 4 else 0)
-        return positive(fall)
+        return cells.falls(self.before, q, loop, [lost[0]] * 2 + [lost[1]] * 2 + [0] * (size - 4))
 
 
 def bordered(held: Rows, value: int) -> Rows:
@@ -444,7 +251,7 @@ def bordered(held: Rows, value: int) -> Rows:
     return [*([*row, 0, 0] for row in held), [0] * size + [value, 0], [0] * size + [0, value]]
 
 
-# Part 5. The box: cut into cells that leave nothing out.
+# Part 4. The box: cut into cells that leave nothing out.
 #
 # A drive has b_a = g L'_a/L_a and s = R/g + c. So a cell can hold drives only with gains
 #
@@ -455,7 +262,7 @@ def bordered(held: Rows, value: int) -> Rows:
 # cut further. Its ends are rounded outward.
 
 
-def reach(box: Box, least: Fraction, most: Fraction) -> list[tuple[Fraction, Fraction]]:
+def reach(box: Box, least: Fraction, most: Fraction) -> list[Span]:
     """How far b_d, b_q and s go with voltage gains between two."""
     (r_low, r_high), (c_low, c_high) = box.ranges["r_s"], box.ranges["dead_time"]
     (d_low, d_high), (q_low, q_high) = box.ranges["l_d"], box.ranges["l_q"]
@@ -467,7 +274,7 @@ def reach(box: Box, least: Fraction, most: Fraction) -> list[tuple[Fraction, Fra
     ]
 
 
-def shrunk(box: Box, low: Point, high: Point) -> tuple[Point, Point] | None:
+def shrunk(box: Box, low: Point, high: Point) -> Cell | None:
     """The part of a cell that can hold drives; None where there are none."""
     least, most = box.ranges["gain"]
     for axis, name in enumerate(("l_d", "l_q")):
@@ -483,116 +290,60 @@ def shrunk(box: Box, low: Point, high: Point) -> tuple[Point, Point] | None:
         most = min(most, r_high / under)
     if least > most:
         return None
-    ends = reach(box, least, most)
-    first = [max(own, other) for own, (other, _) in zip(low, ends)]
-    last = [min(own, other) for own, (_, other) in zip(high, ends)]
-    return (
-        tuple(Fraction(fixed(value), ONE) for value in (*first, low[3])),
-        tuple(Fraction(above(value), ONE) for value in (*last, high[3])),
-    )
-
-
-def halves(place: str, low: Point, high: Point, cut: list[Any]) -> list[tuple[Point, Point]]:
-    """Both sides of a cut, that below last."""
-    axis, value = cut[0], Fraction(cut[1])
-    if isinstance(axis, bool) or axis not in (0, 1, 2, 3):
-        raise Fault(f"{place}: it is cut in a parameter that there is not")
-    if not low[axis] < value < high[axis]:
-        raise Fault(f"{place}: its cut lies outside")
-    upper = tuple(value if k == axis else end for k, end in enumerate(high))
-    lower = tuple(value if k == axis else end for k, end in enumerate(low))
-    return [(lower, high), (low, upper)]
+    ends = [*reach(box, least, most), (low[3], high[3])]
+    found = [
+        cells.outward(max(a, first), min(b, last)) for a, b, (first, last) in zip(low, high, ends)
+    ]
+    return tuple(a for a, _ in found), tuple(b for _, b in found)
 
 
 def check_tree(box: Box, tree: list[Any], bound: Fraction | None, name: str) -> int:
     """Goes over all cells; how many are left open."""
     ends = [*reach(box, *box.ranges["gain"]), (Fraction(0), box.omega_e * box.t_s)]
-    waiting = [(tuple(low for low, _ in ends), tuple(high for _, high in ends))]
-    left = 0
-    for row, verdict in enumerate(tree):
-        if not waiting:
-            raise Fault(f"{name}, row {row}: all of the box is cut already")
-        low, high = waiting.pop()
-        spans = zip(("b_d", "b_q", "s", "x"), low, high)
-        span = ", ".join(f"{what} {float(a):.6g} to {float(b):.6g}" for what, a, b in spans)
-        place = f"{name}, row {row} ({span})"
-        cell = shrunk(box, low, high)
-        if verdict == "open":
-            left += 1
-        elif verdict == "empty":
-            if cell is not None:
-                raise Fault(f"{place}: it is called empty and holds drives")
-        elif isinstance(verdict, list) and len(verdict) == 2:
-            waiting += halves(place, *(cell or (low, high)), verdict)
-        elif isinstance(verdict, list) and len(verdict) == 21:
-            if cell is None:
-                continue
-            try:
-                Witness(verdict, bound).proves(box, *cell)
-            except Fault as fault:
-                raise Fault(f"{place}: {fault}") from None
-        else:
-            raise Fault(f"{place}: it is neither cut, empty, open, nor proven")
-    if waiting:
-        raise Fault(f"{name}: {len(waiting)} cells are left out at its end")
-    return left
+    start = tuple(low for low, _ in ends), tuple(high for _, high in ends)
+    left = cells.walk(
+        tree,
+        start,
+        ("b_d", "b_q", "s", "x"),
+        lambda low, high: shrunk(box, low, high),
+        lambda verdict, cell: Witness(verdict, bound).proves(box, *cell),
+        name,
+    )
+    return len(left)
 
 
-# Part 6. What is printed.
+# Part 5. What is confirmed.
 
 
-def check_stability(stated: dict[str, Any], header: Header) -> list[str]:
-    """What is confirmed of a certificate, in words."""
+def claims(stated: dict[str, Any], beside: kit.Beside) -> Iterator[str]:
+    """What is not covered, and each claim that is confirmed, in words."""
+    yield (
+        "limits of the voltage, rounding of the control, drives that change, "
+        "inductances that depend on the current"
+    )
+    header = Header(beside.text(".h"), beside.prefix, beside.text("_control.h", ""))
     box = Box(stated["inputs"], header)
     left = check_tree(box, stated["tree"], None, "stability")
     if left and box.promised:
         raise Fault(f"stability: the header says it of every drive; {left} cells are left open")
     but = f" but those in {left} cells that are left open" if left else ""
-    said = [f"both current loops together are stable for every drive{but} with {box.words()}"]
+    yield f"both current loops together are stable for every drive{but} with {box.words()}"
     bound = BOUNDED.search(header.said)
     sensitivity = stated.get("sensitivity")
     if sensitivity is None:
         if bound is not None:
             raise Fault(f"sensitivity: the header states {bound[1]}, the certificate nothing")
-        return said
+        return
     most = Fraction(sensitivity["bound"])
-    if bound is not None and Fraction(bound[1]) < most and not near(bound[1], most):
+    if bound is not None and Fraction(bound[1]) < most and not cells.near(bound[1], most):
         raise Fault(f"sensitivity: the header states {bound[1]}, not {float(most):g}")
     left = check_tree(box, sensitivity["tree"], most, "sensitivity")
     if left:
         raise Fault(f"sensitivity: {left} cells are left open")
-    return [
-        *said,
-        f"the sensitivity of both axes together is below {float(most):g} for all of them",
-    ]
+    yield f"the sensitivity of both axes together is below {float(most):g} for all of them"
 
 
-def main(arguments: list[str]) -> int:
-    """Checks the certificate that is named; the headers lie beside it."""
-    if len(arguments) != 1:
-        print("write: check_loops.py PREFIX_stability.json")
-        return 2
-    path = Path(arguments[0])
-    try:
-        stated = json.loads(path.read_text("utf-8"), parse_float=Fraction)
-        prefix = path.name.removesuffix("_stability.json")
-        control = path.parent / f"{prefix}_control.h"
-        further = control.read_text("utf-8") if control.exists() else ""
-        header = Header((path.parent / f"{prefix}.h").read_text("utf-8"), prefix, further)
-        print(
-            "not covered: limits of the voltage, rounding of the control, drives that change, "
-            "inductances that depend on the current, margins of each loop, the speed loop"
-        )
-        for words in check_stability(stated, header):
-            print(f"confirmed: {words}")
-    except Fault as fault:
-        print(f"not confirmed: {fault}")
-        return 1
-    except (KeyError, TypeError, ValueError, ArithmeticError, OSError) as fault:
-        print(f"not confirmed: the certificate or the header is damaged ({fault!r})")
-        return 1
-    return 0
-
+main = kit.program("check_loops", "_stability.json", claims)
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))

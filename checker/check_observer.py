@@ -2,36 +2,34 @@
 
     python -I -S check_observer.py pump_observer.json
 
-The program imports nothing but the standard library and the matrices of `check_loops.py` beside it
-(its part 1), and calculates in integers and fractions alone. It believes nothing in the
-certificate: the numbers of the observer and its C are read from the header's text, speeds are cut
-into cells here, and the matrix of the certificate counts only where it does what it should. Read it
-from top to bottom: the header (part 1), the error (part 2), the range (part 3), and what is printed
-(part 4). It ends with 0 where all is confirmed, else with 1 and the place where it is not.
+The program imports nothing but the standard library and, beside it, `kit.py` and `cells.py`. It
+calculates in integers and fractions alone, and believes nothing in the certificate: the numbers of
+the observer and its C are read from the header's text, speeds are cut into cells here, and the
+matrix of the certificate counts only where it does what it should. Read it from top to bottom: the
+header (part 1), the error (part 2), the range (part 3), and what is confirmed (part 4).
 """
 
 from __future__ import annotations
 
 import itertools
-import json
 import re
 import sys
+from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING or __package__:
-    from . import check_loops as base
-else:  # run alone: it lies beside this one
+    from . import cells, kit
+else:  # run alone: they lie beside this one
     sys.path.insert(0, str(Path(__file__).resolve().parent))
-    import check_loops as base
+    import cells
+    import kit
 
-BITS, ONE = base.BITS, base.ONE
-Block = base.Block
-Fault = base.Fault
-Span = tuple[Fraction, Fraction]
+ONE, Fault, below = kit.ONE, kit.Fault, kit.below
+Rows = cells.Rows
+Span = cells.Span
 Matrix = list[list[Fraction]]
-Rows = list[list[int]]
 
 
 # Part 1. The header: numbers of the observer, and the C that part 2 is about.
@@ -95,7 +93,7 @@ class Observer:
     """Numbers of the header's observer."""
 
     def __init__(self, text: str, prefix: str) -> None:
-        code = " ".join(re.sub(r"/\*.*?\*/|//[^\n]*", " ", text, flags=re.S).split())
+        code = " ".join(kit.uncommented(text).split())
         code = code.replace(f"{prefix}_", "P_").replace(f"{prefix.upper()}_", "P_")
         for name, body in CODE.items():
             found = re.findall(rf"\bP_{name}\([^)]*\) {{ (.*?) }} (?:static|#|typedef)", code)
@@ -108,7 +106,7 @@ class Observer:
         found = re.findall(r"const P_flux_gains_t P_FLUX_GAINS = {([^;]*)};", code)
         if len(found) != 1:
             raise Fault(f"the header has not one {prefix.upper()}_FLUX_GAINS")
-        listed = [base.single(Fraction(each)) for each in re.findall(r"[-\d.e+]+(?=F)", found[0])]
+        listed = [kit.single(Fraction(each)) for each in re.findall(r"[-\d.e+]+(?=F)", found[0])]
         if len(listed) != 14 or "{" not in found[0]:
             raise Fault(f"{prefix.upper()}_FLUX_GAINS has not 14 numbers")
         self.t_s, drop, half_drop, self.end, l_q_path = listed[:5]
@@ -155,21 +153,9 @@ def error_matrix(observer: Observer, corner: tuple[Fraction, ...]) -> Matrix:
 
 def falls(matrix: Rows, square: int, after: Matrix) -> bool:
     """Whether l^2 P - A' P A is positive definite; P and l^2 in units, l^2 rounded down."""
-    rows, size = [[base.fixed(x) for x in row] for row in after], len(matrix)
-    columns = list(zip(*rows))
-    turned = [[sum(map(int.__mul__, line, column)) for column in columns] for line in matrix]
-    form = [[sum(map(int.__mul__, x, y)) >> 2 * BITS for y in zip(*turned)] for x in columns]
-    # What a unit in each entry of A can change in the form, and a unit for each rounding.
-    most, largest = (max(abs(x) for line in held for x in line) for held in (matrix, rows))
-    margin = (size**3 * most * (2 * largest + 1) >> 2 * BITS) + 1 + 2 * size
-    fall = [
-        [
-            (square * x >> BITS) - y - (margin if i == j else 0)
-            for j, (x, y) in enumerate(zip(*pair))
-        ]
-        for i, pair in enumerate(zip(matrix, form))
-    ]
-    return base.positive(fall)
+    before = [[square * x >> kit.BITS for x in row] for row in matrix]
+    step = cells.Block([[below(x) for x in row] for row in after], 1)
+    return cells.falls(before, matrix, step, [0] * len(matrix))
 
 
 # Part 3. The range of speeds: cut into cells until all are proven.
@@ -179,8 +165,8 @@ NARROWEST = Fraction(1, 2**10)  # Of the range: a cell that is not proven there 
 
 def turned_by(x: Fraction) -> tuple[Span, Span]:
     """Enclosures of cos x and sin x."""
-    turn = base.fixed(x)
-    found = base.exponential(Block([[0, -turn], [turn, 0]], 1))
+    turn = below(x)
+    found = cells.exponential([[0, -turn], [turn, 0]])
     cosine, sine = found.rows[0][0], found.rows[1][0]
     ends = [(Fraction(y - found.r, ONE), Fraction(y + found.r, ONE)) for y in (cosine, sine)]
     return ends[0], ends[1]
@@ -200,7 +186,7 @@ def check_range(observer: Observer, matrix: Rows, square: int, omega: Span, i_q:
         if all(falls(matrix, square, error_matrix(observer, corner)) for corner in corners):
             done += 1
             continue
-        middle = Fraction(base.fixed((low + high) / 2), ONE)
+        middle = Fraction(below((low + high) / 2), ONE)
         if high - low < (omega[1] - omega[0]) * observer.t_s * NARROWEST or low == high:
             ends = " to ".join(f"{float(x / observer.t_s):.6g}" for x in (low, high))
             raise Fault(f"observer, {ends} rad/s: its matrix does not prove it")
@@ -208,7 +194,7 @@ def check_range(observer: Observer, matrix: Rows, square: int, omega: Span, i_q:
     return done
 
 
-# Part 4. What is printed.
+# Part 4. What is confirmed.
 
 
 def check_observer(stated: dict[str, Any], text: str, prefix: str) -> str:
@@ -220,15 +206,8 @@ def check_observer(stated: dict[str, Any], text: str, prefix: str) -> str:
         raise Fault("observer: its range is none, or beyond 1.5 rad per sample")
     if not 0 < factor < 1 or observer.alpha_0 + observer.alpha_1 * high * observer.t_s >= 1:
         raise Fault("observer: its errors do not shrink, or nothing of the voltage model is left")
-    if len(stated["matrix"]) != 10:
-        raise Fault("observer: its matrix has not ten entries")
-    entries = iter(base.fixed(Fraction(entry)) for entry in stated["matrix"])
-    matrix = [[0] * 4 for _ in range(4)]
-    for i, j in itertools.combinations_with_replacement(range(4), 2):
-        matrix[i][j] = matrix[j][i] = next(entries)
-    if not base.positive(matrix):
-        raise Fault("observer: its matrix is not positive definite")
-    check_range(observer, matrix, base.fixed(factor * factor), (low, high), i_q)
+    matrix = cells.symmetric(stated["matrix"], 4)
+    check_range(observer, matrix, below(factor * factor), (low, high), i_q)
     return (
         f"small errors of {prefix}_flux_step on the machine that it knows shrink by "
         f"{float(factor):g} per sample or faster, in one norm, while the electrical speed varies "
@@ -237,29 +216,16 @@ def check_observer(stated: dict[str, Any], text: str, prefix: str) -> str:
     )
 
 
-def main(arguments: list[str]) -> int:
-    """Checks the certificate that is named; the header lies beside it."""
-    if len(arguments) != 1:
-        print("write: check_observer.py PREFIX_observer.json")
-        return 2
-    path = Path(arguments[0])
-    try:
-        stated = json.loads(path.read_text("utf-8"), parse_float=Fraction)
-        prefix = path.name.removesuffix("_observer.json")
-        text = (path.parent / f"{prefix}_observer.h").read_text("utf-8")
-        print(
-            "not covered: rounding of the observer and of its cosine, a machine other than it "
-            "knows, large errors, standstill, what the voltage model leaves of changing currents"
-        )
-        print(f"confirmed: {check_observer(stated, text, prefix)}")
-    except Fault as fault:
-        print(f"not confirmed: {fault}")
-        return 1
-    except (KeyError, TypeError, ValueError, ArithmeticError, OSError) as fault:
-        print(f"not confirmed: the certificate or the header is damaged ({fault!r})")
-        return 1
-    return 0
+def claims(stated: dict[str, Any], beside: kit.Beside) -> Iterator[str]:
+    """What is not covered, and the claim that is confirmed, in words."""
+    yield (
+        "rounding of the observer and of its cosine, a machine other than it "
+        "knows, large errors, standstill, what the voltage model leaves of changing currents"
+    )
+    yield check_observer(stated, beside.text("_observer.h"), beside.prefix)
 
+
+main = kit.program("check_observer", "_observer.json", claims)
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))

@@ -2,153 +2,47 @@
 
     python -I -S check_ranges.py abb2k2_ranges.json
 
-The program imports nothing but the standard library and the reader of C beside it, `c_text.py`, and
-calculates in integers and fractions alone. It runs every function that the certificate names on
-ranges in place of numbers, and believes nothing: what the certificate tells of a state must hold
-again after each call. Read it from top to bottom: numbers (part 1), running the C (part 2), two
-inequalities (part 3), the certificate (part 4), and what is printed (part 5). It ends with 0 where
-all is confirmed, else with 1 and the place where it is not.
+The program imports nothing but the standard library and, beside it, `kit.py`, the reader of C
+`c_text.py`, and the numbers of `nodes.py`. It calculates in integers and fractions alone. It runs
+every function that the certificate names on ranges in place of numbers, and believes nothing: what
+the certificate tells of a state must hold again after each call. Read it from top to bottom:
+running the C (part 1), the certificate (part 2), and what is confirmed (part 3).
 """
 
 from __future__ import annotations
 
-import importlib
-import json
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Iterator
 from fractions import Fraction
-from math import isqrt
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-sys.path.insert(0, str(Path(__file__).parent))
-c_text = importlib.import_module("c_text")
-sys.path.pop(0)
-Fault: type[Exception] = c_text.Fault
-LIMITS: dict[str, tuple[int, int]] = c_text.LIMITS
-STRENGTH: dict[str, int] = c_text.STRENGTH
-common: Callable[..., str] = c_text.common
-Tree = tuple[Any, ...]
+if TYPE_CHECKING or __package__:
+    from . import c_text, kit, nodes
+else:  # run alone: they lie beside this one
+    sys.path.insert(0, str(Path(__file__).resolve().parent))
+    import c_text
+    import kit
+    import nodes
 
-
-# Part 1. Numbers: ranges that remember what they were made of.
-#
-# A Node is a value of the C on one way through a function: all integers from low to high, and the
-# operation that made it. Where a condition is taken to hold, ranges become narrower, and with them
-# those of what they were made of (narrow). So |d| <= 32766 tells of d, and x x <= 9 of x.
-
-
-class Impossible(Exception):
-    """No number takes this way through a function."""
+Fault = kit.Fault
+LIMITS, STRENGTH, common = c_text.LIMITS, c_text.STRENGTH, c_text.common
+Tree = c_text.Tree
+Impossible = nodes.Impossible
+Node = nodes.Node
+Pointer = nodes.Pointer
+corners, each, fresh, hull, used = nodes.corners, nodes.each, nodes.fresh, nodes.hull, nodes.used
 
 
-class Node:
-    """All integers from ``low`` to ``high``, of a type; made by ``op`` of nodes."""
-
-    __slots__ = ("fact", "high", "kind", "lost", "low", "of", "op")
-
-    def __init__(
-        self, low: int, high: int, kind: str, op: str = "", of: tuple[Node, ...] = ()
-    ) -> None:
-        self.low, self.high, self.kind, self.op, self.of = low, high, kind, op, of
-        self.lost = ""  # says where a conversion may have taken digits off
-        self.fact: tuple[Node, Fraction] | None = None  # of part 4
-
-    def narrow(self, low: int, high: int) -> None:
-        """It is known to lie there, too."""
-        low, high = max(low, self.low), min(high, self.high)
-        if low > high:
-            raise Impossible
-        if (low, high) == (self.low, self.high):
-            return
-        self.low, self.high = low, high
-        of = self.of
-        match self.op:
-            case "same":
-                of[0].narrow(low, high)
-            case "neg":
-                of[0].narrow(-high, -low)
-            case "+":
-                of[0].narrow(low - of[1].high, high - of[1].low)
-                of[1].narrow(low - of[0].high, high - of[0].low)
-            case "-":
-                of[0].narrow(low + of[1].low, high + of[1].high)
-                of[1].narrow(of[0].low - high, of[0].high - low)
-            case ">>" if of[1].low == of[1].high:
-                of[0].narrow(low << of[1].low, (high + 1 << of[1].low) - 1)
-            case "*" if of[0] is of[1]:
-                of[0].narrow(-isqrt(max(high, 0)), isqrt(max(high, 0)))
-                if low > 0 and (of[0].low >= 0 or of[0].high <= 0):
-                    least = isqrt(low - 1) + 1
-                    of[0].narrow(*((least, of[0].high) if of[0].low >= 0 else (of[0].low, -least)))
-            case "*" if of[1].low == of[1].high > 0:
-                of[0].narrow(-(-low // of[1].low), high // of[1].low)
-
-
-class Struct(dict[str, Any]):
-    """Members by name."""
-
-
-class Pointer:
-    """A place in an array: the array and the index of what it points to."""
-
-    def __init__(self, array: list[Any], index: Node) -> None:
-        self.array, self.index = array, index
-
-
-def hull(values: list[Any]) -> Any:
-    """What holds all values; it forgets what they were made of."""
-    first = values[0]
-    if isinstance(first, Node):
-        if all(x is first for x in values):
-            return first
-        for value in values:
-            if value.lost:
-                raise Fault(value.lost)
-        return Node(min(x.low for x in values), max(x.high for x in values), first.kind)
-    if isinstance(first, dict):
-        return Struct({name: hull([x[name] for x in values]) for name in first})
-    if isinstance(first, list):
-        return [hull(list(column)) for column in zip(*values)]
-    return None
-
-
-def copied(value: Any, fresh: bool = True) -> Any:
-    """A copy whose members can change; fresh nodes know nothing of what made them."""
-    if isinstance(value, Node):
-        if not fresh or value.low == value.high:
-            return value
-        if value.lost:
-            raise Fault(value.lost)
-        return Node(value.low, value.high, value.kind)
-    if isinstance(value, dict):
-        return Struct({name: copied(x, fresh) for name, x in value.items()})
-    if isinstance(value, list):
-        return [copied(x, fresh) for x in value]
-    return value
-
-
-def spans(value: Any) -> Any:
-    """Ranges alone: what a call is known by."""
-    if isinstance(value, Node):
-        if value.lost:
-            raise Fault(value.lost)
-        return (value.low, value.high)
-    if isinstance(value, dict):
-        return tuple(map(spans, value.values()))
-    if isinstance(value, list):
-        return tuple(map(spans, value))
-    return (id(value.array), spans(value.index)) if isinstance(value, Pointer) else value
-
-
-# Part 2. Running the C on ranges.
+# Part 1. Running the C on ranges.
 #
 # A condition that ranges do not decide is tried both ways, one run after the other; what the ways
 # leave is put together where the function ends. A function without conditions is run in place, so
 # that what it makes remembers what it was made of.
 
 MOST_WAYS, MOST_ROUNDS = 20000, 80
+NOT = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
 
 
 class Run:
@@ -156,7 +50,8 @@ class Run:
 
     def __init__(self, code: Any, cuts: dict[str, int], wraps: list[str]) -> None:
         self.code, self.cuts, self.wraps = code, cuts, wraps
-        self.fullest: dict[tuple[str, str], tuple[Fraction, str]] = {}  # by header and type
+        self.fullest: dict[tuple[str, str], tuple[int, str]] = {}  # by header and type
+        self.forking: dict[str, bool] = {}
         self.known: dict[Any, Any] = {}
         self.kept: dict[Any, Any] = {}  # constants
         self.called: set[str] = set()
@@ -192,17 +87,19 @@ class Run:
         before = (self.name, self.row, self.here, self.ways, self.way, self.taken)
         self.name, self.row = name, row
         try:
-            if before[0] and not self.forks(body) and name not in self.cuts:
-                own = [x if y[2] else copied(x, False) for x, y in zip(given, parameters)]
+            if name not in self.forking:
+                self.forking[name] = self.forks(body)
+            if before[0] and not self.forking[name] and name not in self.cuts:
+                own = [x if y[2] else copied(x) for x, y in zip(given, parameters)]
                 return self.once(kind, parameters, body, own)
-            key = (name, spans(given))
+            key = (name, nodes.spans(given))
             if key not in self.known:
                 self.known[key] = self.every(kind, parameters, body, given)
             value, left, bound = self.known[key]
             for x, after, (_, _, pointer) in zip(given, left, parameters):
                 if pointer and isinstance(x, dict):
                     put(x, after)
-            value = copied(value)
+            value = each(fresh, value)
             if bound and isinstance(value, Node):
                 value.fact = (given[0], bound)
             return value
@@ -216,7 +113,7 @@ class Run:
         for piece in range(pieces):
             ways: list[bool] = []
             while True:
-                own = [copied(x) for x in given]
+                own = each(fresh, given)
                 if pieces > 1:
                     low, size = given[0].low, given[0].high - given[0].low + 1
                     first, after = (low + size * (piece + k) // pieces for k in (0, 1))
@@ -226,7 +123,8 @@ class Run:
                 self.ways, self.way, self.taken = ways, 0, []
                 try:
                     value = self.once(kind, parameters, body, own)
-                    bounds.append(bound_of_root(value, own[0]) if isinstance(value, Node) else None)
+                    root = isinstance(value, Node) and own
+                    bounds.append(nodes.found(nodes.bound_of_root, value, own[0]) if root else None)
                     found.append((value, own))
                 except Impossible:
                     pass
@@ -240,8 +138,8 @@ class Run:
         if not found:
             raise Impossible
         bound = None if None in bounds else max(x for x in bounds if x is not None)
-        left = [hull(list(x)) for x in zip(*(y for _, y in found))]
-        return copied(hull([x for x, _ in found])), left, bound
+        value, left = each(hull, *map(list, found))
+        return each(fresh, value), left, bound
 
     def once(self, kind: str, parameters: Any, body: Tree, given: list[Any]) -> Any:
         """One way through a function."""
@@ -298,7 +196,7 @@ class Run:
             found = Node(*LIMITS[kind], kind)
             found.lost = lost
             return found
-        made = Struct()
+        made: dict[str, Any] = {}
         for own, name, size in self.code.types[kind]:
             items = [self.any(own, lost) for _ in range(size or 1)]
             made[name] = items if size else items[0]
@@ -319,12 +217,12 @@ class Run:
         if value[0] != "list" or len(value[1]) != len(members):
             raise self.fault(f"a constant of {kind} has not {len(members)} members")
         rows = zip(members, value[1])
-        return Struct({name: self.filled(own, size, x) for (own, name, size), x in rows})
+        return {name: self.filled(own, size, x) for (own, name, size), x in rows}
 
     def stored(self, value: Any, kind: str) -> Any:
         """A value as a variable holds it."""
         if not isinstance(value, Node):
-            return copied(value, False)
+            return copied(value)
         return value if value.lost else self.converted(value, kind)
 
     def place(self, tree: Tree) -> tuple[Any, Any]:
@@ -354,38 +252,18 @@ class Run:
             a, b, sign = self.value(tree[2]), self.value(tree[3]), tree[1]
         else:
             a, b, sign = self.value(tree), Node(0, 0, "int32_t"), "!="
-        if sign in ("<", "<="):
-            a, b, sign = b, a, sign.replace("<", ">")
         if sign == "==" and a.op == "cut" and a.of[0] is b:
             return self.unchanged(a)
         kind = common(a.kind, b.kind)
         a, b = self.converted(a, kind), self.converted(b, kind)
-        if a.low > b.high or (sign == ">=" and a.low >= b.high):
-            return bool(sign != "==")
-        if sign in (">", ">=") and (a.high < b.low or (sign == ">" and a.high <= b.low)):
-            return False
-        if sign in ("==", "!=") and (a.high < b.low or a.low == a.high == b.low == b.high):
-            return bool((sign == "==") == (a.low == b.low))
+        for truth, way in ((True, sign), (False, NOT[sign])):
+            if always(way, a, b):
+                return truth
         chosen = self.chosen()
-        if sign in ("==", "!="):
-            self.taken.append(("==" if chosen == (sign == "==") else "!=", a, b))
-        elif chosen:
-            self.taken.append((sign, a, b))
-        else:
-            self.taken.append((">" if sign == ">=" else ">=", b, a))
+        self.taken.append((sign if chosen else NOT[sign], a, b))
         for _ in range(2):
-            for sign, a, b in self.taken:
-                less = int(sign == ">")
-                if sign == "==":
-                    a.narrow(b.low, b.high)
-                    b.narrow(a.low, a.high)
-                elif sign != "!=":
-                    a.narrow(b.low + less, a.high)
-                    b.narrow(b.low, a.high - less)
-                else:
-                    for one, other in ((a, b), (b, a)):
-                        if (x := other.low) == other.high:
-                            one.narrow(one.low + (one.low == x), one.high - (one.high == x))
+            for condition in self.taken:
+                narrow(*condition)
         return chosen
 
     def chosen(self) -> bool:
@@ -459,15 +337,11 @@ class Run:
             array, index = array.array, self.two("+", array.index, index)
         if not isinstance(array, list) or index.low < 0 or index.high >= len(array):
             raise self.fault(f"the index {index.low} to {index.high} leaves the table")
-        return hull(array[index.low : index.high + 1])
+        return each(hull, *array[index.low : index.high + 1])
 
     def converted(self, value: Any, kind: str) -> Any:
         """A value by a type that must hold it."""
-        if not isinstance(value, Node):
-            return value
-        if value.lost:
-            raise Fault(value.lost)
-        if value.kind == kind or not kind:
+        if not isinstance(value, Node) or used(value).kind == kind or not kind:
             return value
         low, high = LIMITS[kind]
         if value.low < low or value.high > high:
@@ -476,11 +350,9 @@ class Run:
 
     def cast(self, value: Node, kind: str, wraps: bool = False) -> Node:
         """A conversion that is written; what it takes off is a fault where it is used."""
-        if value.lost:
-            raise Fault(value.lost)
         low, high = LIMITS[kind]
-        fits = low <= value.low and value.high <= high
-        bound = None if fits or wraps else bound_of_product(value)
+        fits = low <= used(value).low and value.high <= high
+        bound = None if fits or wraps else nodes.found(nodes.bound_of_product, value)
         if bound is not None:
             value.narrow(-bound, bound)
         if low <= value.low and value.high <= high:
@@ -542,15 +414,41 @@ class Run:
             raise self.fault(f"{words.get(op, 'a shift')} can reach {low} to {high}, beyond {kind}")
         doubled = op == "*" and of[1].low == of[1].high and of[1].low in (2, 4)
         if op in ("+", "-", "*") and first and not doubled:
-            used, place = Fraction(max(-low, high), last + 1), str(self.fault(f"'{op}'"))
             own = (self.code.functions[self.name][4] if self.name else "", kind)
-            self.fullest[own] = max(self.fullest.get(own, (Fraction(0), "")), (used, place))
+            if max(-low, high) > self.fullest.get(own, (0, ""))[0]:
+                self.fullest[own] = max(-low, high), str(self.fault(f"'{op}'"))
         return Node(low, high, kind, op, of)
 
 
-def corners(a: Node, b: Node, of: Callable[[int, int], int]) -> list[int]:
-    """A function of two numbers that is monotone in each, at the ends of ranges."""
-    return [of(x, y) for x in (a.low, a.high) for y in (b.low, b.high)]
+def always(sign: str, a: Node, b: Node) -> bool:
+    """Whether a comparison holds for all numbers of both ranges."""
+    match sign:
+        case "==":
+            return a.low == a.high == b.low == b.high
+        case "!=":
+            return a.high < b.low or a.low > b.high
+        case "<" | "<=":
+            return a.high < b.low + (sign == "<=")
+    return a.low + (sign == ">=") > b.high
+
+
+def narrow(sign: str, a: Node, b: Node) -> None:
+    """Leaves of both ranges what a comparison allows."""
+    if sign == "!=":
+        for one, other in ((a, b), (b, a)):
+            if (x := other.low) == other.high:
+                one.narrow(one.low + (one.low == x), one.high - (one.high == x))
+    if sign in ("<", "<=", "=="):
+        a.narrow(a.low, b.high - (sign == "<"))
+        b.narrow(a.low + (sign == "<"), b.high)
+    if sign in (">", ">=", "=="):
+        a.narrow(b.low + (sign == ">"), a.high)
+        b.narrow(b.low, a.high - (sign == ">"))
+
+
+def copied(value: Any) -> Any:
+    """A copy whose members can change."""
+    return each(lambda x: x, value)
 
 
 def put(record: Any, after: Any) -> None:
@@ -564,117 +462,7 @@ def put(record: Any, after: Any) -> None:
             record[name] = Node(value.low, value.high, value.kind)
 
 
-# Part 3. Two inequalities that ranges do not show.
-
-
-def shifted(node: Node) -> tuple[Node, Fraction, int] | None:
-    """What x, c, k make a node (x + c) >> k; c is a constant."""
-    node = bare(node)
-    if node.op != ">>" or node.of[1].low != node.of[1].high:
-        return None
-    k, inner = node.of[1].low, bare(node.of[0])
-    if inner.op in ("+", "-") and inner.of[1].low == inner.of[1].high:
-        return bare(inner.of[0]), Fraction(inner.of[1].low * (1 if inner.op == "+" else -1)), k
-    return inner, Fraction(0), k
-
-
-def bare(node: Node) -> Node:
-    """A node without conversions that keep it."""
-    while node.op == "same":
-        node = node.of[0]
-    return node
-
-
-def bound_of_root(result: Node, s: Node) -> Fraction | None:
-    """A bound of r sqrt(s) for the last step r of Newton's rule for 1/sqrt(s).
-
-    A shift takes less than 1 off: with a = (t y + c3) >> k3, b = (C - a y + c2) >> k2 and
-    r = (y b + c1) >> k1 and a >= t y/2^k3 - u
-
-        r <= (C y - t y^3/2^k3)/2^(k1+k2) + (y (u y + c2)/2^k2 + c1)/2^k1 <= K/sqrt(t) + E
-
-    since the first part is largest where y^2 = C 2^k3/(3 t), whatever the steps before found; and
-    s <= 2^k t + m.
-    """
-    last = shifted(result)
-    if last is None or last[0].op != "*":
-        return None
-    (y, rest), c1, k1 = map(bare, last[0].of), last[1], last[2]
-    middle = shifted(rest)
-    if middle is None or middle[0].op != "-" or y.low < 0:
-        return None
-    whole, product = middle[0].of[0], bare(middle[0].of[1])
-    if (
-        whole.low != whole.high
-        or whole.low <= 0
-        or product.op != "*"
-        or bare(product.of[1]) is not y
-    ):
-        return None
-    first = shifted(bare(product.of[0]))
-    if first is None or first[0].op != "*" or bare(first[0].of[1]) is not y:
-        return None
-    t, k2, k3 = bare(first[0].of[0]), middle[2], first[2]
-    from_s = below(t, bare(s))
-    if from_s is None or t.low <= 0:
-        return None
-    u = max(Fraction(0), 1 - Fraction(first[1] + 1, 2**k3))
-    off = (
-        y.high * (u * y.high + max(middle[1], Fraction(0))) / 2**k2 + max(c1, Fraction(0))
-    ) / 2**k1
-    squared = Fraction(4, 27) * whole.low**3 * 2**k3 / 4 ** (k1 + k2)
-    found: Fraction = root(squared * (2 ** from_s[1] + from_s[0] / t.low)) + off * root(
-        Fraction(s.high)
-    )
-    return found
-
-
-def root(value: Fraction) -> Fraction:
-    """A square root, rounded up."""
-    return Fraction(isqrt(value.numerator * 4**64 // value.denominator) + 1, 2**64)
-
-
-def below(node: Node, s: Node) -> tuple[Fraction, int] | None:
-    """Numbers m, k with s <= 2^k node + m, where the node is made of s by shifts."""
-    if bare(node) is s:
-        return Fraction(0), 0
-    step = shifted(node)
-    inner = below(step[0], s) if step else None
-    if step is None or inner is None:
-        return None
-    return inner[0] + 2 ** inner[1] * (2 ** step[2] - 1 - step[1]), inner[1] + step[2]
-
-
-def bound_of_product(node: Node) -> int | None:
-    """A bound of |(x p + c) >> k| with p = (l r + c2) >> b, where r sqrt(w) is bounded and w is
-    x^2 + y^2 times a square: |x| r <= r sqrt(w) over the root of the latter.
-    """
-    outer = shifted(node)
-    if outer is None or outer[0].op != "*":
-        return None
-    x, share = map(bare, outer[0].of)
-    inner = shifted(share)
-    if inner is None or inner[0].op != "*" or share.low < 0:
-        return None
-    limit, reciprocal = map(bare, inner[0].of)
-    if reciprocal.fact is None or limit.low < 0:
-        return None
-    (whole, bound), times = reciprocal.fact, 1
-    whole = bare(whole)
-    while whole.op == "*" and whole.of[1].low == whole.of[1].high > 0:
-        whole, times = bare(whole.of[0]), times * whole.of[1].low
-    squares = [bare(x) for x in whole.of] if whole.op == "+" else []
-    if isqrt(times) ** 2 != times or not all(z.op == "*" and z.of[0] is z.of[1] for z in squares):
-        return None
-    if not any(bare(z.of[0]) is x for z in squares):
-        return None
-    size = max(-x.low, x.high)
-    most = (limit.high * bound / isqrt(times) + size * max(inner[1], Fraction(0))) / 2 ** inner[2]
-    ends = [(end + outer[1]) // 2 ** outer[2] for end in (most, -most)]
-    return int(max(ends[0], -ends[1]))
-
-
-# Part 4. The certificate: calls, with what their arguments can be.
+# Part 2. The certificate: calls, with what their arguments can be.
 
 
 class Claims:
@@ -751,50 +539,33 @@ def plain(told: Any) -> str:
 FULLEST = re.compile(r"the fullest, '[^']*', reaches ([\d.]+)% of (int\d+_t)")
 
 
-def check(stated: dict[str, Any], folder: Path) -> list[str]:
-    """All claims; what is confirmed, in words, after what is not covered."""
+# Part 3. What is confirmed.
+
+
+def claims(stated: dict[str, Any], beside: kit.Beside) -> Iterator[str]:
+    """What is not covered, and each claim that is confirmed, in words."""
     code = c_text.Code()
     for name in stated["headers"]:
-        code.read(folder, name)
-    claims = Claims(stated, code)
-    said = [claims.call(told) for told in stated["calls"]]
+        code.read(beside.folder, name)
+    made = Claims(stated, code)
+    said = [made.call(told) for told in stated["calls"]]
     said += [f"{name} stays within {plain(told)}" for name, told in stated["states"].items()]
     said += [f"'{name}' is an angle and wraps" for name in stated["wraps"]]
     for name, comments in code.said.items():
         found = FULLEST.search(comments)
         if found is None:
             raise Fault(f"{name}: it does not say how full its words are")
-        used, place = claims.run.fullest.get((name, found[2]), (Fraction(0), ""))
+        most, place = made.run.fullest.get((name, found[2]), (0, ""))
+        used = Fraction(most, LIMITS[found[2]][1] + 1)
         if used * 100 > Fraction(found[1]) + Fraction(1, 20000):
             raise Fault(f"{place} reaches {float(used):.4%} of {found[2]}, {name} says {found[1]}%")
         said.append(f"{name}: no product and no sum exceeds {found[1]}% of {found[2]}")
-    left = sorted(set(code.functions) - claims.run.called)
-    return ["not covered: " + "; ".join([*stated["not_covered"], *left] or ["nothing"]), *said]
+    left = sorted(set(code.functions) - made.run.called)
+    yield "; ".join([*stated["not_covered"], *left]) or "nothing"
+    yield from said
 
 
-# Part 5. What is printed.
-
-
-def main(arguments: list[str]) -> int:
-    """Checks the certificate that is named; the headers lie beside it."""
-    if len(arguments) != 1:
-        print("write: check_ranges.py PREFIX_ranges.json")
-        return 2
-    path = Path(arguments[0])
-    try:
-        stated = json.loads(path.read_text("utf-8"))
-        first, *said = check(stated, path.parent)
-        print(first)
-        for words in said:
-            print(f"confirmed: {words}")
-    except Fault as fault:
-        print(f"not confirmed: {fault}")
-        return 1
-    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, OSError) as fault:
-        print(f"not confirmed: the certificate or the header is damaged ({fault!r})")
-        return 1
-    return 0
-
+main = kit.program("check_ranges", "_ranges.json", claims)
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))

@@ -2,39 +2,39 @@
 
     python -I -S check_speed.py teknic_m2310p_speed.json
 
-The program imports nothing but the standard library and the matrices and the header of
-`check_loops.py` beside it (its parts 1 and 2), and calculates in integers and fractions alone. It
-believes nothing in the certificate: gains are read from the header's text, cells are cut from the
-box here, and a chain of matrices of the certificate counts only where it does what it should. Read
-it from top to bottom: the drives (part 1), the loop of a drive (part 2), a cell (part 3), the box
-(part 4), and what is printed (part 5). It ends with 0 where all is confirmed, else with 1 and the
-place where it is not.
+The program imports nothing but the standard library and, beside it, `kit.py` and `cells.py`. It
+calculates in integers and fractions alone, and believes nothing in the certificate: gains are read
+from the header's text, cells are cut from the box here, and a chain of matrices of the certificate
+counts only where it does what it should. Read it from top to bottom: the drives (part 1), the loop
+of a drive (part 2), a cell (part 3), the box (part 4), and what is confirmed (part 5).
 """
 
 from __future__ import annotations
 
 import itertools
-import json
 import re
 import sys
+from collections.abc import Iterator
 from fractions import Fraction
 from math import isqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING or __package__:
-    from . import check_loops as base
-else:  # run alone: it lies beside this one
+    from . import cells, kit
+else:  # run alone: they lie beside this one
     sys.path.insert(0, str(Path(__file__).resolve().parent))
-    import check_loops as base
+    import cells
+    import kit
 
-BITS, ONE = base.BITS, base.ONE
-Block = base.Block
-Fault = base.Fault
-Header = base.Header
-Rows = list[list[int]]
-Point = tuple[Fraction, ...]
-Span = tuple[Fraction, Fraction]
+BITS, ONE, above, below = kit.BITS, kit.ONE, kit.above, kit.below
+Fault = kit.Fault
+Block = cells.Block
+Header = kit.Header
+Cell = cells.Cell
+Point = cells.Point
+Rows = cells.Rows
+Span = cells.Span
 
 
 # Part 1. The drives: what the header has, and what may deviate.
@@ -48,15 +48,7 @@ CONSTANTS = {
     "speed_ki_ts": "SPEED_KI_TS_NMS_PER_RAD",
     "ratio": "SPEED_RATIO",
 }
-SPANS = {
-    "r_s": ("resistance", " Ohm"),
-    "dead_time": ("dead time worth", " Ohm"),
-    "l_q": ("l_q", " H"),
-    "gain": ("voltage gain", ""),
-    "torque": ("torque over what is commanded", ""),
-    "inertia": ("inertia", " kg m^2"),
-    "back_emf": ("back-EMF that the feedforward leaves", " V s/rad"),
-}
+SPANS = ("r_s", "dead_time", "l_q", "gain", "torque", "inertia", "back_emf")
 OTHERS = ("friction", "filter_time", "inductance_scale", "speed_scale")
 MOST_SAMPLES = 1000
 SPEED = "the speed (its output is torque)"
@@ -70,23 +62,21 @@ class Box:
         if set(inputs) != {*CONSTANTS, *SPANS, *OTHERS}:
             raise Fault("inputs: they are not those of a box of drives")
         # What runs is what the header has: its constants count, not those of the certificate.
-        had = {}
-        for name, constant in CONSTANTS.items():
-            had[name] = header.constant(constant)
-            if base.single(Fraction(inputs[name])) != had[name]:
-                raise Fault(f"inputs, {name}: the header has another {constant}")
-        self.t_s, self.kp, self.ki_ts = had["t_s"], had["kp"], had["ki_ts"]
-        self.speed_kp, self.speed_ki_ts = had["speed_kp"], had["speed_ki_ts"]
-        self.ratio = int(had["ratio"])
-        if had["ratio"] != self.ratio or not 1 <= self.ratio <= MOST_SAMPLES:
+        had = {
+            name: header.same(inputs[name], constant, f"inputs, {name}")
+            for name, constant in CONSTANTS.items()
+        }
+        self.t_s, self.kp, self.ki_ts, self.speed_kp, self.speed_ki_ts, ratio = had.values()
+        self.ratio = int(ratio)
+        if ratio != self.ratio or not 1 <= self.ratio <= MOST_SAMPLES:
             raise Fault("inputs, ratio: it is no number of current samples")
-        self.spans = {name: self._span(name, inputs[name]) for name in SPANS}
+        self.spans = cells.spans_of(inputs, SPANS)
         friction, self.filter_time, *scales = (Fraction(inputs[name]) for name in OTHERS)
-        if min(self.spans["r_s"][0], friction, self.filter_time) < 0:
-            raise Fault("inputs: a resistance, the friction or the filter time is negative")
+        if min(friction, self.filter_time) < 0:
+            raise Fault("inputs: the friction or the filter time is negative")
         self.share = Block([[ONE]])  # of a new speed in the filter, 1 - exp(-t_s/T_f)
         if self.filter_time:
-            kept = base.exponential(Block([[base.fixed(-self.t_s / self.filter_time)]], 1))
+            kept = cells.exponential([[below(-self.t_s / self.filter_time)]])
             self.share = Block([[ONE - kept.rows[0][0]]], kept.r)
         if min(self.t_s, *scales) <= 0:
             raise Fault("inputs: the period or a scale is not positive")
@@ -97,21 +87,10 @@ class Box:
             pairs, flux = header.constant("POLE_PAIRS"), header.constant("PSI_PM_WB")
             self.per_ampere = Fraction(3, 2) * pairs * flux
         for loop in ("i_q", SPEED):
-            if not re.search(base.LAW.format(axis=re.escape(loop)), header.said):
-                raise Fault(f"the header states another law of {loop}")
+            cells.check_law(header, loop)
         self.promised = PROMISED in header.said
-        self._as_said(header)
         if control:
             self._as_run(control)
-
-    @staticmethod
-    def _span(name: str, ends: list[Any]) -> Span:
-        low, high = (Fraction(end) for end in ends)
-        if low > high:
-            raise Fault(f"inputs, {name}: it ends before it begins")
-        if low <= 0 and name in ("l_q", "gain", "torque", "inertia"):
-            raise Fault(f"inputs, {name}: it is not positive")
-        return low, high
 
     def _as_run(self, control: str) -> None:
         """The header of the control, where there is one, runs on the same numbers."""
@@ -126,29 +105,14 @@ class Box:
                 raise Fault(f"the header of the control has not one line of '{words}'")
             numbers = [Fraction(text.rstrip("FU")) for text in found[0].strip("{} ,").split(", ")]
             for had, value in zip(numbers, values):
-                if abs(base.single(had) - base.single(value)) * 2**22 > abs(value):
+                if abs(kit.single(had) - kit.single(value)) * 2**22 > abs(value):
                     raise Fault(f"the header of the control has another number in '{words}'")
-
-    def _as_said(self, header: Header) -> None:
-        """Where the header names the drives of the current loops, these must be the same."""
-        said = base.STATED.search(header.said)
-        if said is None or not self.promised:
-            return
-        for name in ("r_s", "dead_time", "l_q", "gain"):
-            words = said[name] or "0"
-            shown = words.split(" to ") if " to " in words else [words, words]
-            for text, end in zip(shown, self.spans[name]):
-                if not base.near(text, end * base.RANGES[name][2]):
-                    raise Fault(f"the header states another {name} ({words}) than the certificate")
 
     def words(self) -> str:
         """The drives, in words."""
-        parts = []
-        for name, (words, unit) in SPANS.items():
-            low, high = (f"{float(end):.6g}" for end in self.spans[name])
-            parts.append(f"{words} {low if low == high else f'{low} to {high}'}{unit}")
         slow = f", speed filtered with {float(self.filter_time):.6g} s" if self.filter_time else ""
-        return f"{', '.join(parts)}, friction {float(self.friction):.6g} N m s/rad{slow}"
+        friction = f"friction {float(self.friction):.6g} N m s/rad"
+        return f"{cells.spoken(self.spans)}, {friction}{slow}"
 
 
 # Part 2. The loop of a drive.
@@ -200,9 +164,7 @@ class Loop:
     def step(self, point: Point) -> Block:
         """A current sample, from all states to all."""
         k, box = self.moving, self.box
-        held = base.exponential(
-            Block([[base.fixed(x) for x in row] for row in self.flow(point)], 1)
-        )
+        held = cells.exponential([[below(x) for x in row] for row in self.flow(point)])
         moved = Block(held.rows[:2], held.r)
         if k == 3:
             ((share,),), r = box.share.rows, box.share.r
@@ -211,19 +173,17 @@ class Loop:
             moved = Block([[*row[:2], x, row[2]] for row, x in kept], moved.r + r)
         rows = [[*row, 0, 0, 0] for row in moved.rows]
         both, own = (box.kp + box.ki_ts) * self.rate, box.ki_ts * self.rate
-        for gain in (both, own):
-            row = [base.fixed(-gain * point[0]), *[0] * k, ONE, base.fixed(gain), 0]
-            rows.append(row)
+        rows += [[below(-gain * point[0]), *[0] * k, ONE, below(gain), 0] for gain in (both, own)]
         rows += [[0] * (k + 2) + [ONE, 0], [0] * (k + 3) + [ONE]]
         return Block(rows, max(moved.r, 1))
 
     def update(self) -> Block:
         """The speed controller, from all states but T to all."""
         n, box = self.size, self.box
-        rows = [[ONE if i == j else 0 for j in range(n - 1)] for i in range(n - 2)]
+        rows = cells.unit(n - 1)[:-1]
         for gain in (box.speed_kp + box.speed_ki_ts, box.speed_ki_ts):
             row = [0] * (n - 1)
-            row[self.moving - 1], row[n - 2] = base.fixed(-gain * box.scale), ONE
+            row[self.moving - 1], row[n - 2] = below(-gain * box.scale), ONE
             rows.append(row)
         return Block(rows, 1)
 
@@ -265,7 +225,7 @@ def nested(most: Rows, slope: Rows, count: int) -> Rows:
             rows[place * size + i][place * size + j] = most[i][j]
             if place < count:
                 rows[place * size + i][(place + 1) * size + j] = slope[i][j]
-    found = base.exponential(Block(rows))
+    found = cells.exponential(rows, 0)
     return [[max(x, 0) + found.r for x in row[-size:]] for row in found.rows[:size]]
 
 
@@ -276,23 +236,22 @@ def rests(loop: Loop, low: Point, high: Point) -> Rows:
     most = [[0] * size for _ in range(size)]
     for i, j in itertools.product(range(size), repeat=2):
         values = [flow[i][j] for flow in flows]
-        most[i][j] = base.above(max(values) if i == j else max(map(abs, values)))
+        most[i][j] = above(max(values) if i == j else max(map(abs, values)))
     (b, _, n, _), zero = high, [[0] * size for _ in range(size)]
     slopes = [[list(row) for row in zero] for _ in range(4)]  # times the width
     wide = [last - first for first, last in zip(low, high)]
-    slopes[0][1][0] = base.above(loop.push * n * wide[0])
-    slopes[1][0][0] = base.above(loop.rate * wide[1])
-    slopes[2][1][0], slopes[2][1][1] = (base.above(x * wide[2]) for x in (loop.push * b, loop.drag))
-    slopes[3][0][1] = base.above(loop.emf * wide[3])
+    slopes[0][1][0] = above(loop.push * n * wide[0])
+    slopes[1][0][0] = above(loop.rate * wide[1])
+    slopes[2][1][0], slopes[2][1][1] = (above(x * wide[2]) for x in (loop.push * b, loop.drag))
+    slopes[3][0][1] = above(loop.emf * wide[3])
     total, quarter = zero, ONE >> 2
     parts = [(nested(most, slope, 2), quarter) for slope, width in zip(slopes, wide) if width]
     torque = loop.box.spans["torque"]
     uneven = loop.drag * n * max(abs(1 / f - 1) for f in torque)
     if uneven > 0:
         change = [list(row) for row in zero]
-        change[1][1] = base.above(uneven)
-        sums = [[x + y for x, y in zip(*pair)] for pair in zip(most, change)]
-        parts.append((nested(sums, change, 1), ONE))
+        change[1][1] = above(uneven)
+        parts.append((nested(kit.added(most, change), change, 1), ONE))
     for rows, factor in parts:
         total = [[x - (-y * factor >> BITS) for x, y in zip(*pair)] for pair in zip(total, rows)]
     if loop.moving == 2:
@@ -310,10 +269,7 @@ class Chain:
             raise Fault("it has not a matrix for every sample")
         self.loop = loop
         sizes = [loop.size - 1, *[loop.size] * loop.box.ratio]
-        self.matrices = [symmetric(*pair) for pair in zip(listed, sizes)]
-        for number, matrix in enumerate(self.matrices):
-            if not base.positive(matrix):
-                raise Fault(f"its matrix {number} is not positive definite")
+        self.matrices = [cells.symmetric(*pair) for pair in zip(listed, sizes)]
 
     def proves(self, low: Point, high: Point) -> None:
         """Raises with the step and the corner where it does not."""
@@ -334,28 +290,10 @@ class Chain:
                     )
 
 
-def symmetric(entries: list[Any], size: int) -> Rows:
-    """A matrix from the rows of its upper triangle."""
-    if len(entries) != size * (size + 1) // 2:
-        raise Fault("a matrix has not as many entries as it should")
-    values = iter(base.fixed(Fraction(entry)) for entry in entries)
-    held = [[0] * size for _ in range(size)]
-    for i, j in itertools.combinations_with_replacement(range(size), 2):
-        held[i][j] = held[j][i] = next(values)
-    return held
-
-
-def form_of(step: Block, q: Rows) -> Rows:
-    """A' Q A, in units and rounded down."""
-    columns = list(zip(*step.rows))
-    turned = [[sum(map(int.__mul__, line, column)) for column in columns] for line in q]
-    return [[sum(map(int.__mul__, x, y)) >> 2 * BITS for y in zip(*turned)] for x in columns]
-
-
 def inverse(rows: Rows) -> Rows:
     """About the inverse of a positive matrix in units; nothing depends on how good it is."""
     size = len(rows)
-    wide = [[*row, *(ONE if i == j else 0 for j in range(size))] for i, row in enumerate(rows)]
+    wide = [[*row, *one] for row, one in zip(rows, cells.unit(size))]
     for k in range(size):
         pivot = max(wide[k][k], 1)
         wide[k] = [(x << BITS) // pivot for x in wide[k]]
@@ -367,12 +305,10 @@ def inverse(rows: Rows) -> Rows:
 
 def falls(before: Rows, after: Rows, step: Block, rest: Rows) -> bool:
     """The condition of part 3 at a corner."""
-    m, n, k = len(after), len(before), len(rest)
+    m, k, lost = len(after), len(rest), [0] * len(before)
     q = [[x + (m * k if i == j else 0) for j, x in enumerate(row)] for i, row in enumerate(after)]
-    lost = [0] * n
     if rest:
-        form = form_of(step, after)
-        near_to = inverse([[x - y for x, y in zip(*pair)] for pair in zip(before, form)])
+        near_to = inverse(cells.fall(before, after, step))
         roots = [isqrt(max(near_to[c][c], 1) << BITS) + 1 for c in range(k + 1)]  # 1/h_c
     for r, row in enumerate(rest):
         own, total = after[r][r], sum(e * root for e, root in zip(row, roots)) + ONE >> BITS
@@ -384,14 +320,7 @@ def falls(before: Rows, after: Rows, step: Block, rest: Rows) -> bool:
         factor = own * k + (cross << BITS) // total + 1
         for c, (e, root) in enumerate(zip(row, roots)):
             lost[c] += factor * total * e // (root << BITS) + 1
-    # What the radius of the step can change in a form, and a unit for each rounding below.
-    most, size = max(abs(x) for line in q for x in line), max(m, n)
-    change = size**3 * most * (2 * step.largest() + step.r) * step.r
-    margin, form = (change >> (2 * BITS)) + 1 + size, form_of(step, q)
-    fall = [[x - y for x, y in zip(*pair)] for pair in zip(before, form)]
-    for i in range(n):
-        fall[i][i] -= margin + lost[i]
-    return base.positive(fall)
+    return cells.falls(before, q, step, lost)
 
 
 # Part 4. The box: cut into cells that leave nothing out.
@@ -402,11 +331,6 @@ def falls(before: Rows, after: Rows, step: Block, rest: Rows) -> bool:
 #
 # and is empty where these leave none; with them it can be made smaller before it is looked at or
 # cut further. Ends are rounded outward.
-
-
-def outward(low: Fraction, high: Fraction) -> Span:
-    """A span with ends in units, not smaller."""
-    return Fraction(base.fixed(low), ONE), Fraction(base.above(high), ONE)
 
 
 def common(one: Span, other: Span) -> Span:
@@ -420,7 +344,7 @@ def resistances(box: Box, gain: Span) -> Span:
     return box.spans["r_s"][0] + min(ends), box.spans["r_s"][1] + max(ends)
 
 
-def reach(box: Box, gain: Span, inductance: Span) -> tuple[Point, Point]:
+def reach(box: Box, gain: Span, inductance: Span) -> Cell:
     """How far b, s, n and e go with gains and inductances of spans."""
     torque, inertia = box.spans["torque"], box.spans["inertia"]
     ohm, emf = resistances(box, gain), [e / g for e in box.spans["back_emf"] for g in gain]
@@ -434,7 +358,7 @@ def reach(box: Box, gain: Span, inductance: Span) -> tuple[Point, Point]:
     return tuple(low for low, _ in found), tuple(high for _, high in found)
 
 
-def shrunk(box: Box, low: Point, high: Point) -> tuple[Point, Point] | None:
+def shrunk(box: Box, low: Point, high: Point) -> Cell | None:
     """The part of a cell that can hold drives; None where there are none."""
     gain, inductance = box.spans["gain"], box.spans["l_q"]
     (b_low, s_low, _, e_low), (b_high, s_high, _, e_high) = low, high
@@ -456,92 +380,53 @@ def shrunk(box: Box, low: Point, high: Point) -> tuple[Point, Point] | None:
             inductance = common(inductance, (min(ends), max(ends)))
         if gain[0] > gain[1] or inductance[0] > inductance[1]:
             return None
-        gain, inductance = outward(*gain), outward(*inductance)
+        gain, inductance = cells.outward(*gain), cells.outward(*inductance)
     first, last = reach(box, gain, inductance)
     found = [common(*pair) for pair in zip(zip(low, high), zip(first, last))]
     if any(a > b for a, b in found):
         return None
-    found = [span if span[0] == span[1] else outward(*span) for span in found]
+    found = [cells.outward(*span) for span in found]
     return tuple(a for a, _ in found), tuple(b for _, b in found)
 
 
-def check_tree(loop: Loop, tree: list[Any]) -> list[str]:
-    """Goes over all cells; which are left open, in words."""
-    box = loop.box
-    waiting, left = [reach(box, box.spans["gain"], box.spans["l_q"])], []
-    for row, verdict in enumerate(tree):
-        if not waiting:
-            raise Fault(f"speed loop, row {row}: all of the box is cut already")
-        low, high = waiting.pop()
-        spans = zip(("b", "s", "n", "e"), low, high)
-        span = ", ".join(f"{what} {float(a):.6g} to {float(b):.6g}" for what, a, b in spans)
-        place = f"speed loop, row {row} ({span})"
-        cell = shrunk(box, low, high)
-        if verdict == "open":
-            left.append(span)
-        elif verdict == "empty":
-            if cell is not None:
-                raise Fault(f"{place}: it is called empty and holds drives")
-        elif isinstance(verdict, list) and verdict and isinstance(verdict[0], list):
-            if cell is None:
-                continue
-            try:
-                Chain(loop, verdict).proves(*cell)
-            except Fault as fault:
-                raise Fault(f"{place}: {fault}") from None
-        elif isinstance(verdict, list) and len(verdict) == 2:
-            waiting += base.halves(place, *(cell or (low, high)), verdict)
-        else:
-            raise Fault(f"{place}: it is neither cut, empty, open, nor proven")
-    if waiting:
-        raise Fault(f"speed loop: {len(waiting)} cells are left out at its end")
-    return left
+# Part 5. What is confirmed.
 
 
-# Part 5. What is printed.
-
-
-def check_speed(stated: dict[str, Any], header: Header, control: str = "") -> list[str]:
+def check_speed(stated: dict[str, Any], header: Header, control: str = "") -> str:
     """What is confirmed of a certificate, in words."""
     box = Box(stated["inputs"], header, control)
-    left = check_tree(Loop(box), stated["tree"])
+    if box.promised:  # where the header names the drives of the current loops: the same
+        cells.stated_of(header, box.spans)
+    loop = Loop(box)
+    left = cells.walk(
+        stated["tree"],
+        reach(box, box.spans["gain"], box.spans["l_q"]),
+        ("b", "s", "n", "e"),
+        lambda low, high: shrunk(box, low, high),
+        lambda verdict, cell: Chain(loop, verdict).proves(*cell),
+        "speed loop",
+    )
     if left and box.promised:
         raise Fault(f"speed loop: the header says it of every drive; {left[0]} is left open")
     but = f" but those in {len(left)} cells that are left open ({'; '.join(left)})" if left else ""
-    words = (
+    return (
         "the speed loop, with the current loop of the q axis that it runs on, is stable for every "
         f"drive{but} with {box.words()}; within a cell they may change at every current sample"
     )
-    return [words]
 
 
-def main(arguments: list[str]) -> int:
-    """Checks the certificate that is named; the headers lie beside it."""
-    if len(arguments) != 1:
-        print("write: check_speed.py PREFIX_speed.json")
-        return 2
-    path = Path(arguments[0])
-    try:
-        stated = json.loads(path.read_text("utf-8"), parse_float=Fraction)
-        prefix = path.name.removesuffix("_speed.json")
-        control = path.parent / f"{prefix}_control.h"
-        further = control.read_text("utf-8") if control.exists() else ""
-        header = Header((path.parent / f"{prefix}.h").read_text("utf-8"), prefix, further)
-        print(
-            "not covered: limits of torque, voltage and current, rounding of the control, the d "
-            "axis, margins of the speed loop, the share "
-            "of drives that is stated where cells are left open"
-        )
-        for words in check_speed(stated, header, further):
-            print(f"confirmed: {words}")
-    except Fault as fault:
-        print(f"not confirmed: {fault}")
-        return 1
-    except (KeyError, TypeError, ValueError, ArithmeticError, OSError) as fault:
-        print(f"not confirmed: the certificate or the header is damaged ({fault!r})")
-        return 1
-    return 0
+def claims(stated: dict[str, Any], beside: kit.Beside) -> Iterator[str]:
+    """What is not covered, and the claim that is confirmed, in words."""
+    yield (
+        "limits of torque, voltage and current, rounding of the control, the d axis, "
+        "margins over the tolerances, the share of "
+        "drives that is stated where cells are left open"
+    )
+    control = beside.text("_control.h", "")
+    yield check_speed(stated, Header(beside.text(".h"), beside.prefix, control), control)
 
+
+main = kit.program("check_speed", "_speed.json", claims)
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))

@@ -2,19 +2,18 @@
 
     python -I -S check_surface.py pump_surface.json
 
-The program imports nothing but the standard library and, beside it, `polynomials.py` and the
-header's reader of `check_certificate.py` (its part 2), and calculates in integers and fractions
-alone. It believes nothing in the certificate: constants and polynomials are read from the C, what
-lies around them must be there word for word, and boxes are cut here. Read it from top to bottom:
-the header (part 1), the errors (part 2), the domain (part 3), and what is printed (part 4). It ends
-with 0 where all is confirmed, else with 1 and the place where it is not.
+The program imports nothing but the standard library and, beside it, `kit.py` and `polynomials.py`.
+It calculates in integers and fractions alone, and believes nothing in the certificate: constants
+and polynomials are read from the C, what lies around them must be there word for word, and boxes
+are cut here. Read it from top to bottom: the header (part 1), the errors (part 2), the domain
+(part 3), and what is confirmed (part 4).
 """
 
 from __future__ import annotations
 
-import json
 import re
 import sys
+from collections.abc import Iterator
 from fractions import Fraction
 from itertools import pairwise
 from math import isqrt
@@ -22,23 +21,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING or __package__:
-    from . import check_certificate as base
-    from . import polynomials
-else:  # run alone: it lies beside this one
+    from . import kit, polynomials
+else:  # run alone: they lie beside this one
     sys.path.insert(0, str(Path(__file__).resolve().parent))
-    import check_certificate as base
+    import kit
     import polynomials
 
-BITS, ONE, T, X = polynomials.BITS, polynomials.ONE, polynomials.T, polynomials.X
-Poly = polynomials.Poly
+BITS, ONE, Fault = kit.BITS, kit.ONE, kit.Fault
+above, below, times = kit.above, kit.below, kit.times
+T, X = polynomials.T, polynomials.X
 Box = polynomials.Box
+Poly = polynomials.Poly
 Rows = polynomials.Rows
-below, above, times = polynomials.below, polynomials.above, polynomials.times
 constant, wide, run = polynomials.constant, polynomials.wide, polynomials.run
-Wide, lacking, horner = polynomials.Wide, polynomials.lacking, polynomials.horner
-turn, summed = polynomials.turn, polynomials.summed
-fitted, pieces = polynomials.fitted, polynomials.pieces
-Fault = base.Fault
+lacking, horner = polynomials.lacking, polynomials.horner
+Wide = polynomials.Wide
+turn, fitted, pieces = polynomials.turn, polynomials.fitted, polynomials.pieces
+summed = kit.added
 Room = tuple[int, int, int, int]
 
 
@@ -112,7 +111,7 @@ class Surface:
     def __init__(self, text: str, prefix: str) -> None:
         macro = f"{prefix.upper()}_WEAKENING_"
         text, trials = re.subn(rf"#define {macro}TRIALS \([1-9]\d*U\)", "", text)
-        header = base.Header(text, f"{prefix}_weakening")
+        header = kit.Header(text, f"{prefix}_weakening")
         said = SAID.search(header.said)
         if said is None:
             raise Fault("the header states no bounds that are known here")
@@ -138,7 +137,7 @@ class Surface:
         read("least_flux", *LEAST)
         fill("reference", found["weakened"], *WEAKENED)
         self.numbers = {
-            name: base.number(text)
+            name: kit.number(text)
             for name, text in found.items()
             if name not in PLAIN and not name.endswith("form")
         }
@@ -195,7 +194,7 @@ class Errors:
 
     def __init__(self, surface: Surface, stated: dict[str, Any]) -> None:
         self.surface = surface
-        machine = {name: Fraction(stated["machine"][name]) for name in base.CONSTANTS}
+        machine = {name: Fraction(stated["machine"][name]) for name in kit.MACHINE}
         self.r_s, self.psi = machine["r_s_Ohm"], machine["psi_pm_Wb"]
         self.l_d, self.l_q = machine["l_d_H"], machine["l_q_H"]
         self.k = 1 / (Fraction(3, 2) * machine["pole_pairs"])
@@ -253,7 +252,7 @@ class Errors:
         names = run(text, {"t": Wide(*box.t), "delta": Wide(*box.x)}, wide)
         d, q = (names["i_d"], names["i_q"]) if weakens else (names["mtpa_d"], names["mtpa_q"])
         at = max(abs(box.x[0]), abs(box.x[1]))
-        return d.err, q.err, names["taken"].err + (1 << max(BITS - 150, at.bit_length() - 25))
+        return d.err, q.err, names["taken"].err + kit.half_place(at)
 
     def rooms(self, box: Box, code: str, weakens: bool) -> Room:
         """What rounding adds to a^2, psi^2, tau and |i|^2, and the last bits of the polynomials."""
@@ -539,14 +538,14 @@ class Domain:
         return sizes[0] >= sizes[1]
 
 
-# Part 4. What is printed.
+# Part 4. What is confirmed.
 
 
 def check_surface(stated: dict[str, Any], text: str, main_text: str, prefix: str) -> str:
     """What is confirmed of a certificate, in words."""
     surface = Surface(text, prefix)
     said = surface.said
-    machine = base.read_machine(stated["machine"], base.Header(main_text, prefix))
+    machine = kit.read_machine(stated["machine"], kit.Header(main_text, prefix))
     shown = {name: Fraction(stated[name]) for name in LIMITS}
     shown |= {"poles": machine["pole_pairs"], "r_s_Ohm": machine["r_s_Ohm"]}
     shown["torque_max"] = surface.largest
@@ -572,29 +571,16 @@ def check_surface(stated: dict[str, Any], text: str, main_text: str, prefix: str
     )
 
 
-def main(arguments: list[str]) -> int:
-    """Checks the certificate that is named; both headers lie beside it."""
-    if len(arguments) != 1:
-        print("write: check_surface.py PREFIX_surface.json")
-        return 2
-    path = Path(arguments[0])
-    try:
-        stated = json.loads(path.read_text("utf-8"), parse_float=Fraction)
-        prefix = path.name.removesuffix("_surface.json")
-        headers = [path.parent / f"{prefix}{part}.h" for part in ("_weakening", "")]
-        text, main_text = (header.read_text("utf-8") for header in headers)
-        left = ["torque beyond reach against the largest", "copper loss"]
-        left += [f"its bound {name}" for name in BOUNDS if name not in stated["bounds"]]
-        print(f"not covered: of the surface {', '.join(left)}")
-        print(f"confirmed: {check_surface(stated, text, main_text, prefix)}")
-    except Fault as fault:
-        print(f"not confirmed: {fault}")
-        return 1
-    except (KeyError, TypeError, ValueError, ArithmeticError, OSError) as fault:
-        print(f"not confirmed: the certificate or the header is damaged ({fault!r})")
-        return 1
-    return 0
+def claims(stated: dict[str, Any], beside: kit.Beside) -> Iterator[str]:
+    """What is not covered, and the claim that is confirmed, in words."""
+    left = ["torque beyond reach against the largest", "copper loss"]
+    left += [f"its bound {name}" for name in BOUNDS if name not in stated["bounds"]]
+    yield f"of the surface {', '.join(left)}"
+    texts = beside.text("_weakening.h"), beside.text(".h")
+    yield check_surface(stated, *texts, beside.prefix)
 
+
+main = kit.program("check_surface", "_surface.json", claims)
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))

