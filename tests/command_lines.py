@@ -228,14 +228,16 @@ def _run(words: list[str], work: Path, temporary: Path) -> tuple[int, str, str, 
     return code, out, err, raised
 
 
-def _ran(words: list[str], work: Path, temporary: Path) -> tuple[int, str, str, str]:
+def _ran(
+    words: list[str], work: Path, temporary: Path, longest: float = LONGEST_S
+) -> tuple[int, str, str, str]:
     """The same, here."""
     from dqforge import cli
 
     out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8", "surrogateescape") for _ in range(2))
     code: Any = 0
     raised = ""
-    with _surroundings(work, temporary), redirect_stdout(out), redirect_stderr(err):
+    with _surroundings(work, temporary, longest), redirect_stdout(out), redirect_stderr(err):
         try:
             cli.main(words)
         except SystemExit as left:
@@ -253,7 +255,7 @@ def _ran(words: list[str], work: Path, temporary: Path) -> tuple[int, str, str, 
 
 
 @contextmanager
-def _surroundings(work: Path, temporary: Path) -> Iterator[None]:
+def _surroundings(work: Path, temporary: Path, longest: float) -> Iterator[None]:
     """The folder, no terminal, an end after some seconds, and warnings that are errors."""
 
     def late(_number: int, _frame: object) -> None:
@@ -271,7 +273,7 @@ def _surroundings(work: Path, temporary: Path) -> Iterator[None]:
         before("ignore", ResourceWarning)  # of what is ended late, after some seconds
 
     vars(warnings)["simplefilter"] = strict
-    signal.setitimer(signal.ITIMER_REAL, LONGEST_S, 0.5)
+    signal.setitimer(signal.ITIMER_REAL, longest, 0.5)
     try:
         yield
     finally:
@@ -289,8 +291,8 @@ def tried(line: str, root: Path) -> str:
 
 def _warmed(folder: Path) -> None:
     """Load what most commands load, once for all of their processes."""
-    _ran(["losses", faults.DRIVE], folder, folder)
-    _ran(["run", faults.DRIVE, "--no-verify"], folder, folder)
+    for words in (["losses", faults.DRIVE], ["run", faults.DRIVE, "--no-verify"]):
+        _ran(words, folder, folder, 300.0)
 
 
 def main(given: list[str]) -> int:
