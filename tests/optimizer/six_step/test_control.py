@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from dqforge.optimizer.six_step import control
-from dqforge.optimizer.six_step.control import SixStep, SixStepGains
+from dqforge.optimizer.six_step import control as module
+from dqforge.optimizer.six_step.control import SixStepGains
 from dqforge.optimizer.six_step.sector_step import BlockGains
 from dqforge.optimizer.six_step.sectors import FED, RETURN, middle
 from dqforge.optimizer.steps.step_arithmetic import EXACT, Abc
 
+# Floats stand where the functions have arrays.
+control: Any = module
+phases: Any = Abc
 PSI, T_S = 0.1, 1e-4
 OBSERVER = BlockGains(
     T_S,
@@ -54,8 +58,8 @@ GAINS = SixStepGains(
 SIXTH = math.pi / 3.0
 
 
-def drive(stage: int, **members: object) -> SixStep:
-    made = control.blank()
+def drive(stage: int, **members: object) -> Any:
+    made: Any = control.blank()
     made.observer = replace(made.observer, lost=0)
     made.stage = stage
     for name, value in members.items():
@@ -106,7 +110,7 @@ def test_a_rotor_is_caught_by_two_looks(way: int, speed: float, ramped: int, end
         assert state.stage == control.CATCHING
         theta = angle + omega * T_S * k
         emf = [-PSI * omega * math.sin(theta - 2.0 * math.pi / 3.0 * n) for n in range(3)]
-        control.six_step_catch(EXACT, gains, state, Abc(*emf))
+        control.six_step_catch(EXACT, gains, state, phases(*emf))
     assert state.stage == ends
     assert state.fault == (control.NO_START if ends == control.FAULT else control.NO_FAULT)
     assert state.count == 0
@@ -228,11 +232,11 @@ def test_the_current_is_that_of_the_phase_that_both_blocks_share(
         i = np.zeros(3)
         i[FED[sector]], i[RETURN[sector]] = 8.0, -7.0
         shared = 8.0 if FED[sector] == FED[before] else 7.0
-        legs = control.six_step_step(EXACT, gains, state, Abc(0.0, 0.0, 0.0), Abc(*i), 50.0)
+        legs = control.six_step_step(EXACT, gains, state, phases(0.0, 0.0, 0.0), phases(*i), 50.0)
         assert (legs.high, legs.low, legs.chopped) == (FED[sector], RETURN[sector], FED[sector])
         emf = 0.165 * 0.002 * SIXTH / T_S
         assert legs.duty == pytest.approx((7.0 + emf - 2.0 * (shared - 6.0)) / 50.0)
     rest = control.six_step_step(
-        EXACT, gains, drive(control.STOPPED), Abc(0.0, 0.0, 0.0), Abc(1.0, 0.0, -1.0), 50.0
+        EXACT, gains, drive(control.STOPPED), phases(0.0, 0.0, 0.0), phases(1.0, 0.0, -1.0), 50.0
     )
     assert tuple(rest) == (-1, -1, -1, 0.0)
