@@ -10,6 +10,7 @@ import pytest
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import ObserverSettings
+from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.estimators import (
     TRACKERS,
@@ -76,7 +77,9 @@ def test_a_tracker_serves_between_its_speeds() -> None:
     assert (found.omega_low, found.omega_high, found.t_s) == (low, high, design.control.t_s)
     assert found.omega_max == pytest.approx(fastest * design.machine.pole_pairs)
     assert found.loop is not None
-    slower = replace(design, machine=replace(design.machine, omega_m_max=50.0))
+    machine = design.machine
+    assert isinstance(machine, LinearMachine)
+    slower = replace(design, machine=replace(machine, omega_m_max=50.0))
     assert tune_tracker(slower, wanted).omega_max == pytest.approx(50.0 * design.machine.pole_pairs)
     assert solve_tracker(replace(design, control=replace(design.control, observer=None))) is None
     assert math.isfinite(found.loop.lag)

@@ -278,7 +278,7 @@ def test_speed_per_volt_is_that_of_the_settled_rows(lag: float) -> None:
     gain = analysis.of("speed_per_volt")
     assert gain is not None
     assert gain.value == pytest.approx(30.0, rel=3e-3)
-    other = VoltageSteps("later", time, voltage, 1.02 * omega)
+    other = VoltageSteps("later", time, voltage, np.asarray(1.02 * omega, dtype=np.float64))
     both = analyse_steps([steps, other])
     gain = both.of("speed_per_volt")
     assert gain is not None

@@ -10,6 +10,7 @@ from drives import IPM
 from scipy.linalg import solve_discrete_lyapunov
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.plants.scenario import Plants
 from dqforge.optimizer.observers.judgement import (
     ANGLE_LIMIT,
     SPEED_LIMIT,
@@ -22,7 +23,6 @@ from dqforge.optimizer.observers.parts import (
     Disturbances,
     Load,
     ObserverTuning,
-    Plants,
     SteadyObserver,
     steady_observer,
 )
@@ -57,7 +57,7 @@ def solved(
     true = {"r_s": IPM.r_s, "l_d": load.l_d, "l_q": load.l_q, "psi_pm": load.psi_pm}
     ones = np.ones(OMEGA.size)
     plant = Plants(*(true[name] * factor.get(name, 1.0) * ones for name in NAMES))
-    current = complex(load.i_d, load.i_q) * ones
+    current = np.full(OMEGA.size, complex(load.i_d, load.i_q))
     return steady_observer(METHOD, GAINS, T_S, plant, current, OMEGA, acceleration, lost)
 
 
