@@ -295,7 +295,7 @@ def test_floats_of_many_machines_are_those_of_each(degree: int) -> None:
         single_floats = SinglePolynomial.from_double(alone).coefficients
         np.testing.assert_array_max_ulp(found[:, :, n], single_floats, 1)
         plain = coefficients[:, :, n].astype(np.float32)
-        moved += np.count_nonzero(single_floats != plain)
+        moved += int(np.count_nonzero(single_floats != plain))
         if n == 3:
             np.testing.assert_array_equal(found[1, :, n], plain[1])
     assert degree < 2 or moved > 3

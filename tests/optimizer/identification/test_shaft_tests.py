@@ -287,7 +287,7 @@ def test_speed_per_volt_is_that_of_the_settled_rows(lag: float) -> None:
     assert both.covariance[0, 0] == pytest.approx(gain.sigma**2)
     assert "changes by +2.00 %, rising all the way" in both.remarks[0]
     assert "not evaluated from steady speeds" in analysis.parameters[2].why
-    moving = VoltageSteps("moving", time, 1.0 + np.arange(time.size) % 2, omega)
+    moving = VoltageSteps("moving", time, np.where(np.arange(time.size) % 2, 2.0, 1.0), omega)
     assert "hold each level longer" in steps_fault(moving)
 
 

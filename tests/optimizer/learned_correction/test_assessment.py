@@ -181,9 +181,8 @@ def test_what_is_trained_is_the_error_with_the_other_sign(
         given.append((inputs, wanted, rest))
         raise TrainedError
 
-    room = neural.network if method == "neural" else neuro_fuzzy.fuzzy_rules
-    name = "trained_network" if method == "neural" else "trained_rules"
-    monkeypatch.setattr(room, name, stand_in)
+    name = "network.trained_network" if method == "neural" else "fuzzy_rules.trained_rules"
+    monkeypatch.setattr(f"{module.__name__}.{name}", stand_in)
     design = observed_template(method, correction_limit=np.radians(4.0))
     with pytest.raises(TrainedError):
         solve_observer(design)
