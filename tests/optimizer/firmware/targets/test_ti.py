@@ -319,3 +319,20 @@ def test_every_value_of_the_block_is_that_of_its_rule(ticks: int, fastest: float
     held = configure(replace(asked, drive=replace(drive, t_s=None, t_speed=None))).own
     assert held["USER_M1_NUM_PWM_TICKS_PER_ISR_TICK"] == 1
     assert held["USER_M1_NUM_ISR_TICKS_PER_SPEED_TICK"] == 10
+
+
+@pytest.mark.parametrize("fastest", [250.0, 320.0, 500.0])
+def test_the_speed_at_which_the_voltage_ends_has_its_price(fastest: float) -> None:
+    machine = replace(SCOOTER, omega_m_max=fastest)
+    asked = asked_of(machine)
+    reached = 48.0 / math.sqrt(3.0) / machine.psi_pm / 15
+    found = [
+        (entry.words, price.value)
+        for entry in shortfalls(asked, configure(asked))
+        for price in entry.prices
+        if price.of == "speed"
+    ]
+    assert bool(found) == (reached < fastest)
+    for words, price in found:
+        assert price == pytest.approx(1.0 - reached / fastest, rel=1e-5)
+        assert f"the speed ends at {reached * 15 / TWO_PI:.4g} Hz" in words
