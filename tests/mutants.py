@@ -574,6 +574,7 @@ def main() -> None:
     options = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     options.add_argument("number", type=int)
     options.add_argument("--seed", default=drawn_cases.seed())
+    options.add_argument("--only", nargs="+", choices=sorted(KINDS), help="kinds that are drawn")
     options.add_argument("--seconds", type=int, default=20, help="processor time per change")
     options.add_argument("--processes", type=int, default=2, help="at once")
     options.add_argument("--within", type=float, default=math.inf, help="no new one after so long")
@@ -586,7 +587,8 @@ def main() -> None:
     gc.disable()
     every = changes(house.ROOT, files(house.ROOT))
     same = equivalent(every, tomllib.loads(EQUIVALENT.read_text(encoding="utf-8"))["change"])
-    found = drawn(every, 2 * asked.number, asked.seed)
+    drawable = [change for change in every if change.kind in (asked.only or KINDS)]
+    found = drawn(drawable, 2 * asked.number, asked.seed)
     sides = {"here": house.ROOT}
     planted = {"here": found[: asked.number]}
     if asked.against:

@@ -565,7 +565,7 @@ def _accounted(
         * ((machine.psi_pm + machine.l_d * i_d) * i_q - machine.l_q * i_q * i_d)
     )
     size, ahead = np.abs(phases), phases >= 0.0
-    on = pulses.state[:, None, :] > 0.5
+    on = pulses.state[:, None, :].astype(np.bool_)
     forward = on == ahead  # the transistor of the rail that is on carries its own direction
     channel = _warm(tables, tables.channel.at(size), temperature) * size
     backward = (

@@ -284,10 +284,10 @@ class Piece:
             case ClosedForm(q, base, sign) as form:
                 i_q = self._single(q, torque)
                 i_d = arb(float(base)) - (i_q * i_q + arb(float(form.base_squared))).sqrt()
-                return i_d * sign, i_q
+                return (i_d if sign > 0 else -i_d), i_q
             case ReluctanceClosedForm(gain, sign):
                 i_q = (torque * arb(float(gain))).sqrt()
-                return i_q * -sign, i_q
+                return (-i_q if sign > 0 else i_q), i_q
 
     def rounding(self, torque: arb) -> tuple[arb, arb]:
         """Bounds in A of what rounding adds to i_d and i_q for torques in N m inside a ball.

@@ -396,7 +396,7 @@ def rounded_in_turn(coefficients: FloatArray, widths: FloatArray) -> SingleArray
         scale = change
         for lower in range(power - 1, 0, -1):
             scale = scale * widths
-            rows[:, lower] += _monic_chebyshev(power)[lower] * scale
+            rows[:, lower] -= _monic_chebyshev(power)[lower] * scale
         rows[:, power] -= change
     # Segments that lack a power keep lacking it and are rounded plainly.
     full = np.all(coefficients[:, 1:] != 0.0, axis=1)[:, np.newaxis]

@@ -206,7 +206,7 @@ class McatSheet:
         phase = self.number("parametersUphNom")
         if phase is None:
             return None
-        lowest = self.number("parametersUdcbUnder") or 0.0
+        lowest = self.number("parametersUdcbUnder") or -math.inf
         largest = self.number("parametersUdcbOver") or math.inf
         return ROOT_3 * phase if lowest <= ROOT_3 * phase <= largest else None
 

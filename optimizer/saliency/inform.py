@@ -45,6 +45,7 @@ from dqforge.optimizer.saliency.injection import (
     current_noise,
     pll_gains,
     require_saliency,
+    speed_with_room,
 )
 from dqforge.optimizer.saliency.load_tables import POINTS, error_at_load, is_known
 from dqforge.optimizer.saliency.sampled_injection import Injection
@@ -426,12 +427,9 @@ def _speeds(design: Design, gains: InformGains) -> tuple[float, float]:
     """From standstill to where the rotor turns too far in a sequence, or from one to the next, or
     the voltage leaves no room for the pulses.
     """
-    machine = linearised(design.machine)
     turn = min(_TURN / (6.0 * gains.t_s), 0.8 / (gains.period * gains.t_s))
-    i_q = (POINTS - 1) / gains.per_ampere
-    room = linear_voltage(design.inverter.v_dc) - gains.voltage - machine.r_s * i_q
-    flux = math.hypot(machine.psi_pm, machine.l_q * i_q)
-    return 0.0, min(turn, room / flux, gains.omega_max)
+    most = min(turn, gains.omega_max)
+    return 0.0, speed_with_room(design, gains.per_ampere, gains.voltage, most)
 
 
 def _in_words(gains: InformGains) -> str:

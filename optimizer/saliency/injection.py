@@ -720,18 +720,25 @@ def _require_quiet(gains: InjectionGains, design: Design) -> None:
         )
 
 
+def speed_with_room(design: Design, per_ampere: float, voltage: float, most: float) -> float:
+    """Electrical speed in rad/s, ``most`` at most, up to which an added voltage in V leaves room
+    for the back-EMF of the largest load, where the tables end.
+    """
+    machine = linearised(design.machine)
+    i_q = (POINTS - 1) / per_ampere
+    room = linear_voltage(design.inverter.v_dc) - voltage - machine.r_s * i_q
+    flux = math.hypot(machine.psi_pm, machine.l_q * i_q)
+    return min(most, room / flux)
+
+
 def _speeds(design: Design, gains: InjectionGains) -> tuple[float, float]:
     """From standstill to where a turn lasts ten injected periods or the voltage leaves no room for
     the injection.
     """
-    machine = linearised(design.machine)
     samples = max(len(gains.carrier), 4)
     turn = 2.0 * math.pi / (10.0 * samples * gains.t_s)
-    voltage = max(gains.carrier)
-    i_q = (POINTS - 1) / gains.per_ampere
-    room = linear_voltage(design.inverter.v_dc) - voltage - machine.r_s * i_q
-    flux = math.hypot(machine.psi_pm, machine.l_q * i_q)
-    return 0.0, min(turn, room / flux, gains.omega_max)
+    most = min(turn, gains.omega_max)
+    return 0.0, speed_with_room(design, gains.per_ampere, max(gains.carrier), most)
 
 
 def _in_words(gains: InjectionGains) -> str:

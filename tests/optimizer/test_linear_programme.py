@@ -59,6 +59,31 @@ def test_rows_and_columns_of_any_size_give_the_known_corner(seed: int, way: str)
     assert np.allclose(x, known, rtol=1e-4, atol=1e-5 * np.max(np.abs(known)))
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("orthogonal", [False, True])
+def test_the_solver_is_given_numbers_of_about_one(
+    seed: int, orthogonal: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: dict[str, Any] = {}
+    solver = scipy.optimize.linprog
+
+    def seen(slope: FloatArray, **other: Any) -> Any:
+        given.update(other, slope=slope)
+        return solver(slope, **other)
+
+    monkeypatch.setattr(scipy.optimize, "linprog", seen)
+    cost, rows, most, _ = known_programme(seed)
+    least_cost(cost, rows, most, orthogonal=orthogonal)
+    for name in ("slope", "b_ub"):
+        assert 0.7 <= np.max(np.abs(given[name])) <= 1.5
+    if orthogonal:
+        inner = given["A_ub"].T @ given["A_ub"]
+        np.testing.assert_allclose(inner, rows.shape[0] * np.eye(6), atol=1e-9)
+    else:
+        assert np.min(np.max(np.abs(given["A_ub"]), axis=1)) > 0.7
+        assert np.max(np.abs(given["A_ub"])) < 2.0
+
+
 def test_a_row_of_rounded_zeros_limits_nothing() -> None:
     cost, rows, most, known = known_programme(3)
     noise = 1e-17 * np.max(np.abs(rows), axis=0)

@@ -139,3 +139,24 @@ def test_columns_belong_to_the_batch_alone() -> None:
     assert batch.l_q[0] == 1e-3
     with pytest.raises(ValueError, match="read-only"):
         batch.l_q[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "fine", "wrong"),
+    [
+        ("pole_pairs", [1.0, 2.0, 2.0**31 - 1.0], [0.0, 1.5, -1.0, 2.0**31, np.inf, np.nan]),
+        ("l_d", [1e-9, 0.5, 2.0], [0.0, -1e-3, np.inf, np.nan]),
+        ("l_q", [1e-9, 0.5, 2.0], [0.0, -1e-3, np.inf, np.nan]),
+        ("i_max", [1e-9, 0.5, 2.0], [0.0, -1e-3, np.inf, np.nan]),
+        ("r_s", [0.0, 0.5, 2.0], [-1e-9, np.inf, np.nan]),
+        ("psi_pm", [0.0, 0.5, 2.0], [-1e-9, np.inf, np.nan]),
+        ("friction", [0.0, 0.5, 2.0], [-1e-9, np.inf, np.nan]),
+        ("inertia", [np.nan, 1e-9, 0.5, 2.0], [0.0, -1.0, np.inf]),
+        ("omega_m_max", [np.nan, 1e-9, 0.5, 2.0], [0.0, -1.0, np.inf]),
+    ],
+)
+def test_values_that_no_machine_has_are_faults(
+    name: str, fine: list[float], wrong: list[float]
+) -> None:
+    found = faults({name: np.array([*fine, *wrong])})[name]
+    np.testing.assert_array_equal(found, [False] * len(fine) + [True] * len(wrong))

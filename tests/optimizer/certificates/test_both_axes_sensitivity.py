@@ -12,6 +12,7 @@ from random_current_loops import drives_inside, random_boxes
 from dqforge.optimizer.certificates.both_axes_sensitivity import (
     SensitivitySearch,
     _bounded_real,
+    _stable,
     bound_sensitivity,
     extended,
     sensitivities,
@@ -23,6 +24,7 @@ from dqforge.optimizer.certificates.cell_queue import (
     loop_matrices,
     lyapunov_frame,
     parameters_of,
+    root_cell,
 )
 from dqforge.optimizer.certificates.current_loop_proof import (
     confirm_sensitivity,
@@ -71,6 +73,20 @@ def test_at_rest_it_is_the_larger_of_both_axes() -> None:
         loop = current_loop(nominal[0], nominal[1 + k], box.t_s, box.kp[k], ki)
         alone.append(loop_margins(loop.open_loop).max_sensitivity)
     assert found == pytest.approx(max(alone), rel=2e-3)
+
+
+def test_a_cell_is_stable_where_its_middle_is() -> None:
+    """Gains raised step by step, past the bound and a little beyond."""
+    box, found = stable_pair()[0], []
+    for factor in np.geomspace(1.0, 30.0, 60):
+        faster = replace(box, kp=tuple(factor * kp for kp in box.kp))
+        cell = root_cell(faster)
+        loop = loop_matrices(faster, cell.middle[None])[0]
+        radius = float(np.max(np.abs(np.linalg.eigvals(loop))))
+        assert _stable(faster, cell) == (radius < 1.0)
+        found.append(radius)
+    assert min(found) < 1.0
+    assert any(1.0 < radius < 1.2 for radius in found)
 
 
 @NUMBERS

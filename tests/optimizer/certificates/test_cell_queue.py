@@ -14,9 +14,11 @@ from dqforge.optimizer.certificates.cell_queue import (
     Open,
     Proven,
     Refuted,
+    Remainder,
     Tree,
     Verdict,
     _refuted,
+    _rest_falls,
     largest_moduli,
     loop_matrices,
     parameters_of,
@@ -92,3 +94,16 @@ def test_a_drive_that_is_barely_unstable_refutes() -> None:
             elif modulus < 1.0:
                 assert found is None
     assert met > 3
+
+
+@pytest.mark.parametrize("cross", [0.0, 0.3])
+@pytest.mark.parametrize(("away", "falls"), [(-2e-5, True), (-5e-6, False), (5e-6, False)])
+def test_a_rest_falls_with_a_reserve_for_rounding(cross: float, away: float, falls: bool) -> None:
+    """One state: 2 c r + o r^2 of a matrix o, a loop c in its norm and a rest r, against one."""
+    own, frame = 1.7, 0.8
+    # The reach at which the sum is one and so much more or less.
+    reach = (-cross + np.sqrt(cross**2 + own * (1.0 + away))) / own
+    closed = cross / (frame * own)
+    remainder = Remainder(rows=(0,), groups=(((0,), reach / frame),))
+    found = _rest_falls(np.array([[[frame]]]), np.array([[own]]), np.array([[[closed]]]), remainder)
+    assert found == falls

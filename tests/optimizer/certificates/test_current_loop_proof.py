@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,6 +31,7 @@ from dqforge.optimizer.certificates.cell_queue import (
 )
 from dqforge.optimizer.certificates.current_loop_proof import (
     CurrentLoopProof,
+    _rests,
     confirm,
     plain_certificate,
     plain_inputs,
@@ -234,3 +237,27 @@ def test_two_methods_never_contradict() -> None:
             assert not cleared
         agreed += cleared and found.complete
     assert agreed >= 15
+
+
+@pytest.mark.parametrize("axis", range(4))
+@pytest.mark.parametrize("least", [Fraction(-1, 5), Fraction(1, 10)])
+def test_what_corners_leave_out_is_an_eighth_of_the_squared_steps(
+    axis: int, least: Fraction
+) -> None:
+    """The error of interpolation in each direction alone, h^2/8 of the second derivative, which the
+    growth of a loop with a negative resistance raises; of the integral a third of it, and of the
+    speed, whose factor in it is the time, two thirds.
+    """
+    low = [Fraction(2), Fraction(3), least, Fraction(1, 10)]
+    high = list(low)
+    high[axis] += Fraction(1, 4)
+    box = SimpleNamespace(t_s=Fraction(1, 10), decoupling=(Fraction(1, 2), Fraction(1, 5)))
+    cell = SimpleNamespace(low=low, high=high)
+    phi, gamma = (float(bound.mid()) for bound in _rests(box, cell))  # type: ignore[arg-type]
+    rho = 0.2, 0.5
+    steepest = max(rho[0] * float(high[0]), rho[1] * float(high[1]))
+    s = max(abs(float(low[2])), abs(float(high[2])))
+    step = 0.25 * (s * rho[0], s * rho[1], steepest, 1.0)[axis]
+    growth = np.exp(max(0.0, -float(low[2])) * steepest)
+    assert phi == pytest.approx(growth * step**2 / 8.0, rel=1e-9)
+    assert gamma == pytest.approx(growth * step**2 / (12.0 if axis == 3 else 24.0), rel=1e-9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from dqforge.optimizer.certificates.cell_queue import (
     Remainder,
@@ -13,6 +14,9 @@ from dqforge.optimizer.certificates.cell_queue import (
 from dqforge.optimizer.certificates.matrix_inequalities import (
     Inequality,
     Term,
+    _block,
+    _triangle,
+    _vector,
     chained_matrices,
     solve_inequalities,
 )
@@ -106,3 +110,31 @@ def test_no_cycle_is_found_where_the_loop_grows() -> None:
     found = chained_matrices(links, [np.eye(2)] * 2, count=2)
     held = [] if found is None else found.matrices
     assert not all(contracts(held[a], held[b], step).whole for a, b, step in links if held)
+
+
+def test_vectors_keep_the_inner_product_and_the_map_is_that_of_the_product() -> None:
+    generator = np.random.default_rng(2)
+    a, b, p = (part + part.T for part in generator.standard_normal((3, 4, 4)))
+    left = generator.standard_normal((4, 3))
+    assert _vector(a) @ _vector(b) == pytest.approx(np.trace(a @ b))
+    rows, columns = _triangle(4)
+    np.testing.assert_allclose(_block(left) @ p[rows, columns], _vector(left.T @ p @ left))
+
+
+def test_a_scalar_beside_the_matrices_is_the_largest_or_the_least() -> None:
+    """t I <= A and A <= t I: the ends of the spectrum, without and with a slope of another size."""
+    a = np.array([[2.0, 0.7, -0.3], [0.7, 1.0, 0.4], [-0.3, 0.4, 3.0]])
+    low, *_, high = np.linalg.eigvalsh(a)
+    # An unknown of its own that must not be negative changes nothing.
+    term = Term(0, np.zeros((1, 3)))
+    own = Inequality((Term(0, np.eye(1)),))
+    for slope in (1.0, 4.0):
+        below = Inequality((term,), slope=-slope * np.eye(3), constant=a)
+        above = Inequality((term,), slope=slope * np.eye(3), constant=-a)
+        bounded = Inequality((Term(0, np.eye(1)),), constant=np.eye(1))
+        most = solve_inequalities((below, own, bounded), (1,))
+        least = solve_inequalities((above, own, bounded), (1,), least=True)
+        assert most is not None
+        assert least is not None
+        assert most.scalar == pytest.approx(low / slope, rel=1e-5)
+        assert least.scalar == pytest.approx(high / slope, rel=1e-5)

@@ -67,6 +67,9 @@ def test_the_simulated_drive_swings_as_predicted(design: Design) -> None:
     assert found.swing == pytest.approx(
         2.0 * 1.5 * 3.0 * 0.06 * found.current / (200e-6 * found.omega), rel=1e-9
     )
+    free = 4.0 * found.lost / (np.pi * found.resistance)
+    assert found.current == pytest.approx(min(free, design.i_max))
+    assert found.limited == (free > design.i_max)
     assert swing(design, 0.0)[1] < 1e-3  # nothing but the dead time makes it
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,8 +15,11 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.optimizer.control_design import speed_range
+from dqforge.optimizer.control_design.design_drive import top_speed
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.control_design.observed_remedies import require_observed
+from dqforge.optimizer.control_design.observed_remedies import _narrower, require_observed
+from dqforge.optimizer.control_design.speed_range import corner_box
 from dqforge.optimizer.loops.observed_margins import (
     Corner,
     CornerJudgement,
@@ -99,6 +103,41 @@ def test_what_the_refusal_names_holds_and_less_does_not(
     found = solve_gains(replace(design, control=replace(control, observer=observer))).speed
     assert found is not None
     assert found.stable == stable
+
+
+@pytest.mark.parametrize("limit", [0.37, 0.9, 0.0])
+def test_the_share_of_the_tolerances_is_bisected_at_both_speeds(
+    unstable: tuple[Design, GainSet], limit: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a stand-in for the loop, which holds up to a share of the resistance's error."""
+    speeds, braking = set(), set()
+    full = max(corner_box(unstable[0]).limits["r_s"])
+
+    def stand_in(*asked: object) -> SimpleNamespace:
+        corners, omega, bounds = asked[3], asked[4], asked[5]
+        assert isinstance(corners, tuple)
+        speeds.add(omega)
+        braking.add(len(corners))
+        assert bounds == (np.inf, corner_box(unstable[0]).most_error)
+        share = max(corner.errors.get("r_s", 0.0) for corner in corners) / full
+        return SimpleNamespace(why=None if share <= limit else "unstable")
+
+    monkeypatch.setattr(speed_range, "worst_corner", stand_in)
+    found = _narrower(*unstable)
+    assert found <= limit
+    assert found > limit - 1.0 / 60.0
+    top = top_speed(unstable[0])
+    assert speeds <= {top, 0.4 * top}
+    assert top in speeds
+    if limit > 0.0:
+        assert len(speeds) == 2
+    (count,) = braking
+    box = corner_box(unstable[0])
+    both = [
+        *box.corners(dead_time=False),
+        *box.corners(dead_time=False, braking=True),
+    ]
+    assert count == len(both)
 
 
 def test_check_refuses_what_a_run_would(unstable: tuple[Design, GainSet]) -> None:

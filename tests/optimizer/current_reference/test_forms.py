@@ -19,7 +19,8 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import FitForm
 from dqforge.optimizer.current_reference.fit import ReferenceFit, alternatives, fit_reference
-from dqforge.optimizer.current_reference.forms import error_curves
+from dqforge.optimizer.current_reference.forms import FixedReference, error_curves
+from dqforge.optimizer.curves.integer_polynomial import FixedPolynomial, FixedSegment
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 FORMS: list[FitForm] = ["polynomial", "even-odd", "torque-exact", "closed-form"]
@@ -313,3 +314,33 @@ def test_flat_at_zero_leaves_out_the_linear_term_of_i_d_alone(segments: int) -> 
         exact.loss_relative
         < fitted(IPM, form="torque-exact", degree=3, segments=1).errors.loss_relative
     )
+
+
+@pytest.mark.parametrize("width", [16, 32])
+def test_samples_of_integers_meet_both_sides_of_every_breakpoint(width: int) -> None:
+    first, second = FixedSegment(0, 3, (5, 9), (1, 2)), FixedSegment(700, -7, (-40, 300), (3, 0))
+    third = FixedSegment(450, 1, (2, 4), (1, 1))
+    end = 1000 if width == 16 else 100_000
+    reference = FixedReference(
+        FixedPolynomial((first, third), width, end),
+        FixedPolynomial((first, second), width, end),
+        128.0,
+        64.0,
+    )
+    codes = reference.samples(40) * 2.0 ** (width - 1) / 128.0
+    np.testing.assert_allclose(codes, np.rint(codes), atol=1e-6)
+    found = np.rint(codes).astype(int)
+    assert (np.diff(found) > 0).all()
+    assert reference.starts == (0, 450, 700)
+    if width == 16:
+        np.testing.assert_array_equal(found, np.arange(end + 1))
+        return
+    assert {0, 1, 449, 450, 699, 700, end} <= set(found)
+    assert {round(k * end / 39) for k in range(40)} <= set(found)
+    assert 40 < found.size <= 40 + 10 + 6
+    unit = 64.0 / 2.0**31
+    torque = reference.samples(40)[5:6]
+    for code, current in zip(
+        reference.codes(reference.nearest(torque)), reference.currents(torque), strict=True
+    ):
+        assert current[0] == pytest.approx(float(code[0]) * unit)

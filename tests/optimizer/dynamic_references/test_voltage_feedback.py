@@ -17,6 +17,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import (
     CurrentLoopSettings,
     ReferenceSettings,
+    SpeedLoopSettings,
     Tolerances,
     VoltageFeedbackSettings,
 )
@@ -26,6 +27,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.dynamic_references import (
     VoltageFeedback,
+    dynamic_references,
     feedback_matrices,
     limit_points,
     require_feedback,
@@ -219,3 +221,67 @@ def test_a_voltage_that_limits_nothing_is_refused() -> None:
     design = designed(100.0)
     with pytest.raises(InputError, match="limits nothing"):
         judged(replace(design, machine=slow))
+
+
+@pytest.mark.parametrize("torque_slope", [None, 400.0, 9e4])
+@pytest.mark.parametrize("current_slope", [None, 5e3])
+def test_the_numbers_of_moving_references_are_those_of_their_slopes(
+    torque_slope: float | None, current_slope: float | None
+) -> None:
+    """The largest torque by brute force on the limit circle; the answered step by the speed loop
+    written out here with the torque on its slope.
+    """
+    design = designed(200.0)
+    wanted = ReferenceSettings(torque_slope, current_slope)
+    loop = SpeedLoopSettings(ratio=4)
+    machine = replace(MACHINE, inertia=2e-3, friction=1e-3)
+    control = replace(design.control, references=wanted, speed_loop=loop)
+    design = replace(design, control=control, machine=machine)
+    gains = solve_gains(design)
+    assert gains.speed is not None
+    box = drive_box(design, *inductance_range(design.machine, design.i_max))
+    found = dynamic_references(design, box, (gains.i_d, gains.i_q), gains.speed)
+    if torque_slope is None and current_slope is None:
+        assert found is None
+        return
+    assert found is not None
+    angle = np.linspace(0.5 * np.pi, np.pi, 20_001)
+    i_d, i_q = 100.0 * np.cos(angle), 100.0 * np.sin(angle)
+    most = float(np.max(1.5 * 4.0 * (0.06 + (0.3e-3 - 0.7e-3) * i_d) * i_q))
+    assert found.settings == wanted
+    assert found.torque_step == (np.inf if torque_slope is None else torque_slope * T_S)
+    assert found.current_step == (np.inf if current_slope is None else current_slope * T_S)
+    expected = 0.0 if torque_slope is None else most / torque_slope
+    assert found.torque_time == pytest.approx(expected, rel=1e-6)
+    assert found.slope_at_rest == pytest.approx(design.v_max / 0.7e-3, rel=1e-9)
+    assert found.feedback is None
+    if torque_slope is None:
+        assert np.isnan(found.speed_step)
+        return
+
+    def settles(step: float, slope: float) -> bool:
+        """The linear drive with a limited torque that moves along its slope."""
+        speed, omega, torque, before, integral, away = gains.speed, 0.0, 0.0, 0.0, 0.0, 0.0
+        assert speed is not None
+        periods = int((30.0 / speed.crossover + 4.0 * 800.0 * 2e-3 / most) / speed.t_s) + 1
+        for k in range(periods):
+            error = step - omega
+            integral += speed.ki_ts * error
+            asked = speed.kp * error + integral
+            given = min(max(asked, torque - slope * speed.t_s), torque + slope * speed.t_s)
+            given = min(max(given, -most), most)
+            integral += speed.anti_windup * speed.t_s * (given - asked)
+            middle, before, torque = 0.5 * (before + torque), torque, given
+            omega += speed.t_s / 2e-3 * (middle - 1e-3 * omega)
+            if k > periods - 10.0 / (speed.crossover * speed.t_s):
+                away = max(away, abs(omega - step))
+        return away < 0.05 * step
+
+    assert settles(0.98 * found.speed_step, torque_slope)
+    steps = np.geomspace(1e-3, 1.0, 41) * 800.0
+    lost = [step for step in steps if settles(step, np.inf) and not settles(step, torque_slope)]
+    if lost:
+        assert found.speed_step <= lost[0] * 1.001
+        assert found.speed_step >= 0.8 * lost[0]
+    else:
+        assert found.speed_step == pytest.approx(800.0)

@@ -22,9 +22,11 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import FitForm, FitMethod
 from dqforge.optimizer.current_reference.fit import ReferenceFit, fit_reference
+from dqforge.optimizer.curves.single_precision import PiecewisePolynomial, SinglePolynomial
 from dqforge.optimizer.exploration.batch_currents import (
     ReferenceBatch,
     fit_references,
+    rounded_in_turn,
     why_not_in_batch,
 )
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
@@ -215,6 +217,7 @@ import numpy as np
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.optimizer.curves.single_precision import PiecewisePolynomial, SinglePolynomial
 from dqforge.optimizer.exploration.batch_currents import fit_references
 base = LinearMachine(4, 2e-3, 350e-6, 592e-6, 0.1049, 283.0)
 scale = 1.0 + 0.3 * np.linspace(-1.0, 1.0, 37)
@@ -272,3 +275,27 @@ def test_what_columns_do_not_have_is_left_to_the_single_path(
     assert what in str(why_not_in_batch(settings))
     with pytest.raises(InputError, match="not fitted in batches"):
         fit_references(MachineBatch.of(SALIENT[:1]), settings)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 4, 6])
+def test_floats_of_many_machines_are_those_of_each(degree: int) -> None:
+    """Rounded in turn, a segment without a power plainly; to the last digit of a float."""
+    rng = np.random.default_rng(degree)
+    segments, count = 3, 20
+    widths = rng.integers(2, 16, (segments, count)) / 8.0  # so that their powers are exact
+    sizes = 5.0 ** -np.arange(degree + 1.0)[None, :, None]
+    coefficients = rng.standard_normal((segments, degree + 1, count)) * sizes
+    coefficients[1, -1, 3] = 0.0
+    found = rounded_in_turn(coefficients, widths)
+    assert found.dtype == np.float32
+    moved = 0
+    for n in range(count):
+        edges = np.concatenate([[0.0], np.cumsum(widths[:, n])])
+        alone = PiecewisePolynomial(edges, coefficients[:, :, n])
+        single_floats = SinglePolynomial.from_double(alone).coefficients
+        np.testing.assert_array_max_ulp(found[:, :, n], single_floats, 1)
+        plain = coefficients[:, :, n].astype(np.float32)
+        moved += int(np.count_nonzero(single_floats != plain))
+        if n == 3:
+            np.testing.assert_array_equal(found[1, :, n], plain[1])
+    assert degree < 2 or moved > 3

@@ -35,9 +35,16 @@ def _drive(machine: PhaseMachine, inverter: object = IGBT, torque: float = 3.9) 
 
 def test_with_igbts_the_star_is_flashed_and_the_watts_are_named() -> None:
     """Copper saved, what the leg costs, and the balance, at 3.9 N m of the paper's machine."""
-    advice = advise(compare_flashing(_drive(paper_machine())))
+    found = compare_flashing(_drive(paper_machine()))
+    advice = advise(found)
     assert advice.row is not None
     assert (advice.row.topology, advice.row.frame) == ("three-wire", "table")
+    for trade in advice.trades:
+        row, best = found.row(trade.topology, "table"), advice.row
+        assert trade.copper_saved == pytest.approx(best.copper - row.copper, rel=1e-12)
+        assert trade.link_saved == pytest.approx(best.link - row.link, rel=1e-12)
+        lost = (row.bridge - best.bridge) - (best.copper - row.copper)
+        assert trade.net == pytest.approx(-lost, rel=1e-9)
     fourth = next(trade for trade in advice.trades if trade.topology == "four-leg")
     assert fourth.copper_saved == pytest.approx(0.69, abs=0.02)
     assert fourth.neutral_leg == pytest.approx(1.98, abs=0.03)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -61,7 +63,45 @@ def test_each_point_has_its_mirror_image_and_both_directions_within_the_voltage(
         ]
         for place, voltage in zip(mirrored, u, strict=True):
             assert place in points or voltage > 0.95 * design.v_max * (1.0 - 1e-9)
-    assert plan.least_points[0.005] >= plan.least_points[0.01] >= plan.least_points[0.02]
+    count = len(plan.points)
+    for share, least in plan.least_points.items():
+        assert least == max(18, int(np.ceil(count * (plan.torque / share) ** 2)))
+    # The grid by hand, in the order of the bench, and what of it the voltage permits.
+    base = design.v_max / (machine.pole_pairs * machine.psi_pm)
+    wanted = [
+        (
+            way * share * base,
+            -size * design.i_max * np.sin(a),
+            sign * size * design.i_max * np.cos(a),
+        )
+        for size in (1.0, 0.25, 0.75, 0.5)
+        for a in np.radians([0.0, 35.0, 70.0])
+        for share in (0.3, 0.6)
+        for way in (1.0, -1.0)
+        for sign in (1.0, -1.0)
+    ]
+    assert plan.left_out == len(wanted) - count
+    kept = []
+    for w, d, q in wanted:
+        u_d = machine.r_s * d - machine.pole_pairs * w * machine.l_q * q
+        u_q = machine.r_s * q + machine.pole_pairs * w * (machine.psi_pm + machine.l_d * d)
+        if np.hypot(u_d, u_q) <= 0.95 * design.v_max:
+            kept.append((w, d, q))
+    found = [(point.omega_m, point.i_d, point.i_q) for point in plan.points]
+    np.testing.assert_allclose(found, kept, rtol=1e-9, atol=1e-9)
+    assert plan.noise == pytest.approx(0.003 * design.v_max)
+    known = {one.key: one.value for one in plan.expected}
+    lost = 4.0 / np.pi * design.inverter.f_sw * design.inverter.v_dc * design.inverter.dead_time
+    own = [machine.r_s, machine.psi_pm, machine.l_d, machine.l_q, lost]
+    keys = (*KEYS, "inverter_voltage")
+    assert {key: known[key] for key in keys} == pytest.approx(dict(zip(keys, own, strict=True)))
+
+
+def test_a_link_that_leaves_too_few_points_is_refused() -> None:
+    design = catalogue.load("paper000-ipmsm-100kw")
+    small = replace(design, inverter=replace(design.inverter, v_dc=0.2))
+    with pytest.raises(NoSolutionError, match=r"of 96 points only [0-7] lie within"):
+        plan_bench(small)
 
 
 def test_a_machine_without_magnets_has_no_plan() -> None:

@@ -17,9 +17,22 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.identification.identify import Identification, identify
 from dqforge.optimizer.identification.parameters import Parameter
 from dqforge.optimizer.identification.shaft_tests import (
+    Bursts,
+    OffsetCurve,
+    OffsetSweep,
     SpinDown,
+    SpinUp,
+    VoltageSteps,
+    analyse_bursts,
+    analyse_offsets,
     analyse_spin,
+    analyse_spin_up,
+    analyse_steps,
+    bursts_fault,
+    offset_fault,
     spin_fault,
+    spin_up_fault,
+    steps_fault,
 )
 
 CURVES = ("u_d_V", "u_q_V", "psi_d_Vs", "psi_q_Vs")
@@ -197,4 +210,142 @@ def test_a_spin_down_without_an_inertia_has_its_place(tmp_path: Path) -> None:
     path.write_text(bench_text(run, "pole_pairs: 1\ninertia: 0.01 kg m^2"))
     assert parameter(identify(read_bench(path)), "coulomb_friction").value == pytest.approx(
         0.01, rel=1e-6
+    )
+
+
+def offset_sweep(omega_m: float, seed: int, turn: float = 0.05, rows: int = 90) -> OffsetSweep:
+    """Four curves of psi_pm = 0.07 Wb and 3 pole pairs, offset 2.9 rad, with white noise."""
+    rng, x = np.random.default_rng(seed), np.linspace(0.0, 2.0 * math.pi, rows)
+    rng.shuffle(x)
+    psi = 0.07 * np.exp(1j * (x - 2.9 - turn * np.sign(omega_m)))
+    u = 3j * omega_m * psi
+    curves = {"psi_d": psi.real, "psi_q": psi.imag, "u_d": u.real, "u_q": u.imag}
+    return OffsetSweep(
+        "sweep",
+        omega_m,
+        tuple(
+            OffsetCurve(name, x, y + 0.01 * np.ptp(y) * rng.standard_normal(rows) + 0.1)
+            for name, y in curves.items()
+        ),
+    )
+
+
+def test_offset_turn_and_flux_of_simulated_sweeps_scatter_by_their_sigmas() -> None:
+    truth = {"magnet_flux": 0.07, "encoder_offset": 2.9, "voltage_turn": -0.05}
+    away: dict[str, list[float]] = {key: [] for key in truth}
+    # Amplitude and phase of a circle of n rows: noise sqrt(2/n), over the amplitude; of both
+    # curves of the voltage, both directions and, of the phase, both quantities.
+    share = 0.02 * math.sqrt(2.0 / 90.0)
+    expected = {
+        "magnet_flux": 0.07 * share / 2.0,
+        "encoder_offset": share / math.sqrt(8.0),
+        "voltage_turn": share / math.sqrt(8.0),
+    }
+    for seed in range(30):
+        pair = offset_sweep(100.0, 2 * seed), offset_sweep(-140.0, 2 * seed + 1)
+        analysis = analyse_offsets(pair, 3, None)
+        for key, value in truth.items():
+            one = analysis.of(key)
+            assert one is not None
+            assert expected[key] * 0.6 < one.sigma < expected[key] * 3.5
+            away[key].append((one.value - value) / expected[key])
+        assert not analysis.contradictions
+        assert sum("gives 3.0" in text or "gives 2.9" in text for text in analysis.remarks) == 2
+        assert "at 1146 rpm" in " ".join(analysis.remarks)
+    for found in away.values():
+        assert abs(np.mean(found)) < 0.6
+        assert np.std(found) == pytest.approx(1.0, rel=0.45)
+    told = analyse_offsets(pair, 4, None).contradictions
+    assert len(told) == 2
+    assert all("not 4" in text for text in told)
+    assert offset_fault(pair[0]) == ""
+    assert "circle needs" in offset_fault(offset_sweep(100.0, 1, rows=7))
+
+
+@pytest.mark.parametrize("lag", [0.03, 0.1])
+def test_speed_per_volt_is_that_of_the_settled_rows(lag: float) -> None:
+    """A speed that settles by a first order: rows from eight times its half time on."""
+    time = np.arange(0.0, 12.0, 0.01)
+    voltage = np.select([time < 3.0, time < 6.0, time < 9.0], [2.0, 4.0, -3.0], 0.0)
+    omega = np.zeros(time.size)
+    for k in range(1, time.size):
+        omega[k] = omega[k - 1] + (1.0 - math.exp(-0.01 / lag)) * (30.0 * voltage[k] - omega[k - 1])
+    steps = VoltageSteps("steps", time, voltage, omega)
+    assert steps_fault(steps) == ""
+    analysis = analyse_steps([steps])
+    rows = 8 * math.ceil(lag * math.log(2.0) / 0.01)
+    assert analysis.residuals[0].rows == pytest.approx(3 * (300 - rows), abs=3)
+    gain = analysis.of("speed_per_volt")
+    assert gain is not None
+    assert gain.value == pytest.approx(30.0, rel=3e-3)
+    other = VoltageSteps("later", time, voltage, np.asarray(1.02 * omega, dtype=np.float64))
+    both = analyse_steps([steps, other])
+    gain = both.of("speed_per_volt")
+    assert gain is not None
+    assert gain.value == pytest.approx(30.3, rel=3e-3)
+    assert gain.sigma == pytest.approx(0.3, rel=0.01)
+    assert both.covariance[0, 0] == pytest.approx(gain.sigma**2)
+    assert "changes by +2.00 %, rising all the way" in both.remarks[0]
+    assert "not evaluated from steady speeds" in analysis.parameters[2].why
+    moving = VoltageSteps("moving", time, np.where(np.arange(time.size) % 2, 2.0, 1.0), omega)
+    assert "hold each level longer" in steps_fault(moving)
+
+
+def test_torque_per_ampere_of_simulated_bursts() -> None:
+    rng, time = np.random.default_rng(3), np.arange(0.0, 4.0, 1e-3)
+    on = (time % 1.0 > 0.6) & (time > 1.0)
+    current = np.where(on, 5.0, 0.0) + 0.01 * rng.standard_normal(time.size)
+    torque = np.where(on, 0.4, 0.0) + 0.02 + 2e-3 * rng.standard_normal(time.size)
+    bursts = Bursts("bursts", time, current, torque)
+    assert bursts_fault(bursts) == ""
+    analysis = analyse_bursts(bursts, 4, (0.08 / 6.0, "the design"))
+    found = analysis.of("torque_constant")
+    assert found is not None
+    assert found.value == pytest.approx(0.08, rel=1e-3)
+    # White noise: of the rows with and of those without current; three bursts of 399 rows without
+    # a tenth at both ends, and the rows before the first by a fifth of it.
+    with_current, without = 3 * 0.8 * 399, 1600 - 0.2 * 399
+    expected = 2e-3 * math.sqrt(1.0 / with_current + 1.0 / without) / 5.0
+    assert found.sigma == pytest.approx(expected, rel=0.4)
+    (left,) = analysis.residuals
+    assert left.rows == pytest.approx(with_current, rel=0.02)
+    assert left.rms == pytest.approx(2e-3, rel=0.1)
+    assert "400 mN m at 5 A, less 20 mN m" in analysis.remarks[0]
+    assert analysis.contradictions == ()
+    assert analyse_bursts(bursts, 4, (0.016, "the design")).contradictions
+    quiet = Bursts("bursts", time, current, 0.02 + 2e-3 * rng.standard_normal(time.size))
+    assert "does not answer" in bursts_fault(quiet)
+
+
+def spin_up(torque: float, seed: int, begin: float = 0.0) -> SpinUp:
+    """J = 2e-3 kg m^2, k_t = 0.5 N m/A, T_c = 0.05 N m, b = 1e-3 N m s/rad, exactly."""
+    rng, time = np.random.default_rng(seed), np.linspace(0.0, 1.0, 400)
+    final, lag = (torque - 0.05) / 1e-3, 2.0
+    speed = final + (begin - final) * np.exp(-time / lag)
+    noisy = speed + 0.02 * rng.standard_normal(time.size)
+    return SpinUp("up" if torque else "down", time, np.full(time.size, torque / 0.5), noisy)
+
+
+def test_inertia_and_friction_of_an_acceleration_and_of_coasting() -> None:
+    truth = {"inertia": 2e-3, "coulomb_friction": 0.05, "friction": 1e-3}
+    analysis = analyse_spin_up([spin_up(0.2, 1), spin_up(0.0, 2, 55.0)], 0.5, 0.0)
+    for key, value in truth.items():
+        one = analysis.of(key)
+        assert one is not None
+        assert one.value == pytest.approx(value, rel=0.02)
+        assert one.low <= value <= one.high
+    unsure = analyse_spin_up([spin_up(0.2, 1), spin_up(0.0, 2, 55.0)], 0.5, 0.03)
+    first, second = analysis.parameters, unsure.parameters
+    for sure, other in zip(first, second, strict=True):
+        assert other.sigma == pytest.approx(math.hypot(sure.sigma, 0.03 * sure.value), rel=1e-6)
+    shifted = np.outer([one.value for one in first], [one.value for one in first])
+    np.testing.assert_allclose(unsure.covariance, analysis.covariance + 9e-4 * shifted, rtol=1e-9)
+    assert [left.rows for left in analysis.residuals] == [400, 400]
+    assert all(left.rms == pytest.approx(2e-3 * 0.02, rel=0.2) for left in analysis.residuals)
+    alone = analyse_spin_up([spin_up(0.2, 1)], 0.5, 0.0)
+    assert alone.parameters[1].status == "not identified"
+    assert spin_up_fault(spin_up(0.2, 1)) == ""
+    assert "coasting is a run" in spin_up_fault(spin_up(0.0, 1, 55.0))
+    assert "does not change" in spin_up_fault(
+        SpinUp("up", np.arange(9.0), np.ones(9), 100.0 + np.arange(9.0))
     )

@@ -11,6 +11,7 @@ from learned_drives import learned_observer, observed_template
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import ObserverSettings, Tolerances
+from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import LEARNED_OBSERVERS, ObserverMethodName
 from dqforge.optimizer.learned_correction import correction_frame as assessment
@@ -161,3 +162,46 @@ def test_training_anew_gives_the_same_numbers(method: ObserverMethodName) -> Non
     assert first is not None
     assert second is not None
     np.testing.assert_array_equal(first.rms[CORRECTED], second.rms[CORRECTED])
+
+
+@pytest.mark.parametrize("method", LEARNED_OBSERVERS)
+def test_what_is_trained_is_the_error_with_the_other_sign(
+    method: ObserverMethodName, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a stand-in for the training, and few drives: inputs within their ranges, and wanted is
+    what takes the error away, of a network within its limit.
+    """
+    given: list[tuple[FloatArray, FloatArray, tuple[object, ...]]] = []
+    module = neural if method == "neural" else neuro_fuzzy
+
+    class TrainedError(Exception):
+        """The training was asked for."""
+
+    def stand_in(inputs: FloatArray, wanted: FloatArray, *rest: object) -> None:
+        given.append((inputs, wanted, rest))
+        raise TrainedError
+
+    name = "network.trained_network" if method == "neural" else "fuzzy_rules.trained_rules"
+    monkeypatch.setattr(f"{module.__name__}.{name}", stand_in)
+    design = observed_template(method, correction_limit=np.radians(4.0))
+    with pytest.raises(TrainedError):
+        solve_observer(design)
+    ((inputs, wanted, rest),) = given
+    machine, observer = design.machine, design.control.observer
+    assert isinstance(machine, LinearMachine)
+    assert observer is not None
+    omega_max = machine.pole_pairs * (machine.omega_m_max or design.control.bases.speed)
+    box, t_s = training_box(design, omega_max), design.control.t_s
+    usual = module.METHOD.usual(machine, t_s, omega_max)
+    found = module.METHOD.design(machine, usual, t_s, min(1.2 * omega_max, 0.8 / t_s))
+    counted = (neural._DRIVES,) if method == "neural" else ()
+    drives = training_drives(found.flux, machine, box, *counted)
+    limit = np.radians(4.0)
+    expected = -drives.error
+    if method == "neural":
+        expected = np.clip(expected, -limit, limit)
+        assert rest[1] == pytest.approx(limit, rel=1e-6)
+        assert np.max(np.abs(wanted)) == pytest.approx(limit, rel=1e-6)
+    np.testing.assert_allclose(wanted, expected, rtol=1e-6, atol=1e-9)
+    frame = assessment.frame_for(found.flux, machine, observer, box)
+    np.testing.assert_allclose(inputs, assessment.inputs_of(frame, drives), atol=1e-12)

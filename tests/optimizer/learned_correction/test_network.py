@@ -11,7 +11,9 @@ from learned_drives import learned_observer
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.curves.single_precision import SINGLE
+from dqforge.optimizer.learned_correction import corrected_flux
 from dqforge.optimizer.learned_correction.corrected_flux import (
+    STEPS,
     TANH_ERROR,
     Network,
     answered,
@@ -66,6 +68,35 @@ def test_training_repeats_to_the_bit_and_learns() -> None:
     assert all(np.float32(value) == value for value in first.weights_1)
     left = answered(EXACT, first, 1.0, tuple(x)) - wanted
     assert np.std(left) < 0.1 * np.std(wanted)
+
+
+def test_training_begins_with_weights_of_about_one_over_the_root_of_what_comes_in(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    begun: list[tuple[FloatArray, tuple[int, ...], FloatArray, object, int]] = []
+
+    def stand_in(
+        flat: FloatArray, seen: FloatArray, shares: FloatArray, hidden: object, steps: int
+    ) -> FloatArray:
+        begun.append((flat, seen.shape, shares, hidden, steps))
+        return flat
+
+    monkeypatch.setattr(corrected_flux, "_descended", stand_in)
+    x, wanted = toy_answers()
+    found = trained_network(x, wanted, (90, 40), 0.5)
+    flat = begun[0][0]
+    at = 0
+    for rows, columns in ((90, TOLD), (40, 90), (1, 40)):
+        weights, offsets = flat[at : at + rows * columns], flat[at + rows * columns :][:rows]
+        assert np.std(weights) == pytest.approx(columns**-0.5, rel=0.25)
+        assert np.max(np.abs(weights)) < 4.5 * columns**-0.5
+        np.testing.assert_array_equal(offsets, 0.0)
+        at += rows * columns + rows
+    assert at == flat.size == found.size
+    for (every, steps), (_, shape, shares, hidden, taken) in zip(STEPS, begun, strict=True):
+        assert shape == (TOLD, -(-x.shape[1] // every))
+        np.testing.assert_array_equal(shares, wanted[::every] / 0.5)
+        assert (hidden, taken) == ((90, 40), steps)
 
 
 @pytest.mark.parametrize("trained", ["toy", pytest.param("neural", marks=pytest.mark.slow)])

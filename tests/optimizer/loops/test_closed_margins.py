@@ -245,3 +245,18 @@ def test_a_loop_with_another_sign_is_still_scanned() -> None:
     wanted = loop_margins(current_loop(0.4, 2e-3, 1e-4, 4.0, 0.0).open_loop)
     assert found.margins.max_sensitivity == wanted.max_sensitivity
     assert found.margins.crossover == wanted.crossover
+
+
+@pytest.mark.parametrize("ki", [1e2, 2e3, 5e3])
+@pytest.mark.parametrize("left", [1.02, 1.1, 1.24, 3.0])
+def test_a_gain_takes_itself_from_both_gain_margins(ki: float, left: float) -> None:
+    """A voltage that is larger by a factor leaves so much less of the margin, and asks for so much
+    more of a reduction; what is left of a margin near one is still none of a reduction.
+    """
+    plain = current_margins(current_loops(1.0, 1e-3, 1e-4, 3.0, ki))
+    gain = plain.gain_margin / left
+    found = current_margins(current_loops(1.0, 1e-3, 1e-4, 3.0, ki, gain))
+    assert found.gain_margin[0] == pytest.approx(left, rel=1e-9)
+    if plain.gain_reduction[0] / gain[0] <= 1.0:
+        assert found.gain_reduction[0] == pytest.approx(plain.gain_reduction[0] / gain[0], rel=1e-9)
+    assert found.gain_reduction[0] <= 1.0

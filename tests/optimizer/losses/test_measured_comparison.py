@@ -86,6 +86,25 @@ def test_less_than_the_model_is_named_with_its_line() -> None:
     assert shown.rows[0][0] == "7"
 
 
+@pytest.mark.parametrize(("span", "told"), [(0.09, False), (0.115, True)])
+def test_speeds_that_are_nearly_one_say_nothing_of_the_speed(span: float, told: bool) -> None:
+    speed = 1000.0 * np.linspace(1.0 - span, 1.0, 16)
+    measured = read_measured(
+        table("machine loss [W]", 20.0 + 0.1 * np.arange(16.0), np.full(16, 0.5), speed), "d.csv"
+    )
+    compared = compare_measured(catalogue.load(DRIVE), measured)
+    assert bool(compared.goes_with) == told
+    assert compared.rms == pytest.approx(np.linalg.norm(compared.left) / 4.0)
+    np.testing.assert_array_equal(compared.below, compared.left < 0.0)
+    np.testing.assert_allclose(compared.left, measured.loss - compared.model)
+    np.testing.assert_allclose(compared.model, sum(compared.parts.values()))
+    few = read_measured(
+        table("machine loss [W]", np.full(4, 20.0), np.full(4, 0.5), np.linspace(300.0, 900.0, 4)),
+        "d.csv",
+    )
+    assert compare_measured(catalogue.load(DRIVE), few).goes_with == ()
+
+
 def test_efficiencies_and_powers_say_the_same_loss() -> None:
     """Shaft power 1 kW at 1000 rpm; 800 W come out where 1 kW brake."""
     torque = np.array([30.0, -30.0]) / np.pi

@@ -401,3 +401,37 @@ def test_equal_pole_pairs_over_a_mechanical_turn_lose_what_one_period_says(
         found = getattr(two.budget, part)
         assert found == pytest.approx(getattr(one.budget, part), rel=1e-9, abs=1e-12)
     assert two.link_demand == pytest.approx(one.link_demand, rel=1e-9)
+
+
+@pytest.mark.parametrize("v_dc", [400.0, 150.0])
+def test_marks_and_largest_values_are_those_of_the_legs(v_dc: float) -> None:
+    """Three points, one of them hot: what is cool, linear and how hot, from the legs' own rows."""
+    machine = trapezoid_machine(72)
+    currents = np.array([0.2, 1.0, 3.0])[:, None, None] * unit_currents(machine, "dqx")
+    omega = np.array([30.0, 60.0, 120.0])
+    assert IGBT.device is not None
+    options = BudgetOptions(MachineLoss(1e-6, 0.4, 1e-3, 1e-6), WindingHeat(1.0), 0.1)
+    inverter = replace(IGBT, topology="four-leg", v_dc=v_dc)
+    found = phase_budget(machine, inverter, currents, omega, options=options)
+    hottest = found.leg_temperature.max(axis=-1)
+    budget = found.budget
+    np.testing.assert_allclose(
+        np.maximum(budget.junction_temperature, budget.diode_temperature), hottest
+    )
+    parts = sum(getattr(budget, part) for part in PARTS)
+    np.testing.assert_allclose(budget.total, parts)
+    left = 1.0 - 2.0 * inverter.dead_time * inverter.f_sw
+    room = found.link_demand <= v_dc
+    assert (budget.linear <= room).all()
+    assert (budget.linear >= (found.link_demand <= v_dc * left)).all()
+    between = float(0.5 * (hottest[0, 1] + hottest[0, 2]))
+    device = replace(IGBT.device, max_junction_temperature=between)
+    cooler = phase_budget(
+        machine, replace(inverter, device=device), currents, omega, options=options
+    )
+    np.testing.assert_array_equal(cooler.budget.cool_enough, [[True, True, False]])
+    np.testing.assert_array_equal(budget.cool_enough, hottest <= 175.0)
+    # Slow enough for no power at all but what is lost.
+    shaft = budget.shaft_power[0]
+    np.testing.assert_allclose(budget.input_power[0], shaft + budget.total[0], rtol=1e-6)
+    np.testing.assert_allclose(budget.torque[0] * omega, shaft, rtol=1e-9)

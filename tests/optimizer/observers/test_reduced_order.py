@@ -18,6 +18,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.observers.reduced_order import (
     ReducedOrderObserver,
+    errors_at_loads,
     estimate_speed,
     reduced_order_observer,
     simulate_observer,
@@ -256,6 +257,26 @@ def test_wrong_resistance_at_rated_torque_costs_four_percent(
     )  # +3.0 % from the load, -4.4 % from the resistance
     assert estimate[-1] - loaded.omega_m[-1] == pytest.approx(closed.total, rel=1e-3)
     assert closed.total == pytest.approx(closed.load + closed.resistance, rel=0.01)
+
+
+def test_errors_at_loads_are_those_without_and_with_a_wrong_resistance(
+    bench001: LinearMachine,
+) -> None:
+    observer = reduced_order_observer(bench001, G, T_S)
+    damping, loads = 40e-6 / 200e-6, (0.0, 0.5, -1.0)
+    found = errors_at_loads(bench001, observer, OMEGA, loads, 0.3)
+    for load, at in zip(loads, found, strict=True):
+        i_q = (40e-6 * OMEGA + load) / (1.5 * 3.0 * 0.06)
+        by_load = load / (200e-6 * (G + damping))
+        wrong = -0.3 * bench001.r_s * i_q * G / ((G + damping) * 3.0 * 0.06)
+        assert (at.torque_load, at.r_error) == (load, 0.3)
+        assert at.exact.resistance == 0.0
+        assert at.exact.total == pytest.approx(by_load, rel=0.01, abs=1e-9)
+        assert at.resistance.resistance == pytest.approx(wrong, rel=1e-9)
+        assert at.resistance.total == pytest.approx(by_load + wrong, rel=0.01)
+        for one in (at.exact, at.resistance):
+            assert (one.i_q, one.omega_m) == pytest.approx((i_q, OMEGA))
+            assert one.load == pytest.approx(by_load)
 
 
 @pytest.mark.parametrize("errors", [{"psi_error": 0.05}, {"inertia_error": 0.5}, {"r_error": -0.2}])

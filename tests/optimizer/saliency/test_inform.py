@@ -146,3 +146,40 @@ def test_one_bad_sample_costs_one_sequence() -> None:
         for part in (state.theta_e, state.omega_e, *state.added, *state.current):
             assert np.all(np.isfinite(part))
     np.testing.assert_allclose(state.theta_e, state.theta_e[2], atol=1e-3)
+
+
+def test_the_gains_are_those_of_the_saliency_along_the_load() -> None:
+    """Poles of the loop from its roots, the tables from inductances by finite differences of the
+    flux, and the speed from the voltage that the pulses leave.
+    """
+    design = drive()
+    gains, t_s = gains_of(design, damping=0.8, pll_bandwidth=60.0), design.control.t_s
+    time = gains.period * t_s
+    # Angle and speed of a sequence: e, w -> e - k_p e - time w, w + k_i e.
+    poles = np.roots([1.0, gains.k_p - 2.0, 1.0 - gains.k_p + gains.k_i * time])
+    wanted = np.exp(np.roots([1.0, 2.0 * 0.8 * 60.0, 60.0**2]) * time)
+    np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(wanted), rtol=0.02)
+    loaded = along_locus(design, POINTS)
+    step = 1e-3
+    for k in range(0, POINTS, 4):
+        i = np.array([loaded.i_d[k], loaded.i_q[k]])
+        slopes = np.empty((2, 2))
+        for axis in range(2):
+            ends = [i + side * step * np.eye(2)[axis] for side in (1.0, -1.0)]
+            high, low = (np.array(design.machine.flux(*end)) for end in ends)
+            slopes[:, axis] = (high - low) / (2.0 * step)
+        inverse = np.linalg.inv(slopes)
+        along, across = 0.5 * (inverse[0, 0] - inverse[1, 1]), inverse[0, 1]
+        assert gains.scale[k] == pytest.approx(1.0 / (3.0 * gains.voltage * t_s * along), rel=0.02)
+        assert gains.shift[k] == pytest.approx(0.5 * across / along, rel=0.05, abs=1e-3)
+    machine, i_q = linearised(design.machine), loaded.i_q[-1]
+    assert gains.per_ampere == pytest.approx((POINTS - 1) / i_q)
+    cases = (design.inverter.v_dc, 1e9, 8.0), (1.5 * gains.voltage, 1e9, 8.0), (1e4, 40.0, 8.0)
+    for v_dc, most, period in (*cases, (1e4, 1e9, 8.0), (1e4, 1e9, 40.0)):
+        other = replace(design, inverter=replace(design.inverter, v_dc=v_dc))
+        left = v_dc / np.sqrt(3.0) - gains.voltage - machine.r_s * i_q
+        flux = float(np.abs(machine.psi_pm + 1j * machine.l_q * i_q))
+        turned = min(0.3 / 6.0, 0.8 / period) / t_s
+        limited = replace(gains, omega_max=most, period=period)
+        expected = 0.0, min(turned, most, left / flux)
+        assert TRACKERS["inform"].speeds(other, limited) == pytest.approx(expected, rel=1e-6)

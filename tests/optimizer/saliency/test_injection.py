@@ -243,3 +243,25 @@ def test_control_in_integers_is_refused() -> None:
     fixed = replace(design, export=replace(design.export, control=("q15",)))
     with pytest.raises(InputError, match="q15 has no injection in integers; write float32"):
         tune_tracker(fixed, ObserverSettings(method="injection"))
+
+
+@pytest.mark.parametrize("wave", WAVES)
+@pytest.mark.parametrize("v_dc", [540.0, 450.0])
+def test_injection_serves_up_to_ten_periods_per_turn_or_the_room_of_the_voltage(
+    wave: InjectionWave, v_dc: float
+) -> None:
+    design = drive(ABB)
+    design = replace(design, inverter=replace(design.inverter, v_dc=v_dc))
+    machine, gains = linearised(design.machine), gains_of(design, wave)
+    samples = 4 if wave == "square" else len(gains.carrier)
+    i_q = along_locus(design, POINTS).i_q[-1]
+    flux = float(np.abs(machine.psi_pm + 1j * machine.l_q * i_q))
+    left = v_dc / np.sqrt(3.0) - max(gains.carrier) - machine.r_s * i_q
+    turn = 2.0 * np.pi / (10.0 * samples * gains.t_s)
+    for limit in (1e9, 5.0):
+        low, high = TRACKER.speeds(design, replace(gains, omega_max=limit))
+        assert low == 0.0
+        assert high == pytest.approx(min(turn, left / flux, limit), rel=1e-3)
+    crowded = replace(design, inverter=replace(design.inverter, v_dc=0.6 * v_dc))
+    left -= 0.4 * v_dc / np.sqrt(3.0)
+    assert TRACKER.speeds(crowded, gains)[1] == pytest.approx(min(turn, left / flux), rel=1e-3)

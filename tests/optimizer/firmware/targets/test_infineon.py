@@ -239,3 +239,92 @@ def test_contradictions_name_both_numbers() -> None:
     integral = configuration("x", DEFAULTS | {"params.mech.viscous": 0.0}).contradictions
     assert any("integral gain of the speed controller is 0" in text for text in integral)
     assert TABLE not in own
+
+
+@pytest.mark.parametrize("ratio", [1, 2])
+@pytest.mark.parametrize("fastest", [None, 60.0, 900.0])
+@pytest.mark.parametrize("pll", [None, PiGains(500.0, 1.1e5)])
+def test_every_parameter_is_that_of_its_rule(
+    ratio: int, fastest: float | None, pll: PiGains | None
+) -> None:
+    machine = replace(SCOOTER, l_q=1.7e-4, omega_m_max=fastest)
+    asked = asked_of(machine, speed=PiGains(0.7, 9.0))
+    t_s = ratio / 20e3
+    asked = replace(asked, pll=pll, drive=replace(asked.drive, t_s=t_s))
+    own = {name.removeprefix("params."): value for name, value in configure(asked).own.items()}
+    v_max, i_max, psi, r_s = 48.0 / math.sqrt(3.0), machine.i_max, machine.psi_pm, 0.05
+    free = v_max / psi
+    most = free if fastest is None else 15 * fastest
+    rated, rate = min(most, free), 20e3 / ratio
+    bandwidth = asked.current_q.kp / 1.7e-4
+    tracked = min(2.0 * math.pi * 500.0, 0.2 / t_s)
+    kp, ki = (tracked, 0.5 * tracked**2) if pll is None else (pll.kp, pll.ki)
+    expected = {
+        "motor.r": r_s,
+        "ctrl.align.voltage": 0.5 * r_s * i_max,
+        "motor.lq": 1.7e-4,
+        "motor.ld": 1e-4,
+        "motor.lam": psi,
+        "motor.i_peak": i_max,
+        "motor.i_cont": i_max,
+        "motor.id_max": i_max,
+        "sys.cmd.i_max": i_max,
+        "sys.rate_lim.i_cmd": i_max * rate,
+        "ctrl.curr.i_cmd_thresh": 0.2 * i_max,
+        "ctrl.curr.i_cmd_hyst": 0.02 * i_max,
+        "ctrl.six_pulse_inj.i_peak": 0.5 * i_max,
+        "ctrl.high_freq_inj.i_qd_r_peak.d": 0.2 * i_max,
+        "motor.w_nom.elec": rated,
+        "motor.w_max.elec": most,
+        "sys.cmd.w_max.mech": most / 15,
+        "sys.rate_lim.w_cmd.elec": most,
+        "obs.pll.w_max.elec": 1.5 * most,
+        "obs.w_thresh.elec": 0.1 * rated,
+        "obs.w_hyst.elec": 0.01 * rated,
+        "ctrl.volt.w_thresh.elec": 0.01 * rated,
+        "ctrl.volt.w_hyst.elec": 0.001 * rated,
+        "ctrl.curr.bw": bandwidth,
+        "ctrl.curr.ff_coef": 1.0,
+        "ctrl.flux_weaken.bw": 0.2 * bandwidth,
+        "motor.v_nom": v_max,
+        "sys.vdc_nom": 48.0,
+        "sys.samp.fs0": rate,
+        "sys.analog.filt.w0_i_ph": rate,
+        "sys.analog.filt.w0_v_ph": rate,
+        "motor.P": 30,
+        "sys.samp.fpwm_fs0_ratio": ratio,
+        "mech.friction": 0.0,
+        "mech.inertia": 0.02,
+        "ctrl.curr.kp.q": asked.current_q.kp,
+        "ctrl.curr.kp.d": asked.current_d.kp,
+        "ctrl.curr.ki.q": asked.current_q.ki,
+        "ctrl.curr.ki.d": asked.current_d.ki,
+        "obs.pll.w0": kp,
+        "obs.pll.kp": kp / psi,
+        "obs.pll.ki": ki / psi,
+        "ctrl.speed.bw": 0.7 * 1.5 * 15 * psi / 0.02,
+        "ctrl.speed.kp": 0.7 / 15,
+        "ctrl.speed.ki": 9.0 / 15,
+    }
+    for name, value in expected.items():
+        assert own[name] == pytest.approx(value, rel=1e-6), name
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"params.motor.v_nom": 1.009 * 32.0 / math.sqrt(3.0)}, ""),
+        ({"params.motor.v_nom": 1.011 * 32.0 / math.sqrt(3.0)}, "v_nom"),
+        ({"params.motor.w_nom.elec": 1.009 * DEFAULTS["params.motor.w_max.elec"]}, ""),
+        ({"params.motor.w_nom.elec": 1.011 * DEFAULTS["params.motor.w_max.elec"]}, "w_nom"),
+        ({"params.ctrl.curr.kp.q": 1.009 * 2.0 * math.pi * 1500.0 * 28e-6}, ""),
+        ({"params.ctrl.curr.kp.q": 1.011 * 2.0 * math.pi * 1500.0 * 28e-6}, "edited by hand"),
+        ({"params.motor.P": 15}, "motor.P 15"),
+    ],
+)
+def test_what_just_holds_is_no_contradiction(changed: dict[str, float], words: str) -> None:
+    plain = set(configuration("x", DEFAULTS).contradictions)
+    more = configuration("x", DEFAULTS | changed).contradictions
+    told = [text for text in more if text not in plain]
+    assert bool(told) == bool(words)
+    assert not words or any(words in text for text in told)

@@ -16,7 +16,7 @@ from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, judge
 from dqforge.optimizer.firmware.mcat_numbers import EDITIONS, FLOAT_2022, FLOAT_2025, constants
 from dqforge.optimizer.firmware.mcat_sheet import McatFile
-from dqforge.optimizer.firmware.targets.nxp import NXP, configured, profile
+from dqforge.optimizer.firmware.targets.nxp import NXP, configured, own_values, profile
 
 
 def _published(data: published.Published) -> Configuration:
@@ -205,3 +205,96 @@ def test_inputs_say_the_limits_unrounded(tmp_path: Path) -> None:
     assert found.drive.i_max == pytest.approx(asked.design.i_max, rel=1e-11)
     edited = {**found.own, "M1_SPEED_LOOP_HIGH_LIMIT": 5.0}
     assert McatFile("m", FLOAT_2025, edited).configuration().drive.i_max == 5.0
+
+
+@pytest.mark.parametrize("version", ["2025", "2022"])
+@pytest.mark.parametrize("slow", [False, True])
+def test_every_input_is_that_of_its_rule(tmp_path: Path, version: str, *, slow: bool) -> None:
+    asked = asked_for(design_of(tmp_path, inductance_q="300 uH"))
+    drive, design = asked.drive, asked.design
+    if slow:  # a slow loop of the speed, a tracking observer of its own, slow sampling
+        asked = replace(
+            asked,
+            speed=PiGains(2.0, 3.0),
+            pll=PiGains(90.0, 2500.0),
+            drive=replace(drive, t_s=1e-3, t_speed=5e-3),
+        )
+        drive = asked.drive
+    edition = EDITIONS[version]
+    found = {
+        name: value
+        for name, value in own_values(asked, edition).items()
+        if not name.startswith("M1_")
+    }
+    psi, r_s, l_d, l_q, turn = drive.psi_pm, 0.05, 1e-4, 1.5e-4, 2.0 * math.pi
+    assert psi is not None
+    assert asked.speed is not None
+    assert drive.t_s is not None
+    assert drive.t_speed is not None
+    constant, i_max, inertia = 1.5 * 15 * psi, 40.0 * math.sqrt(2.0), 0.02
+    current = math.sqrt(asked.current_q.ki / l_q)
+    speed = math.sqrt(asked.speed.ki * constant / inertia)
+    follows = asked.speed.kp * constant / inertia
+    share = design.v_max * math.sqrt(3.0) / 48.0
+    bemf = max(asked.current_q.kp / l_q, r_s / l_d)
+    tracking = 50.0 if slow else min(max(8.0 * follows, 20.0 * turn), 0.25 * bemf)
+    slope = 0.5 * constant * i_max / inertia * 60.0 / turn
+    bases = design.control.bases
+    expected = {
+        "parametersPP": 15.0,
+        "parametersRs": r_s,
+        "parametersLd": l_d,
+        "parametersLq": l_q,
+        "parametersKe": constant,
+        "parametersJ": inertia,
+        "parametersIphNom": i_max,
+        "parametersUphNom": 48.0 / math.sqrt(3.0),
+        "parametersNnom": 2500.0,
+        "parametersImax": bases.current,
+        "parametersUdcbMax": max(math.sqrt(3.0) * bases.voltage, 72.0),
+        "parametersUdcbTrip": 57.6,
+        "parametersUdcbUnder": 31.2,
+        "parametersUdcbOver": 62.4,
+        "parametersNover": 2750.0,
+        "parametersNmin": 125.0,
+        "parametersNmax": max(2750.0, bases.speed * 60.0 / turn),
+        "parametersEblock": 0.5 * 15 * psi * 125.0 * turn / 60.0,
+        "parametersEblockPer": 2000.0,
+        "parametersUdcbIIRf0": min(100.0, 0.05 / drive.t_s),
+        "parametersCalibDuration": 0.2,
+        "parametersFaultDuration": 2.0,
+        "parametersFreewheelDuration": 1.5,
+        "parametersScalarUqMin": 0.1 * r_s * i_max,
+        "parametersScalarVHzRatio": 100.0,
+        "parametersAlignVoltage": 0.3 * r_s * i_max,
+        "parametersAlignDuration": min(0.4, 65535 * drive.t_s),
+        "currentLoopSampleTime": drive.t_s,
+        "currentLoopF0": current / turn,
+        "currentLoopKsi": (asked.current_q.kp + r_s) / (2.0 * current * l_q),
+        "currentLoopOutputLimit": 100.0 * min(0.9, share),
+        "speedLoopSampleTime": drive.t_speed,
+        "speedLoopIncUp": slope,
+        "speedLoopIncDown": slope,
+        "speedLoopCutOffFreq": min(max(100.0, 20.0 * follows / turn), 0.2 / drive.t_speed),
+        "speedLoopUpperLimit": i_max,
+        "speedLoopLowerLimit": -i_max,
+        "speedLoopManualConstantTunning": 0.0 if version == "2025" else 1.0,
+        "speedLoopSLKp": asked.speed.kp / 15,
+        "speedLoopSLKi": asked.speed.ki / 15 * edition.speed_share * drive.t_speed,
+        "speedLoopF0": speed / turn,
+        "speedLoopKsi": asked.speed.kp * constant / (2.0 * speed * inertia),
+        "sensorlessBemfObsrvF0": bemf / turn,
+        "sensorlessBemfObsrvKsi": 1.0,
+        "sensorlessTrackObsrvF0": tracking / turn,
+        "sensorlessTrackObsrvKsi": 0.9 if slow else 1.0,
+        "sensorlessTrackObsrvIIRSpeedCutOff": min(
+            max(400.0, 5.0 * tracking / turn), 0.2 / drive.t_s
+        ),
+        "sensorlessStartupRamp": 0.5 * slope,
+        "sensorlessStartupCurrent": 0.3 * i_max,
+        "sensorlessMergingSpeed": 250.0,
+        "sensorlessMergingCoeff": 100.0,
+    }
+    assert set(found) == set(expected)
+    for name, value in expected.items():
+        assert found[name] == pytest.approx(value, rel=1e-9), name

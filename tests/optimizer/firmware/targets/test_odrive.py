@@ -144,3 +144,68 @@ def test_a_motor_that_was_not_calibrated_has_no_loops() -> None:
 )
 def test_contradictions(values: dict[str, float], words: str) -> None:
     assert any(words in found for found in configuration("drive", values).contradictions)
+
+
+@pytest.mark.parametrize("pll", [None, PiGains(3000.0, 2.25e6), PiGains(9000.0, 2e7)])
+@pytest.mark.parametrize("speed", [PiGains(0.05, 0.1), PiGains(0.7, 9.0), PiGains(5.0, 9.0)])
+def test_every_value_of_an_axis_is_that_of_its_rule(pll: PiGains | None, speed: PiGains) -> None:
+    machine = replace(SCOOTER, l_q=1.7e-4)
+    asked = replace(asked_of(machine, speed=speed), pll=pll)
+    own = {name.replace("config.", ""): value for name, value in configure(asked).own.items()}
+    constant, margin = 1.5 * 15 * machine.psi_pm, 0.2 * machine.i_max
+    own_pll = max(1000.0, 8.0 * speed.kp * constant / 0.02)
+    expected = {
+        "motor.motor_type": 0,
+        "motor.pre_calibrated": True,
+        "motor.pole_pairs": 15,
+        "motor.phase_resistance": 0.05,
+        "motor.phase_inductance": 1.35e-4,
+        "motor.torque_constant": constant,
+        "motor.current_lim": machine.i_max,
+        "motor.current_lim_margin": margin,
+        "motor.requested_current_range": machine.i_max + margin,
+        "motor.R_wL_FF_enable": False,
+        "motor.bEMF_FF_enable": True,
+        "controller.vel_limit": 250.0 / TWO_PI,
+        "controller.inertia": TWO_PI * 0.02,
+        "controller.vel_gain": TWO_PI * constant * speed.kp,
+        "controller.vel_integrator_gain": TWO_PI * constant * speed.ki,
+        "encoder.bandwidth": min(own_pll if pll is None else 0.5 * pll.kp, 3200.0),
+    }
+    assert 100.0 < float(own.pop("motor.current_control_bandwidth")) < TWO_PI * 1001.0
+    assert set(own) == set(expected)
+    for name, value in expected.items():
+        down = 1e-3 if "margin" in name or "range" in name or "bandwidth" in name else 1e-5
+        assert own[name] == pytest.approx(value, rel=down), name
+        assert float(own[name]) <= value * (1.0 + 1e-6), name
+
+
+@pytest.mark.parametrize(
+    ("values", "named"),
+    [
+        ({"encoder.config.bandwidth": 3999.0}, False),
+        ({"encoder.config.bandwidth": 3300.0}, False),
+        (
+            {"encoder.config.mode": 1, "encoder.config.cpr": 90, "motor.config.pole_pairs": 15},
+            False,
+        ),
+        (
+            {
+                "motor.config.torque_constant": 0.0695,
+                "motor.config.pole_pairs": 15,
+                "sensorless_estimator.config.pm_flux_linkage": 0.00306,
+            },
+            False,
+        ),
+        (
+            {
+                "motor.config.torque_constant": 0.0705,
+                "motor.config.pole_pairs": 15,
+                "sensorless_estimator.config.pm_flux_linkage": 0.00306,
+            },
+            True,
+        ),
+    ],
+)
+def test_what_just_holds_is_no_contradiction(values: dict[str, float], *, named: bool) -> None:
+    assert bool(configuration("drive", values).contradictions) == named

@@ -199,3 +199,39 @@ def test_what_the_library_cannot_hold_is_refused(
 
 def test_the_method_offers_both_axes() -> None:
     assert (SIMPLEFOC.name, SIMPLEFOC.free) == ("simplefoc", "axes")
+
+
+@pytest.mark.parametrize("kp", [0.05, 5.0])
+@pytest.mark.parametrize("ratio", [1, 7])
+def test_every_member_is_that_of_its_rule(kp: float, ratio: int) -> None:
+    machine = replace(SCOOTER, l_q=1.7e-4)
+    asked = asked_of(machine, speed=PiGains(kp, 9.0), ratio=ratio)
+    own, v_max = configure(asked).own, 48.0 / math.sqrt(3.0)
+    constant = 1.5 * 15 * machine.psi_pm
+    expected = {
+        "v_dc": 48.0,
+        "loop_period": 5e-5,
+        "pole_pairs": 15,
+        "phase_resistance": 0.05,
+        "axis_inductance.d": 1e-4,
+        "axis_inductance.q": 1.7e-4,
+        "KV_rating": 60.0,
+        "foc_modulation": 1,
+        "torque_controller": 2,
+        "controller": 1,
+        "motion_downsample": ratio - 1,
+        "PID_velocity.P": kp,
+        "PID_velocity.I": 9.0,
+        "LPF_velocity.Tf": min(0.005, 0.1 * 0.02 / (constant * kp)),
+        "PID_velocity.limit": machine.i_max,
+        "current_limit": machine.i_max,
+        "velocity_limit": 250.0,
+    } | dict.fromkeys(("voltage_limit", "PID_current_q.limit", "PID_current_d.limit"), v_max)
+    for axis, gains in (("q", asked.current_q), ("d", asked.current_d)):
+        expected |= {f"PID_current_{axis}.P": gains.kp, f"PID_current_{axis}.I": gains.ki}
+        expected[f"LPF_current_{axis}.Tf"] = 0.0
+    for loop in ("PID_velocity", "PID_current_q", "PID_current_d"):
+        expected |= {f"{loop}.D": 0.0, f"{loop}.output_ramp": 0.0}
+    assert set(own) == set(expected)
+    for name, value in expected.items():
+        assert own[name] == pytest.approx(value, rel=1e-5), name

@@ -252,3 +252,87 @@ def test_contradictions_name_both_numbers() -> None:
     words = " ".join(configuration("another", own).contradictions)
     for part in ("trips below", "47.5 %", "RATED_SPEED_KRPM 12 is 800 Hz", "Teknic M2310"):
         assert part in words
+
+
+@pytest.mark.parametrize("ticks", [1, 2, 5])
+@pytest.mark.parametrize("fastest", [None, 300.0])
+def test_every_value_of_the_block_is_that_of_its_rule(ticks: int, fastest: float | None) -> None:
+    machine = replace(SCOOTER, l_q=1.7e-4, omega_m_max=fastest)
+    asked = asked_of(machine, speed=PiGains(0.7, 9.0), ratio=14)
+    t_s = ticks / 20e3
+    drive = replace(asked.drive, t_s=t_s, t_speed=14 * t_s)
+    found = configure(replace(asked, drive=drive)).own
+    v_max, i_max = 48.0 / math.sqrt(3.0), machine.i_max
+    most = v_max / (TWO_PI * machine.psi_pm) if fastest is None else fastest * 15 / TWO_PI
+    steps = min(ticks, 3)
+    expected = {
+        "M1_PWM_FREQ_kHz": 20.0,
+        "M1_NUM_PWM_TICKS_PER_ISR_TICK": steps,
+        "M1_NUM_ISR_TICKS_PER_SPEED_TICK": round(14 * ticks / steps),
+        "M1_NOMINAL_DC_BUS_VOLTAGE_V": 48.0,
+        "M1_MAX_VS_MAG_PU": 3.0**-0.5,
+        "MOTOR1_NUM_POLE_PAIRS": 15,
+        "MOTOR1_Rr_Ohm": 0.0,
+        "MOTOR1_Rs_Ohm": 0.05,
+        "MOTOR1_Ls_d_H": 1e-4,
+        "MOTOR1_Ls_q_H": 1.7e-4,
+        "MOTOR1_RATED_FLUX_VpHz": TWO_PI * machine.psi_pm,
+        "MOTOR1_MAGNETIZING_CURRENT_A": 0.0,
+        "MOTOR1_INERTIA_Kgm2": 0.02,
+        "MOTOR1_RATED_VOLTAGE_V": 48.0,
+        "MOTOR1_VOLT_MIN_V": 0.15 * v_max,
+        "MOTOR1_VOLT_MAX_V": v_max,
+        "MOTOR1_SPEED_LPF_FC_Hz": 200.0,
+    }
+    # TI's gains: BWc L and a quarter of R/L; of the speed, times p/(2 pi).
+    bandwidth, slower = TWO_PI * 200.0, 20.0
+    per_hertz = bandwidth / (slower * 1.5 * 15 * machine.psi_pm / 0.02)
+    for axis, wished, inductance in (
+        ("ID_", asked.current_d, 1e-4),
+        *((f"IQ_{place}", asked.current_q, 1.7e-4) for place in ("START_", "LOW_", "HIGH_")),
+    ):
+        expected[f"MOTOR1_KP_{axis}SF"] = wished.kp / (bandwidth * inductance)
+        expected[f"MOTOR1_KI_{axis}SF"] = wished.ki / wished.kp / (0.25 * 0.05 / inductance)
+    for place in ("START_", "LOW_", "HIGH_"):
+        expected[f"MOTOR1_KP_SPD_{place}SF"] = 0.7 / (per_hertz * 15 / TWO_PI)
+        expected[f"MOTOR1_KI_SPD_{place}SF"] = 9.0 / 0.7 / (bandwidth / slower**2)
+    shares = {
+        "RES_EST": 0.1, "IND_EST": -0.1, "FORCE_DELTA": 0.01, "ALIGN_DELTA": 0.002, "FLUX": 0.1,
+        "ALIGN": 0.25, "STARTUP": 0.5, "TORQUE": 0.5, "OVER": 1.25, "GAIN_IQ_LOW": 0.1,
+        "GAIN_IQ_HIGH": 0.5, "MAX": 1.0,
+    }  # fmt: skip
+    for name, share in shares.items():
+        plain = name.startswith(("GAIN", "FORCE", "ALIGN_DELTA"))
+        expected[f"MOTOR1_{name}{'' if plain else '_CURRENT'}_A"] = share * i_max
+    parts = {
+        "FLUX_EXC_FREQ_Hz": 0.1, "FREQ_MIN_Hz": 0.015, "FREQ_LOW_Hz": 0.1, "FREQ_HIGH_Hz": 1.0,
+        "SPEED_START_Hz": 0.06, "SPEED_FORCE_Hz": 0.05, "ACCEL_START_Hzps": 0.05,
+        "ACCEL_MAX_Hzps": 1.0, "SPEED_FS_Hz": 0.005, "GAIN_SPEED_LOW_Hz": 0.1,
+        "GAIN_SPEED_HIGH_Hz": 0.5, "FREQ_MAX_Hz": 1.0,
+    }  # fmt: skip
+    expected |= {f"MOTOR1_{name}": share * most for name, share in parts.items()}
+    numbers = {name.removeprefix("USER_"): value for name, value in found.items()}
+    assert numbers.pop("MOTOR1_TYPE") == "MOTOR_TYPE_PM"
+    assert set(numbers) == set(expected)
+    for name, value in expected.items():
+        assert numbers[name] == pytest.approx(value, rel=1e-6), name
+    held = configure(replace(asked, drive=replace(drive, t_s=None, t_speed=None))).own
+    assert held["USER_M1_NUM_PWM_TICKS_PER_ISR_TICK"] == 1
+    assert held["USER_M1_NUM_ISR_TICKS_PER_SPEED_TICK"] == 10
+
+
+@pytest.mark.parametrize("fastest", [250.0, 320.0, 500.0])
+def test_the_speed_at_which_the_voltage_ends_has_its_price(fastest: float) -> None:
+    machine = replace(SCOOTER, omega_m_max=fastest)
+    asked = asked_of(machine)
+    reached = 48.0 / math.sqrt(3.0) / machine.psi_pm / 15
+    found = [
+        (entry.words, price.value)
+        for entry in shortfalls(asked, configure(asked))
+        for price in entry.prices
+        if price.of == "speed"
+    ]
+    assert bool(found) == (reached < fastest)
+    for words, price in found:
+        assert price == pytest.approx(1.0 - reached / fastest, rel=1e-5)
+        assert f"the speed ends at {reached * 15 / TWO_PI:.4g} Hz" in words

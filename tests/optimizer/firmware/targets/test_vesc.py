@@ -294,3 +294,48 @@ def test_a_carrier_that_the_format_does_not_hold_is_refused_with_what_it_holds()
     fast = replace(asked, drive=replace(asked.drive, f_sw=100e3))
     with pytest.raises(InputError, match="write at most 75 kHz"):
         VESC.configure(fast)
+
+
+@pytest.mark.parametrize("steps", [1, 2])
+@pytest.mark.parametrize("ratio", [1, 30, 2000])
+@pytest.mark.parametrize("pll", [None, PiGains(900.0, 1.1e5)])
+def test_every_value_is_that_of_its_rule(steps: int, ratio: int, pll: PiGains | None) -> None:
+    machine = replace(SCOOTER, l_q=1.7e-4)
+    asked = asked_of(machine, speed=PiGains(0.7, 9.0), dead_time=4e-7, ratio=ratio)
+    t_s = 5e-5 / steps
+    asked = replace(asked, pll=pll, drive=replace(asked.drive, t_s=t_s, t_speed=ratio * t_s))
+    own, erpm = configure(asked).own, 15 * 30.0 / math.pi
+    scale = erpm * machine.i_max / 20.0
+    rates = (25.0, 50.0, 100.0, 250.0, 500.0, 1000.0, 2500.0, 5000.0, 10000.0)
+    rate = 1.0 / (ratio * t_s)
+    expected = {
+        "motor_type": 2,
+        "l_current_max": machine.i_max,
+        "l_current_min": -machine.i_max,
+        "l_abs_current_max": 1.5 * machine.i_max,
+        "l_min_erpm": -250.0 * erpm,
+        "l_max_erpm": 250.0 * erpm,
+        "foc_current_kp": 0.5 * (asked.current_d.kp + asked.current_q.kp),
+        "foc_current_ki": 0.5 * (asked.current_d.ki + asked.current_q.ki),
+        "foc_f_zv": 40e3,
+        "foc_dt_us": 0.4,
+        "foc_motor_l": 1.35e-4,
+        "foc_motor_ld_lq_diff": 0.7e-4,
+        "foc_motor_r": 0.05,
+        "foc_motor_flux_linkage": machine.psi_pm,
+        "foc_observer_gain": 1e3 / machine.psi_pm**2,
+        "foc_control_sample_mode": steps - 1,
+        "foc_cc_decoupling": 3,
+        "foc_mtpa_mode": 1,
+        "sp_pid_loop_rate": min((k for k in range(9) if rates[k] >= 0.999 * rate), default=8),
+        "s_pid_kp": 0.7 / scale,
+        "s_pid_ki": 9.0 / scale,
+        "s_pid_kd": 0.0,
+        "s_pid_speed_source": 0,
+        "foc_pll_kp": 2000.0 if pll is None else 900.0,
+        "foc_pll_ki": 1e6 if pll is None else 1.1e5,
+        "si_motor_poles": 30,
+    }
+    assert set(own) == set(expected)
+    for name, value in expected.items():
+        assert own[name] == pytest.approx(value, rel=1e-4, abs=1e-12), name

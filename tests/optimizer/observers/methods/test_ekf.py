@@ -94,6 +94,19 @@ def test_the_step_foretells_what_the_filter_in_matrices_does(bench001: LinearMac
         np.testing.assert_allclose(found.log_likelihood, expected.log_likelihood, rtol=1e-9)
 
 
+def test_a_noisy_trial_is_the_simulation_with_the_stated_noise(bench001: LinearMachine) -> None:
+    found = noisy_trial(bench001, T_S, NOISE, SPEED, I_REF, 50, 3, 11)
+    omega = wandering_speed(SPEED, NOISE.acceleration, T_S, 50, 3, 11)
+    plain = simulate(bench001, T_S, omega, I_REF, theta_0=1.0)
+    assert found.theta[0] == pytest.approx(1.0)
+    np.testing.assert_allclose(found.theta, plain.theta)
+    np.testing.assert_allclose(found.omega, plain.omega)
+    read = found.i - plain.i
+    assert SENSOR.variance < float(np.var(read)) < 1.0  # the voltage's noise moves the current, too
+    again = noisy_trial(bench001, T_S, NOISE, SPEED, I_REF, 50, 3, 12)
+    assert not np.array_equal(again.i, found.i)
+
+
 def test_without_noise_the_right_state_stays(bench001: LinearMachine) -> None:
     trial = simulate(bench001, T_S, np.full((201, 2), 800.0), I_REF)
     filter_ = ekf(bench001, T_S, 1e-6, 1.0, 1e-6)

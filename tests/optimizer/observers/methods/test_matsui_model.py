@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drives import IPM
+from scipy.linalg import expm
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
@@ -16,6 +17,7 @@ from dqforge.optimizer.observers.methods.matsui_model import (
     Matsui,
     MatsuiModel,
     closed_form_error,
+    errors_of,
     least_speed,
     matsui,
     run,
@@ -145,3 +147,36 @@ def test_refusals(bench001: LinearMachine) -> None:
         matsui(bench001, T_S, "current", 6000.0)
     observer: Matsui = matsui(bench001, T_S, "current", POLE)
     assert observer.poles[0] == pytest.approx(np.exp(-POLE * T_S))
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_errors_of_a_period_are_those_of_the_voltage_that_is_missing(kind: MatsuiModel) -> None:
+    """Salient, any currents and voltage: the voltage that the currents miss, by the matrix
+    exponential, turned to the middle of the period, along and across the active flux.
+    """
+    generator = np.random.default_rng(7)
+    observer = matsui(IPM, T_S, kind, POLE, omega_min=90.0, omega_max=1000.0)
+    active_d = IPM.l_d - IPM.l_q
+    for omega in (-700.0, 30.0, 500.0):
+        i, v, i_next = 80.0 * generator.standard_normal((3, 2))
+        inductances, emf = np.array([IPM.l_d, IPM.l_q]), np.array([0.0, omega * IPM.psi_pm])
+        crossed = omega * np.array([[0.0, IPM.l_q], [-IPM.l_d, 0.0]])
+        whole = np.zeros((6, 6))
+        whole[:2, :2] = (crossed - IPM.r_s * np.eye(2)) / inductances[:, None]
+        whole[:2, 2:4] = whole[:2, 4:] = np.diag(1.0 / inductances)
+        whole[2:4, 2:4] = omega * np.array([[0.0, 1.0], [-1.0, 0.0]])  # held in the stator
+        moved = expm(whole * T_S)[:2]
+        gap = i_next - moved @ [*i, *v, *-emf]
+        # The voltage goes on from the beginning of the period to its middle, currents go back.
+        way = (-0.5 if kind == "voltage" else 0.5) * omega * T_S
+        turn = np.array([[np.cos(way), -np.sin(way)], [np.sin(way), np.cos(way)]])
+        if kind == "voltage":
+            of_d, of_q = -turn @ np.linalg.solve(moved[:, 2:4], gap)
+        else:
+            of_d, of_q = (turn @ gap) * IPM.r_s / np.expm1(-IPM.r_s * T_S / inductances)
+        along, across = IPM.psi_pm + active_d * i_next[0], active_d * i_next[1]
+        square = along**2 + across**2
+        speed = (along * of_q + across * of_d) / square
+        angle = (across * of_q - along * of_d) / square * omega / (omega**2 + 90.0**2)
+        found = errors_of(observer, np.array(omega), i, v, i_next)
+        np.testing.assert_allclose(found, [angle, speed], rtol=5e-3, atol=3e-4)
