@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,6 +31,9 @@ from dqforge.machines.dq_machines.synchronous import (
 )
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
+
+if TYPE_CHECKING:
+    from dqforge.machines.dq_machines.flux_ripple import FluxRipple
 
 # Points evaluated together: their coefficients (256 bytes each) and all intermediate values stay in
 # the cache.
@@ -207,8 +211,8 @@ class MapDeviations:
     ) -> tuple[FloatArray, FloatArray]:
         """Shares of the upper points in psi_d and psi_q at currents, shape (N, K) each."""
         largest = float(max(np.abs(at_d).max(), at_q.max()))
-        axis_d, row = _axis(at_d, _SAME_CURRENT * largest)
-        axis_q, column = _axis(at_q, _SAME_CURRENT * largest)
+        axis_d, row = axis_of(at_d, _SAME_CURRENT * largest)
+        axis_q, column = axis_of(at_q, _SAME_CURRENT * largest)
         full = axis_d.size * axis_q.size == at_d.size and min(axis_d.size, axis_q.size) >= _LEAST
         if not full or axis_q[0] > _SAME_CURRENT * largest:
             away = np.hypot(i_d[:, None] - at_d, i_q[:, None] - at_q)
@@ -230,7 +234,7 @@ class MapDeviations:
 _LEAST = 4
 
 
-def _axis(values: FloatArray, width: float) -> tuple[FloatArray, NDArray[np.intp]]:
+def axis_of(values: FloatArray, width: float) -> tuple[FloatArray, NDArray[np.intp]]:
     """Ascending values that differ by more than a width, and the place of each value in them."""
     order = np.argsort(values, kind="stable")
     place = np.empty(values.size, dtype=np.intp)
@@ -261,6 +265,7 @@ class FluxMap:
         hull: Where the data are if not on the whole grid: the convex hull of the points it was made
             from.
         deviations: What is not known of the points, where that is stated.
+        ripple: What they have beside these means over the rotor angle, where that is known.
 
     Raises:
         InputError: Too few points, an axis that does not ascend, a shape that does not fit, or a
@@ -274,6 +279,7 @@ class FluxMap:
     extrapolate: bool = False
     hull: CurrentRegion | None = None
     deviations: MapDeviations | None = None
+    ripple: FluxRipple | None = None
     _axes: tuple[_Axis, _Axis] = field(init=False, repr=False)
     _table: FloatArray = field(init=False, repr=False)
 
