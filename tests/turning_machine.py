@@ -13,7 +13,7 @@ from dqforge.machines.arrays import FloatArray
 PAIRS = 3
 AXIS_D, AXIS_Q = np.linspace(-30.0, 10.0, 9), np.linspace(0.0, 40.0, 9)
 
-# Two thirds of the co-energy of a pole pair in J/1.5: terms i_d^m i_q^n of the mean, and of the
+# Two thirds of the co-energy in J: terms i_d^m i_q^n of the mean, and of the
 # waves cos 6, sin 6, cos 12 and sin 12 of the electrical angle. Terms that are odd in i_q go with
 # sines: the machine is its own mirror image.
 MEAN = {(1, 0): 0.11, (2, 0): 0.9e-3, (0, 2): 2.1e-3, (0, 4): -1.5e-7, (1, 2): -6e-6}
@@ -35,7 +35,7 @@ def _term(term: tuple[int, int], i_d: FloatArray, i_q: FloatArray, by: str) -> F
 
 
 def _sum(i_d: FloatArray, i_q: FloatArray, theta: FloatArray, by: str) -> FloatArray:
-    """Derivative of the function above by i_d, i_q or the electrical angle ('theta')."""
+    """The function above, or its derivative by i_d, i_q or the electrical angle ('theta')."""
     total = np.zeros(np.broadcast(i_d, i_q, theta).shape)
     if by != "theta":
         for term, factor in MEAN.items():
@@ -53,6 +53,11 @@ def _sum(i_d: FloatArray, i_q: FloatArray, theta: FloatArray, by: str) -> FloatA
 def flux(i_d: FloatArray, i_q: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Flux linkages in Wb at currents in A and electrical angles in rad."""
     return _sum(i_d, i_q, theta, "d"), _sum(i_d, i_q, theta, "q")
+
+
+def co_energy(i_d: FloatArray, i_q: FloatArray, theta: FloatArray) -> FloatArray:
+    """Co-energy in J."""
+    return 1.5 * _sum(i_d, i_q, theta, "")
 
 
 def torque(i_d: FloatArray, i_q: FloatArray, theta: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.records import dataclass
 
+MOST_ORDERS = 8
 _ANGLES = 720  # Angles over the period at which the torque is looked at.
 
 
@@ -38,11 +39,11 @@ class FluxRipple:
         psi(i, theta) = psi(i) + sum_k a_k(i) cos(k theta) + b_k(i) sin(k theta)
         T = p (3/2 (psi_d i_q - psi_q i_d) + dW'/dtheta)
 
-    with the co-energy W' of the machine over one pole pair. Between the grid currents the
+    with the co-energy W' of the machine. Between the grid currents the
     coefficients are cubic splines, as the flux linkages are.
 
     Args:
-        orders: K orders per electrical turn, ascending.
+        orders: K orders per electrical turn, ascending, at most `MOST_ORDERS`.
         period: Electrical angle in rad after which all repeats.
         cosine, sine: a and b of psi_d and psi_q in Wb, one map per order.
         torque: Coefficients of dW'/dtheta in N m per pole pair: of the cosine in the place of

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.flux_map import FluxMap, axis_of
-from dqforge.machines.dq_machines.flux_ripple import FluxRipple
+from dqforge.machines.dq_machines.flux_ripple import MOST_ORDERS, FluxRipple
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.text_formats import NamedArray
 from dqforge.machines.flux_maps.coordinates import Parts
@@ -29,7 +29,7 @@ _FEWEST = 6  # Angles that most pairs of currents have where the angle is a coor
 _UNEVEN = 0.01  # Distance of an angle from even steps over a step that is no rounding.
 _SECTOR = math.pi / 3.0  # Electrical angle after which a machine of three equal phases repeats.
 _NEAR = 0.05  # Distance of a period from a multiple of it, over a step of the angle.
-_KEPT, _MOST_ORDERS = 0.01, 8  # Smallest order over the largest, and how many orders are kept.
+_KEPT = 0.01  # Smallest order over the largest that is kept.
 _TOLD = 0.2  # Misfit of torque and flux linkages, or of the mirror image, that is a warning.
 _LEAST = 4  # Points of an axis that a spline needs.
 
@@ -429,7 +429,7 @@ def _strongest(waves: _Waves) -> tuple[_Waves, str]:
         flux / max(float(flux.max()), 1e-300), torque / max(float(torque.max()), 1e-300)
     )
     kept = np.zeros(weight.size, dtype=bool)
-    kept[np.argsort(-weight, kind="stable")[:_MOST_ORDERS]] = True
+    kept[np.argsort(-weight, kind="stable")[:MOST_ORDERS]] = True
     kept &= weight >= _KEPT
     kept[0] |= not np.any(kept)
     square = np.sum(_torque_of(waves) ** 2, axis=(1, 2, 3))
