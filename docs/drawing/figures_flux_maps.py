@@ -8,8 +8,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
-from dqforge.machines.dq_machines.flux_map import SaturatedMachine
-from dqforge.machines.dq_machines.flux_ripple import torque_ripple
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine, torque_ripple
 from dqforge.machines.flux_maps.building import build_flux_map
 from dqforge.machines.flux_maps.map_files import read_flux_points
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import MapDeviations, complete_by_symmetry
+from dqforge.machines.dq_machines.flux_map import complete_by_symmetry
+from dqforge.machines.dq_machines.map_deviations import MapDeviations
 from dqforge.machines.dq_machines.synchronous import CurrentRegion
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import FluxScaling, FluxSymmetry, FluxTorque

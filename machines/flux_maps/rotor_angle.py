@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import FluxMap, axis_of
-from dqforge.machines.dq_machines.flux_ripple import MOST_ORDERS, FluxRipple
+from dqforge.machines.dq_machines.flux_map import MOST_ORDERS, FluxMap, FluxRipple
+from dqforge.machines.dq_machines.map_deviations import axis_of
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.text_formats import NamedArray
 from dqforge.machines.flux_maps.coordinates import Parts
@@ -242,7 +242,7 @@ def ripple_of(
     if points.torque is not None:
         torque = points.torque.values.reshape(-1, count)[place].reshape(shape)
         torque = torque if per_pole_pair else torque / pole_pairs
-    trials = []
+    trials: list[tuple[str, _Waves, _Agreement | None]] = []
     for kind, factor in (("electrical", 1), ("mechanical", pole_pairs)):
         if turning.kind not in ("", kind) or (pole_pairs == 1 and trials):
             continue

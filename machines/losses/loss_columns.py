@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray, IndexArray
-from dqforge.machines.dq_machines.flux_map import FluxMap, axis_of, complete_by_symmetry
+from dqforge.machines.dq_machines.flux_map import FluxMap, complete_by_symmetry
+from dqforge.machines.dq_machines.map_deviations import axis_of
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.text_formats import NamedArray, listed
 from dqforge.machines.flux_maps.building import conversion_findings, converted

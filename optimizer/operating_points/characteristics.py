@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.flux_ripple import TorqueRipple, torque_ripple
+from dqforge.machines.dq_machines.flux_map import TorqueRipple, torque_ripple
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.losses.machine_budget import NO_EXTRA_LOSS, MachineLoss

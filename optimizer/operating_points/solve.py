@@ -6,7 +6,7 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
-from dqforge.machines.dq_machines.flux_ripple import TorqueRipple, torque_ripple
+from dqforge.machines.dq_machines.flux_map import TorqueRipple, torque_ripple
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.current_choice import (
     CurrentChoice,

@@ -9,7 +9,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray, IndexArray
 from dqforge.machines.design.design import Design
-from dqforge.machines.dq_machines.flux_ripple import TorqueRipple
+from dqforge.machines.dq_machines.flux_map import TorqueRipple
 from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.operating_points.characteristics import (
     Characteristics,

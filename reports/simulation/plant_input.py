@@ -15,8 +15,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
-from dqforge.machines.dq_machines.flux_ripple import FluxRipple
+from dqforge.machines.dq_machines.flux_map import FluxMap, FluxRipple, SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import NumberFormat, Topology

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_ripple import MOST_ORDERS
+from dqforge.machines.dq_machines.flux_map import MOST_ORDERS
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.names import FeedbackMethod, NumberFormat, SampledRuleName, Topology

@@ -11,7 +11,7 @@ import pytest
 import turning_machine as machine
 from turning_machine import AXIS_Q, PAIRS, TITLES, rows, text
 
-from dqforge.machines.dq_machines.flux_ripple import FluxRipple
+from dqforge.machines.dq_machines.flux_map import FluxRipple
 from dqforge.machines.errors import InputError
 from dqforge.machines.flux_maps.building import FluxMapReading, build_flux_map
 from dqforge.machines.flux_maps.map_files import read_flux_points
