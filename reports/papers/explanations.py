@@ -671,7 +671,8 @@ def explain_ripple(
     spans, sizes = [], []
     for of in columns:
         i_d, i_q = np.array([of.i_d]), np.array([of.i_q])
-        made = np.stack(machine.voltage(i_d, i_q, machine.pole_pairs * omega_m))
+        omega_e = np.array([machine.pole_pairs * omega_m])
+        made = np.stack(machine.voltage(i_d, i_q, omega_e))
         at = np.stack([i_d, i_q]), made, theta[None]
         span = torque_spans(of.modulation, machine, *at, v_dc=v_dc, t_s=1.0 / f_sw)
         spans.append(span[0])

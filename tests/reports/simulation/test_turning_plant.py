@@ -74,7 +74,8 @@ def currents(psi: FloatArray, theta: float, guess: FloatArray) -> FloatArray:
     """
     angle, step = np.full(3, theta), 1e-4 * np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     for _ in range(50):
-        there = np.array(truth.flux(*(guess[:, None] + step), angle))
+        at_d, at_q = guess[:, None] + step
+        there = np.array(truth.flux(at_d, at_q, angle))
         miss = psi - there[:, 0]
         if np.max(np.abs(miss)) < 1e-13:
             break
@@ -124,7 +125,7 @@ def test_the_plant_is_the_machine_integrated_by_scipy(
     torque = truth.torque(i.real, i.imag, theta)
     np.testing.assert_allclose(run.torque, torque, atol=2e-4)
     assert torque[0] == pytest.approx(
-        truth.torque(*np.zeros((2, 1)), np.array([0.4]))[0]
+        truth.torque(np.zeros(1), np.zeros(1), np.array([0.4]))[0]
     )  # cogging
     # Without what turns, the same plant is another one.
     flat = SaturatedMachine(
@@ -203,5 +204,5 @@ def test_the_loop_shows_the_ripple_of_its_currents(folder: Path) -> None:
     assert seen.ripple == pytest.approx(float(np.ptp(own)), rel=0.005)
     assert seen.torque == pytest.approx(6.0, abs=0.05)
     assert plain_simulation(found)["turning"]["ripple"] == seen.ripple
-    rows = dict(row[:2] for row in simulation_tables(found)[0].rows)
+    rows = {row[0]: row[1] for row in simulation_tables(found)[0].rows}
     assert rows["its ripple, peak to peak"].startswith(f"{seen.ripple:.3g} N m")
