@@ -129,6 +129,7 @@ FIGURES: dict[str, Callable[[Path], None]] = {
     "reference-cost": figures_costs.reference,
     "result-keys": figures_result_blocks.keys,
     "result-tree": figures_result_blocks.tree,
+    "rotor-angle": figures_flux_maps.rotor_angle,
     "saliency": figures_saliency.saliency,
     "scooter-torque": figures_data_sheets.scooter,
     "simulation": figures_simulation.bench,

@@ -21,6 +21,7 @@ from dqforge.machines.arrays import (
     check_numbers,
     owned_numbers,
 )
+from dqforge.machines.dq_machines.map_deviations import MapDeviations
 from dqforge.machines.dq_machines.synchronous import (
     CurrentRegion,
     FluxFormulas,
@@ -35,6 +36,9 @@ from dqforge.machines.records import dataclass
 # the cache.
 _LEAST_POINTS = 4
 _CHUNK = 2048
+
+MOST_ORDERS = 8
+_ANGLES = 720  # Angles over the period at which the torque is looked at.
 
 
 def _tridiagonal(rows: FloatArray, right: FloatArray) -> FloatArray:
@@ -163,87 +167,6 @@ class _Axis:
 # (resistance, inverter, encoder). Flux linkages of a map are linear in those of its points, so that
 # their errors are, too.
 
-# Currents that differ by less than this share of the largest one are the same.
-_SAME_CURRENT = 1e-6
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MapDeviations:
-    """Standard deviations of the points of a map that is symmetric in i_q.
-
-    Args:
-        i_d, i_q: Currents of the points in A (peak), shape (K,), of both halves or the upper one.
-        own: Those of each point by itself, for psi_d and psi_q in Wb, shape (2, K).
-        shared: What one standard deviation of each error that all points share makes of them, in
-            Wb, shape (S, 2, K).
-    """
-
-    i_d: FloatArray
-    i_q: FloatArray
-    own: FloatArray
-    shared: FloatArray
-
-    def factors(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
-        """Errors of the flux linkages at currents in A, shape (N,), as columns of independent
-        causes, Wb, shape (2, N, P): the covariance is the sum over P of their products.
-
-        Between the points of a grid they are interpolated as the flux linkages are, by cubic
-        splines; elsewhere those of the nearest point are taken, which are not smaller.
-        """
-        upper = self.i_q >= 0.0
-        at_d, at_q = self.i_d[upper], self.i_q[upper]
-        weights = self._weights(at_d, at_q, i_d, np.abs(i_q))
-        sign = np.where(i_q < 0.0, -1.0, 1.0)
-        found = []
-        for axis, turn in enumerate((np.ones_like(sign), sign)):
-            each = weights[axis] * self.own[axis, upper]
-            common = weights[axis] @ self.shared[:, axis, upper].T
-            own = (each, 0.0 * each) if axis == 0 else (0.0 * each, each)
-            found.append(np.hstack([*own, common]) * turn[:, None])
-        return np.stack(found)
-
-    def _weights(
-        self, at_d: FloatArray, at_q: FloatArray, i_d: FloatArray, i_q: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Shares of the upper points in psi_d and psi_q at currents, shape (N, K) each."""
-        largest = float(max(np.abs(at_d).max(), at_q.max()))
-        axis_d, row = _axis(at_d, _SAME_CURRENT * largest)
-        axis_q, column = _axis(at_q, _SAME_CURRENT * largest)
-        full = axis_d.size * axis_q.size == at_d.size and min(axis_d.size, axis_q.size) >= _LEAST
-        if not full or axis_q[0] > _SAME_CURRENT * largest:
-            away = np.hypot(i_d[:, None] - at_d, i_q[:, None] - at_q)
-            nearest = np.zeros((i_d.size, at_d.size))
-            nearest[np.arange(i_d.size), np.argmin(away, axis=1)] = 1.0
-            return nearest, nearest
-        whole_q = np.concatenate([-axis_q[:0:-1], axis_q])
-        over_d = _shares(axis_d, np.clip(i_d, axis_d[0], axis_d[-1]))
-        over_q = _shares(whole_q, np.clip(i_q, whole_q[0], whole_q[-1]))
-        zero = axis_q.size - 1
-        found = []
-        for sign in (1.0, -1.0):  # psi_d is even in i_q, psi_q odd
-            folded = over_q[:, zero:].copy()
-            folded[:, 1:] += sign * over_q[:, :zero][:, ::-1]
-            found.append(over_d[:, row] * folded[:, column])
-        return found[0], found[1]
-
-
-_LEAST = 4
-
-
-def _axis(values: FloatArray, width: float) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Ascending values that differ by more than a width, and the place of each value in them."""
-    order = np.argsort(values, kind="stable")
-    place = np.empty(values.size, dtype=np.intp)
-    place[order] = np.concatenate([[0], np.cumsum(np.diff(values[order]) > width)])
-    return np.bincount(place, values) / np.bincount(place), place
-
-
-def _shares(axis: FloatArray, at: FloatArray) -> FloatArray:
-    """Share of each point of an axis in a cubic spline through all (not-a-knot), shape (N, M)."""
-    from scipy.interpolate import make_interp_spline
-
-    return np.asarray(make_interp_spline(axis, np.eye(axis.size), k=3)(at))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FluxMap:
@@ -261,6 +184,7 @@ class FluxMap:
         hull: Where the data are if not on the whole grid: the convex hull of the points it was made
             from.
         deviations: What is not known of the points, where that is stated.
+        ripple: What they have beside these means over the rotor angle, where that is known.
 
     Raises:
         InputError: Too few points, an axis that does not ascend, a shape that does not fit, or a
@@ -274,6 +198,7 @@ class FluxMap:
     extrapolate: bool = False
     hull: CurrentRegion | None = None
     deviations: MapDeviations | None = None
+    ripple: FluxRipple | None = None
     _axes: tuple[_Axis, _Axis] = field(init=False, repr=False)
     _table: FloatArray = field(init=False, repr=False)
 
@@ -410,6 +335,82 @@ class FluxMap:
             q_dq=by_dq[1],
             q_qq=by_qq[1],
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TorqueRipple:
+    """Torque beside its mean over the rotor angle, at constant currents.
+
+    Args:
+        orders: K orders per electrical turn.
+        amplitudes: Of each order in N m, shape (K, N).
+        peak_to_peak: Of all orders together in N m, shape (N,).
+    """
+
+    orders: tuple[float, ...]
+    amplitudes: FloatArray
+    peak_to_peak: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FluxRipple:
+    """Fourier series over the electrical angle theta of what a flux map has beside its means.
+
+    ::
+
+        psi(i, theta) = psi(i) + sum_k a_k(i) cos(k theta) + b_k(i) sin(k theta)
+        T = p (3/2 (psi_d i_q - psi_q i_d) + dW'/dtheta)
+
+    with the co-energy W' of the machine. Between the grid currents the
+    coefficients are cubic splines, as the flux linkages are.
+
+    Args:
+        orders: K orders per electrical turn, ascending, at most `MOST_ORDERS`.
+        period: Electrical angle in rad after which all repeats.
+        cosine, sine: a and b of psi_d and psi_q in Wb, one map per order.
+        torque: Coefficients of dW'/dtheta in N m per pole pair: of the cosine in the place of
+            psi_d, of the sine in that of psi_q; one map per order.
+    """
+
+    orders: tuple[float, ...]
+    period: float
+    cosine: tuple[FluxMap, ...]
+    sine: tuple[FluxMap, ...]
+    torque: tuple[FluxMap, ...]
+
+    def flux(
+        self, i_d: FloatArray, i_q: FloatArray, theta: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Flux linkages in Wb beside their means at currents in A and electrical angles in rad,
+        broadcastable shapes.
+        """
+        shape = np.broadcast(i_d, i_q, theta).shape
+        psi_d, psi_q = np.zeros(shape), np.zeros(shape)
+        for order, first, second in zip(self.orders, self.cosine, self.sine, strict=True):
+            for wave, part in ((np.cos, first), (np.sin, second)):
+                by_d, by_q = part.flux(i_d, i_q)
+                psi_d += wave(order * theta) * by_d
+                psi_q += wave(order * theta) * by_q
+        return psi_d, psi_q
+
+    def coefficients(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Cosine and sine of the torque per pole pair in N m at currents in A, (K, 2, N)."""
+        found = np.empty((len(self.orders), 2, np.size(i_d)))
+        for k, parts in enumerate(zip(self.cosine, self.sine, strict=True)):
+            turning = self.torque[k].flux(i_d, i_q)
+            for j, part in enumerate(parts):
+                psi_d, psi_q = part.flux(i_d, i_q)
+                found[k, j] = 1.5 * (psi_d * i_q - psi_q * i_d) + turning[j]
+        return found
+
+    def torque_ripple(self, pole_pairs: int, i_d: FloatArray, i_q: FloatArray) -> TorqueRipple:
+        """Ripple of the torque at currents in A, shape (N,)."""
+        found = pole_pairs * self.coefficients(i_d, i_q)
+        theta = np.arange(_ANGLES) * (self.period / _ANGLES)
+        turns = np.outer(theta, self.orders)
+        course = np.einsum("tk,kn->tn", np.cos(turns), found[:, 0])
+        course += np.einsum("tk,kn->tn", np.sin(turns), found[:, 1])
+        return TorqueRipple(self.orders, np.hypot(found[:, 0], found[:, 1]), np.ptp(course, axis=0))
 
 
 def _flattened(i_d: FloatArray, i_q: FloatArray) -> tuple[tuple[int, ...], FloatArray, FloatArray]:
@@ -764,3 +765,15 @@ def _quotient(
     """Flux over current, or the series about zero current where the quotient has no digits."""
     tiny = np.abs(current) < small
     return np.where(tiny, series, flux / np.where(tiny, 1.0, current))
+
+
+def torque_ripple(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> TorqueRipple | None:
+    """Ripple of the torque of a machine, None where its data know none.
+
+    Args:
+        machine: Any machine.
+        i_d, i_q: Currents in A (peak), shape (N,).
+    """
+    if not isinstance(machine, SaturatedMachine) or machine.flux_map.ripple is None:
+        return None
+    return machine.flux_map.ripple.torque_ripple(machine.pole_pairs, i_d, i_q)

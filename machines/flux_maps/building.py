@@ -43,6 +43,7 @@ from dqforge.machines.flux_maps.flux_points import (
     scattered_plane,
     symmetric_plane,
 )
+from dqforge.machines.flux_maps.rotor_angle import ripple_of
 from dqforge.machines.names import FluxAxes, FluxFitName, FluxScaling, FluxSymmetry, FluxTorque
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
@@ -158,11 +159,13 @@ def build_flux_map(
     given = _chosen(whole, symmetry)
     zero = _zero_current(given.plane.i_d, source)
     flux_map, used = _fitted(given, given.plane.psi, treatment.fit, source, extrapolate=extrapolate)
+    flux_map, turned_said = _with_ripple(flux_map, points, axes, known, pole_pairs, torque, angle)
     halves = None
     if plane.raw is not None:
         halves = _fitted(whole, plane.raw, used.used, source, extrapolate=extrapolate, even=False)[
             0
         ]
+        halves = replace(halves, ripple=flux_map.ripple)
     findings = (
         *points.findings,
         *said,
@@ -172,6 +175,7 @@ def build_flux_map(
         *((f"the frame was turned by {np.degrees(angle):.4g} deg (electrical)",) if angle else ()),
         *(map(kept_apart, given.plane.findings) if symmetry == "keep" else given.plane.findings),
         *zero,
+        *turned_said,
         *check_map(flux_map, source, expected_psi_pm),
     )
     torques = torque_from_flux(1, single.psi_d, single.psi_q, single.i_d, single.i_q)
@@ -189,6 +193,33 @@ def build_flux_map(
         if points.loss is None
         else MeasuredLoss(points.loss.name, points.loss.values, peak.i_d, peak.i_q),
     )
+
+
+def _with_ripple(
+    flux_map: FluxMap,
+    points: FluxPoints,
+    axes: FluxAxes,
+    scaling: FluxScaling,
+    pole_pairs: int | None,
+    torque: FluxTorque,
+    angle: float,
+) -> tuple[FluxMap, tuple[str, ...]]:
+    """The map with what its points over the rotor angle have beside their means, and sentences."""
+    turning = points.turning
+    if turning is None or pole_pairs is None:
+        return flux_map, ()
+    if angle:
+        said = "warning: the ripple over the rotor angle is not used with a frame_angle"
+        return flux_map, (said,)
+    own = turning.points
+    ripple, found = ripple_of(
+        replace(turning, points=converted(own, axes, scaling)),
+        pole_pairs,
+        per_pole_pair=torque == "per-pole-pair"
+        or (own.torque is not None and own.torque.per_pole_pair),
+        reluctance=axes == "reluctance",
+    )
+    return replace(flux_map, ripple=ripple), found
 
 
 @dataclass(frozen=True, slots=True)

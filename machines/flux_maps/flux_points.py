@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import MapDeviations, complete_by_symmetry
+from dqforge.machines.dq_machines.flux_map import complete_by_symmetry
+from dqforge.machines.dq_machines.map_deviations import MapDeviations
 from dqforge.machines.dq_machines.synchronous import CurrentRegion
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import FluxScaling, FluxSymmetry, FluxTorque
@@ -43,6 +44,23 @@ class FileLoss:
 
 
 @dataclass(frozen=True, slots=True)
+class TurningPoints:
+    """Points over the rotor angle: all angles of the first pair of currents, of the second, ...
+
+    Args:
+        name: What the angle is called in the file.
+        kind: 'electrical' or 'mechanical', '' where the name does not say.
+        angle: Angles in rad as the file has them, ascending in even steps, shape (A,).
+        points: C pairs of currents with A angles each, arrays of shape (C A,).
+    """
+
+    name: str
+    kind: Literal["", "electrical", "mechanical"]
+    angle: FloatArray
+    points: FluxPoints
+
+
+@dataclass(frozen=True, slots=True)
 class FluxPoints:
     """Points of a flux map as a file holds them, in its own axes and scaling but in A and Wb,
     arrays of shape (K,).
@@ -51,7 +69,8 @@ class FluxPoints:
     the scaling, ``findings`` are sentences on what the reader did, ``others`` the further arrays of
     numbers that nobody used. Points closer than ``blur`` times the largest current are one.
     ``pole_pairs`` is what the file says of them, 0 where it does not; ``ignored`` is the torque
-    that nobody wants compared; ``deviations`` are those that stand beside the points.
+    that nobody wants compared; ``deviations`` are those that stand beside the points; ``turning``
+    are the points over the rotor angle whose means these are.
     """
 
     source: str
@@ -69,6 +88,7 @@ class FluxPoints:
     pole_pairs: int = field(default=0, kw_only=True)
     ignored: str = field(default="", kw_only=True)
     deviations: MapDeviations | None = field(default=None, kw_only=True)
+    turning: TurningPoints | None = field(default=None, kw_only=True)
 
 
 # Planes through points without any order and through grids with gaps, by thin-plate splines.

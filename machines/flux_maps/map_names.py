@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import MapDeviations
+from dqforge.machines.dq_machines.map_deviations import MapDeviations
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.text_formats import NamedArray, listed
 from dqforge.machines.names import FluxTorque

@@ -12,6 +12,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray, IndexArray
 from dqforge.machines.dq_machines.flux_map import FluxMap, complete_by_symmetry
+from dqforge.machines.dq_machines.map_deviations import axis_of
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.text_formats import NamedArray, listed
 from dqforge.machines.flux_maps.building import conversion_findings, converted
@@ -260,8 +261,9 @@ def _speed(
 def _grid(rows: _Rows) -> tuple[FloatArray, FloatArray, IndexArray]:
     """Axes in A and the cell of each point; every cell must be there once at each frequency."""
     largest = max(float(np.max(np.abs(rows.i_d))), float(np.max(np.abs(rows.i_q))))
-    i_d, row = _axis(rows.i_d, SAME * largest)
-    i_q, column = _axis(rows.i_q, SAME * largest)
+    i_d, row = axis_of(rows.i_d, SAME * largest)
+    i_q, column = axis_of(rows.i_q, SAME * largest)
+    i_d, i_q = (np.where(np.abs(axis) <= SAME * largest, 0.0, axis) for axis in (i_d, i_q))
     cell = row * i_q.size + column
     for omega in np.unique(rows.omega):
         at = rows.omega == omega
@@ -277,15 +279,6 @@ def _grid(rows: _Rows) -> tuple[FloatArray, FloatArray, IndexArray]:
             source=rows.source,
         )
     return i_d, i_q, cell
-
-
-def _axis(values: FloatArray, width: float) -> tuple[FloatArray, IndexArray]:
-    """Ascending values that differ by more than a width, and the place of each value in them."""
-    order = np.argsort(values, kind="stable")
-    place = np.empty(values.size, dtype=np.intp)
-    place[order] = np.concatenate([[0], np.cumsum(np.diff(values[order]) > width)])
-    axis = np.bincount(place, values) / np.bincount(place)
-    return np.where(np.abs(axis) <= width, 0.0, axis), place
 
 
 def _even(

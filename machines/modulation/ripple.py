@@ -240,6 +240,30 @@ def _largest_torque_ripple(
     theta = (
         _peak_angles(name, direction - np.arctan2(currents[1], currents[0])) - direction[:, None]
     )
+    spans = torque_spans(name, machine, currents, voltages, theta, v_dc=v_dc, t_s=t_s)
+    return np.asarray(np.max(spans, axis=-1))
+
+
+def torque_spans(
+    name: ModulationName,
+    machine: Machine,
+    currents: FloatArray,
+    voltages: FloatArray,
+    theta: FloatArray,
+    *,
+    v_dc: float,
+    t_s: float,
+) -> FloatArray:
+    """Peak-to-peak torque in N m within a carrier period, shape (N, n), at electrical angles of the
+    rotor in rad.
+
+    Args:
+        name: The modulator.
+        machine: Any machine; a saturated one is linearised at the operating point.
+        currents, voltages: In d and q, A and V (peak), shape (2, N).
+        theta: Angles, shape (N, n).
+        v_dc, t_s: DC-link voltage in V and carrier period in s.
+    """
     voltage = dq_to_phases(voltages[0][:, None], voltages[1][:, None], theta)
     current = dq_to_phases(currents[0][:, None], currents[1][:, None], theta)
     corners = v_dc * t_s * _flux_corners(modulate(name, voltage, current, v_dc).duty, theta)
@@ -250,7 +274,7 @@ def _largest_torque_ripple(
     factor = 1.5 * machine.pole_pairs
     linear = factor * (by_current + np.stack([currents[1], -currents[0]], axis=-1))
     quadratic = factor * _TURN @ stiffness
-    return np.asarray(np.max(_torque_span(linear[:, None], quadratic[:, None], corners), axis=-1))
+    return _torque_span(linear[:, None], quadratic[:, None], corners)
 
 
 def _chunk_ripple(

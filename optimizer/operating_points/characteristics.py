@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.dq_machines.flux_map import TorqueRipple, torque_ripple
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.losses.machine_budget import NO_EXTRA_LOSS, MachineLoss
@@ -423,7 +424,8 @@ class DrivePoints:
 
     ``power`` is the mechanical power in W, negative where the machine brakes; ``efficiency`` as
     `efficiency` defines it, NaN without power. ``harmonics`` is what overmodulation adds, None
-    where there is none.
+    where there is none; ``turning`` the torque over the rotor angle, None where nothing is known of
+    it.
     """
 
     points: OptimalPoints
@@ -431,6 +433,7 @@ class DrivePoints:
     power: FloatArray
     efficiency: FloatArray
     harmonics: LowHarmonics | None = None
+    turning: TorqueRipple | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -532,12 +535,13 @@ def drive_points(
     )
     power = np.asarray(points.torque * points.omega_m)
     share = efficiency(power, losses.total)
+    turning = torque_ripple(machine, points.i_d, points.i_q)
     if limit.overmodulation == "none":
-        return DrivePoints(points, losses, power, share)
+        return DrivePoints(points, losses, power, share, turning=turning)
     harmonics = low_harmonics(
         limit.overmodulation, machine, points.i_d, points.i_q, points.omega_m, v_dc=limit.v_dc
     )
-    return DrivePoints(points, losses, power, share, harmonics)
+    return DrivePoints(points, losses, power, share, harmonics, turning)
 
 
 def operating_map(

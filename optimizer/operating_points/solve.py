@@ -6,6 +6,7 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
+from dqforge.machines.dq_machines.flux_map import TorqueRipple, torque_ripple
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.current_choice import (
     CurrentChoice,
@@ -42,7 +43,8 @@ class Curves:
     ``id0`` is None for a machine without magnet and at a speed; ``base`` is None where the MTPA
     curve has no scale of its own. ``speed`` is the one speed for which the field is weakened, with
     the voltage limit there, None without. ``saving`` is None where the strategy is i_d = 0 or
-    nothing else than it.
+    nothing else than it. ``turning`` is the torque over the rotor angle at the chosen currents,
+    None where the machine's data know none.
     """
 
     chosen: OperatingPoints
@@ -50,6 +52,7 @@ class Curves:
     base: PerUnitBase | None
     speed: SpeedPoint | None
     saving: CopperSaving | None
+    turning: TorqueRipple | None = None
 
 
 def current_choice(design: Design) -> CurrentChoice:
@@ -83,7 +86,8 @@ def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
     chosen = choice.points(torque)
     differs = design.strategy != "id0" and machine.saliency != 0.0
     saving = _copper_saving(chosen, id0) if id0 is not None and differs else None
-    return Curves(chosen, id0, base, choice.speed, saving)
+    turning = torque_ripple(machine, chosen.i_d, chosen.i_q)
+    return Curves(chosen, id0, base, choice.speed, saving, turning)
 
 
 def _copper_saving(chosen: OperatingPoints, id0: OperatingPoints) -> CopperSaving | None:

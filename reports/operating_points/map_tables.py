@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from dqforge.machines.arrays import FloatArray, IndexArray
 from dqforge.machines.design.design import Design
+from dqforge.machines.dq_machines.flux_map import TorqueRipple
 from dqforge.machines.transforms import in_rpm
 from dqforge.optimizer.operating_points.characteristics import (
     Characteristics,
@@ -85,7 +87,7 @@ def points_tables(
     violation = f"largest violation of the optimality conditions {worst:.1e} (relative)"
     notes = (_limit_note(limit), violation, *_extrapolation_notes(points))
     title = f"{design.name}: least {objective} loss within the limits"
-    return [Table(title, columns, rows, notes), *_harmonics_tables(found)]
+    return [Table(title, columns, rows, notes), *_harmonics_tables(found), *_of_points(found)]
 
 
 def _harmonics_tables(found: DrivePoints) -> list[Table]:
@@ -115,6 +117,43 @@ def _harmonics_tables(found: DrivePoints) -> list[Table]:
         "at 6 and 12 times the fundamental, copper loss beside that of the fundamental"
     )
     return [Table("Low harmonics beyond the linear range", (*columns, *torque), rows, (note,))]
+
+
+def _of_points(found: DrivePoints) -> list[Table]:
+    every = np.arange(found.points.torque.size)
+    return _turning_tables(found.turning, found.points.torque, every)
+
+
+def _turning_tables(
+    ripple: TorqueRipple | None, torque: FloatArray, rows: IndexArray
+) -> list[Table]:
+    """Torque over the rotor angle at some of the points, where the map knows it."""
+    if ripple is None:
+        return []
+    orders = tuple(f"order {order:g} N m" for order in ripple.orders)
+    columns = ("torque N m", "peak to peak N m", "of the torque %", *orders)
+    cells = tuple(
+        (
+            _number(torque[k]),
+            _number(ripple.peak_to_peak[k]),
+            _number(100.0 * ripple.peak_to_peak[k] / abs(torque[k])) if torque[k] else "-",
+            *(_number(part[k]) for part in ripple.amplitudes),
+        )
+        for k in rows
+    )
+    note = "at constant currents, from the flux map; amplitudes by order per electrical turn"
+    return [Table("Torque ripple over the rotor angle", columns, cells, (note,))]
+
+
+def _plain_turning(ripple: TorqueRipple | None) -> PlainData:
+    if ripple is None:
+        return {}
+    parts = {
+        "orders": list(ripple.orders),
+        "peak_to_peak_Nm": ripple.peak_to_peak,
+        "amplitudes_Nm": ripple.amplitudes,
+    }
+    return {"torque_ripple": parts}
 
 
 def _extrapolation_notes(points: OptimalPoints) -> tuple[str, ...]:
@@ -205,6 +244,7 @@ def point_tables(
             notes,
         ),
         *_harmonics_tables(found),
+        *_of_points(found),
     ]
 
 
@@ -369,6 +409,7 @@ def plain_points(
         "efficiency": found.efficiency,
         "most_torque": _plain_points(most),
         **_plain_harmonics(found),
+        **_plain_turning(found.turning),
     }
 
 
@@ -452,16 +493,20 @@ def plain_curves(curves: Curves) -> PlainData:
         "base": None
         if curves.base is None
         else {"current_A": curves.base.current, "torque_Nm": curves.base.torque},
+        **_plain_turning(curves.turning),
     }
 
 
 # Operating points as tables of the terminal.
 
 
+def _shown(points: OperatingPoints) -> IndexArray:
+    return np.unique(np.linspace(0, points.torque.size - 1, 11).round().astype(np.intp))
+
+
 def _point_rows(points: OperatingPoints, base: PerUnitBase | None) -> tuple[tuple[str, ...], ...]:
-    indices = np.unique(np.linspace(0, points.torque.size - 1, 11).round().astype(int))
     rows = []
-    for k in indices:
+    for k in _shown(points):
         torque, i_d, i_q = (float(values[k]) for values in (points.torque, points.i_d, points.i_q))
         cells = [torque, i_d, i_q, float(np.hypot(i_d, i_q))]
         if base is not None:
@@ -510,7 +555,8 @@ def mtpa_tables(design: Design, curves: Curves, negative: Curves | None = None) 
             columns,
             _point_rows(curves.chosen, base),
             tuple(notes),
-        )
+        ),
+        *_turning_tables(curves.turning, curves.chosen.torque, _shown(curves.chosen)),
     ]
     if negative is not None:
         rows = _point_rows(

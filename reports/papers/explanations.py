@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
+from dqforge.machines.modulation.ripple import torque_spans
+from dqforge.machines.names import ModulationName
 from dqforge.machines.plants.scenario import Profile
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import half_digit
@@ -623,3 +625,117 @@ def explain_transients(place: ProgramBench) -> Explanation:
         alternatives,
         "link voltage; inertia; dry friction (0.2 N m); limit of the current (32000 are 12.5 A)",
     )
+
+
+# Paper 000, Table 4: slots beside the switching, in the largest torque ripple.
+
+_ORDERS, _PHASES = (6, 12, 18, 24), 24
+_HALF_DIGIT = 0.005  # N m, of the printed ripple.
+_SLOT_TORQUES = np.linspace(0.0, 4.0, 801)  # N m, amplitudes that are tried.
+
+
+@dataclass(frozen=True, slots=True)
+class RippleColumn:
+    """A column of the table: modulator, currents in A (peak), printed torque ripple in N m."""
+
+    name: str
+    modulation: ModulationName
+    i_d: float
+    i_q: float
+    printed: float
+
+
+def _slot_sizes(psi: complex, i: complex) -> dict[str, float]:
+    """What the amplitude of the slots' torque is proportional to, by its words."""
+    return {
+        "the same everywhere": 1.0,
+        "as |psi|": abs(psi),
+        "as |psi|^2": abs(psi) ** 2,
+        "as psi_d": psi.real,
+        "as i_q": i.imag,
+        "as |i|": abs(i),
+    }
+
+
+def explain_ripple(
+    machine: LinearMachine,
+    columns: Sequence[RippleColumn],
+    omega_m: float,
+    *,
+    v_dc: float,
+    f_sw: float,
+) -> Explanation:
+    """Slots whose torque turns with the rotor, beside the switching at each of its angles.
+
+    Args:
+        machine: The machine of the table.
+        columns: Its columns.
+        omega_m: Speed in rad/s (mechanical).
+        v_dc, f_sw: DC-link voltage in V and carrier frequency in Hz.
+    """
+    theta = np.linspace(0.0, 2.0 * math.pi, 360, endpoint=False)
+    printed = tuple(Printed(of.name, "N m", of.printed, _HALF_DIGIT) for of in columns)
+    ranking = Explanation("", printed, (), "")
+    spans, sizes = [], []
+    for of in columns:
+        i_d, i_q = np.array([of.i_d]), np.array([of.i_q])
+        omega_e = np.array([machine.pole_pairs * omega_m])
+        made = np.stack(machine.voltage(i_d, i_q, omega_e))
+        at = np.stack([i_d, i_q]), made, theta[None]
+        span = torque_spans(of.modulation, machine, *at, v_dc=v_dc, t_s=1.0 / f_sw)
+        spans.append(span[0])
+        psi_d, psi_q = machine.flux(i_d, i_q)
+        sizes.append(_slot_sizes(complex(psi_d[0], psi_q[0]), complex(of.i_d, of.i_q)))
+    best: dict[tuple[str, str], Alternative] = {}
+    for place, turns, fitted, curves in _slot_curves(theta, np.stack(spans)):
+        for words in sizes[0]:
+            one = _fitted_slots(curves, [size[words] for size in sizes], columns)
+            said = Alternative(f"slots {words}; {turns}", 1 + fitted, one)
+            known = best.setdefault((words, place), said)
+            best[words, place] = min(known, said, key=ranking.rank)
+    return explain(
+        "Paper 000, Table 4: the torque ripple with slots beside the switching",
+        printed,
+        best.values(),
+        "one amplitude, fitted to the column that suits best, at constant currents; its law over "
+        "flux linkages and currents; extremes of slots and switching that meet (any high order), "
+        "or order 6, 12, 18, 24 with a fitted angle",
+    )
+
+
+def _slot_curves(
+    theta: FloatArray, spans: FloatArray
+) -> Iterator[tuple[str, str, int, FloatArray]]:
+    """Kind, words, numbers fitted, and peak to peak over the amplitudes (columns, 801), for spans
+    of the switching (columns, angles).
+    """
+    together = 2.0 * _SLOT_TORQUES + np.max(spans, axis=1)[:, None]
+    yield "meet", "extremes meet", 0, together
+    for order, phase in itertools.product(_ORDERS, range(_PHASES)):
+        wave = _SLOT_TORQUES[:, None] * np.cos(order * theta + phase * 2.0 * math.pi / _PHASES)
+        high = np.max(wave + 0.5 * spans[:, None], axis=2)
+        low = np.min(wave - 0.5 * spans[:, None], axis=2)
+        words = f"order {order} at {phase * 360 / _PHASES / order:.3g} deg"
+        yield f"order {order}", words, 1, high - low
+
+
+def _fitted_slots(
+    curves: FloatArray, sizes: Sequence[float], columns: Sequence[RippleColumn]
+) -> tuple[float, ...]:
+    """Peak to peak of each column, with the amplitude of the column that leaves least in all."""
+    found = []
+    for curve, size, of in zip(curves, sizes, columns, strict=True):
+        for fitted in of.printed + _HALF_DIGIT * np.array([0.0, -0.9, -0.5, 0.5, 0.9]):
+            factor = float(np.interp(fitted, curve, _SLOT_TORQUES)) / size
+            found.append(
+                tuple(
+                    float(np.interp(factor * own, _SLOT_TORQUES, other))
+                    for own, other in zip(sizes, curves, strict=True)
+                )
+            )
+
+    def missed(values: tuple[float, ...]) -> tuple[int, float]:
+        off = [abs(value - of.printed) for value, of in zip(values, columns, strict=True)]
+        return -sum(miss <= _HALF_DIGIT for miss in off), max(off)
+
+    return min(found, key=missed)

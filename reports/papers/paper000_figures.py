@@ -226,6 +226,7 @@ def plain_whole(found: WholePaper) -> PlainData:
         "table_2_by_stated_method": _coefficients(found.stated),
         "table_2_explanation": plain_explanation(found.coefficients),
         "figure_4_explanation": plain_explanation(found.largest_error),
+        "table_4_ripple_explanation": plain_explanation(found.ripple),
         "table_3": _costs(found.costs),
         "table_3_left_out": dict(sorted(found.costs.left_out.items())),
         "figure_3": [

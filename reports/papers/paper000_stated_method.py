@@ -42,6 +42,7 @@ from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve_control
 from dqforge.reports.main_header import header_files
 from dqforge.reports.operating_system.host_compiler import NO_COMPILER, find_compiler
+from dqforge.reports.papers.explanations import Explanation, RippleColumn, explain_ripple
 from dqforge.reports.verification.host import verify_files
 
 DOMAIN = 5.0  # End of the per-unit torque domain.
@@ -653,3 +654,15 @@ def table_4(design: Design) -> tuple[LossRow, ...]:
             )
         )
     return tuple(rows)
+
+
+def ripple_explained(design: Design) -> Explanation:
+    """Which slots would make the printed torque ripple, see `explain_ripple`."""
+    columns = [
+        RippleColumn(f"{strategy}, {modulation}", modulation, *_currents(design, strategy), made)
+        for strategy, modulation, _, _, made in PRINTED_TABLE_4
+    ]
+    link = design.inverter
+    return explain_ripple(
+        linearised(design.machine), columns, POINT_SPEED, v_dc=link.v_dc, f_sw=link.f_sw
+    )

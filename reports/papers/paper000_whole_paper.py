@@ -57,6 +57,7 @@ from dqforge.reports.papers.paper000_stated_method import (
     calibrated_inverter,
     printed_header,
     reproduce_paper,
+    ripple_explained,
 )
 
 
@@ -70,6 +71,7 @@ class WholePaper:
     stated: StatedMethod
     coefficients: Explanation
     largest_error: Explanation
+    ripple: Explanation
     header: PrintedPolynomial
     costs: CoreCosts
     load_tests: tuple[LoadTest, ...]
@@ -93,6 +95,7 @@ def reproduce_whole() -> WholePaper:
         stated=by_stated_method(machine),
         coefficients=explain_coefficients(machine, PRINTED_TABLE_2, breakpoints),
         largest_error=explain_largest_error(machine, PRINTED_TABLE_2, breakpoints),
+        ripple=ripple_explained(design),
         header=header,
         costs=core_costs(machine, header.files | header.fixed, PREFIX, FIXED_PREFIX),
         load_tests=tests,
@@ -356,6 +359,7 @@ def whole_tables(found: WholePaper) -> list[Table]:
         header_table(found.header),
         cost_table(found.costs),
         *fourth,
+        explanation_table(found.ripple),
         *simulated,
     ]
 

@@ -14,6 +14,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
+from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Firmware, NumberFormat, Topology
 from dqforge.machines.plants.scenario import Profile, Scenario
@@ -134,6 +135,22 @@ class PhaseFigures:
     midpoint: float | None
 
 
+@dataclass(frozen=True, slots=True)
+class TurningFigures:
+    """What a machine whose map knows the rotor angle did over the last tenth of a run.
+
+    ``torque`` is the mean in N m; peak to peak ``ripple`` of every instant of it and
+    ``ripple_means`` of its means over control periods, ``speed`` in rad/s, and ``current`` of the
+    magnitude of the current vector in A, at the recorded samples.
+    """
+
+    torque: float
+    ripple: float
+    ripple_means: float
+    speed: float
+    current: float
+
+
 def angle_error(run: Simulation) -> FloatArray:
     """Observed less true electrical angle in rad, wrapped to -pi to pi, shape (N,);
     nan where none is observed.
@@ -251,12 +268,13 @@ class DriveSimulation:
     reference over the run. ``copper`` is the mean copper loss in W; ``speed_largest`` in rad/s and
     ``torque_largest`` in N m are the largest magnitudes of the run; ``observed`` says how well
     observers did, None where none ran; ``phases`` are the figures of a phase machine, None for
-    others. ``format`` is that of the control functions that ran, ``others`` are the same run with
-    those in further formats; ``not_simulated`` are formats that the design emits and nothing ran.
-    ``firmware`` names that of others whose loops ran in place of the emitted code, None for the
-    latter; ``remarks`` say what is otherwise in a run, one sentence each. ``six_step`` are the
-    figures of a six-step drive, None for others; ``start`` those of a start without encoder,
-    ``estimation`` those of parameters estimated on line.
+    others, ``turning`` those of a map over the rotor angle. ``format`` is that of the control
+    functions that ran, ``others`` are the same run with those in further formats; ``not_simulated``
+    are formats that the design emits and nothing ran. ``firmware`` names that of others whose loops
+    ran in place of the emitted code, None for the latter; ``remarks`` say what is otherwise in a
+    run, one sentence each. ``six_step`` are the figures of a six-step drive, None for others;
+    ``start`` those of a start without encoder, ``estimation`` those of parameters estimated on
+    line.
     """
 
     design: Design
@@ -270,6 +288,7 @@ class DriveSimulation:
     observed: ObservedFigures | None
     not_simulated: tuple[NumberFormat, ...] = ()
     phases: PhaseFigures | None = None
+    turning: TurningFigures | None = None
     format: NumberFormat = "float32"
     others: tuple[DriveSimulation, ...] = ()
     firmware: Firmware | None = None
@@ -517,8 +536,26 @@ def evaluate(design: Design, run: Simulation) -> DriveSimulation:
         torque_largest=float(np.max(np.abs(run.torque))),
         observed=observed(run),
         phases=None if run.phases is None else phase_figures(run.figures, run.phases),
+        turning=turning_figures(run) if _turns(design) else None,
         start=None if run.start is None else start_figures(run, run.start),
         estimation=None if run.estimation is None else estimation_figures(run.estimation),
+    )
+
+
+def _turns(design: Design) -> bool:
+    machine = design.machine
+    return isinstance(machine, SaturatedMachine) and machine.flux_map.ripple is not None
+
+
+def turning_figures(run: Simulation) -> TurningFigures:
+    """Figures of a machine whose torque depends on the rotor angle."""
+    figures, last = run.figures, run.t >= 0.9 * float(run.t[-1])
+    return TurningFigures(
+        torque=float(figures.tail_torque[0]),
+        ripple=float(figures.tail_ripple[0]),
+        ripple_means=float(figures.tail_ripple_means[0]),
+        speed=float(np.ptp(run.omega_m[last])),
+        current=float(np.ptp(np.hypot(run.i_d, run.i_q)[last])),
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import FluxMap, FluxRipple, SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import NumberFormat, Topology
@@ -34,6 +34,7 @@ from dqforge.optimizer.solution import Solution
 
 _MODES: dict[ControlMode, float] = {"speed": 0.0, "torque": 1.0, "current": 2.0, "open-loop": 3.0}
 _RELATIVE_STEP = 0.05
+_HIGHEST = 13.0  # Harmonics above are small wherever a machine turns fast.
 _LEAST_STEPS = 2
 
 # the averaged dead time is a damping of up to four times the carrier frequency around zero current
@@ -235,6 +236,21 @@ def map_table(flux_map: FluxMap) -> FloatArray:
     return np.concatenate([[float(rows), float(columns)], corners, cells])
 
 
+def waves_table(ripple: FluxRipple) -> FloatArray:
+    """Number of orders, the orders, and three maps for each as `map_table` writes them."""
+    parts = zip(ripple.cosine, ripple.sine, ripple.torque, strict=True)
+    maps = [map_table(part) for three in parts for part in three]
+    return np.concatenate([[float(len(ripple.orders))], ripple.orders, *maps])
+
+
+def _ripple_of(drive: Drive) -> FluxRipple | None:
+    """What turns with the rotor of a machine with a flux map, None for others."""
+    machine = drive.machine
+    if isinstance(machine, SaturatedMachine) and drive.phases is None:
+        return machine.flux_map.ripple
+    return None
+
+
 def _machine_parameters(drive: Drive, scenario: Scenario, topology: Topology) -> dict[str, float]:
     """Electrical constants of the plant, the relative errors applied."""
     machine, errors, phases = drive.machine, scenario.errors, drive.phases
@@ -358,9 +374,11 @@ def sub_steps(drive: Drive, scenario: Scenario) -> int:
     if scenario.shaft is not None:
         turning = max(turning, machine.pole_pairs * scenario.shaft.largest)
     if drive.phases is not None:
-        # Harmonics above the thirteenth are small wherever a machine turns fast.
-        turning *= min(13.0, highest_order(drive.phases))
+        turning *= min(_HIGHEST, highest_order(drive.phases))
         turning = max(turning, midpoint_frequency(drive.phases, drive.inverter))
+    ripple = _ripple_of(drive)
+    if ripple is not None:
+        turning *= min(_HIGHEST, ripple.orders[-1])
     rate = max(machine.r_s * (1.0 + scenario.errors.r_s) / _least_inductance(drive), turning)
     dead_time = drive.inverter.dead_time if scenario.dead_time is None else scenario.dead_time
     least = _DEAD_STEPS if dead_time > 0.0 else _LEAST_STEPS
@@ -485,6 +503,7 @@ def run_input(
     flux_map = (
         machine.flux_map if isinstance(machine, SaturatedMachine) and drive.phases is None else None
     )
+    ripple = _ripple_of(drive)
     tables = (
         profile_table(scenario.reference),
         profile_table(scenario.reference_d),
@@ -498,6 +517,7 @@ def run_input(
         duty_table([profile_table(duty) for duty in scenario.duties]),
         _doubles(shape),
         _doubles(observer),
+        np.zeros(0) if ripple is None else waves_table(ripple),
     )
     return RunInput(parameters, tables)
 

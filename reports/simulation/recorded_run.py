@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.flux_map import MOST_ORDERS
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.names import FeedbackMethod, NumberFormat, SampledRuleName, Topology
@@ -463,6 +464,7 @@ def simulation_sources(
         "states": STATES + (HEARD if hears else ()) + (BRIDGE_STATES if bridge else ()),
         "bridge": bridge or "",
         "bins": BINS,
+        "waves": MOST_ORDERS,
         "most_angles": MOST_ANGLES,
         "sampled_rules": get_args(SampledRuleName),
         "hears": hears,

@@ -155,6 +155,21 @@ def _phase_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
     return tuple(rows)
 
 
+def _turning_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
+    """Ripple of the last tenth with a map over the rotor angle, nothing without."""
+    seen = found.turning
+    if seen is None:
+        return ()
+    share = f" ({100.0 * seen.ripple / abs(seen.torque):.3g} %)" if seen.torque else ""
+    return (
+        ("last tenth: mean torque", _value(seen.torque, "N m")),
+        ("its ripple, peak to peak", _value(seen.ripple, "N m", 3) + share),
+        ("... of its means over control periods", _value(seen.ripple_means, "N m", 3)),
+        ("ripple of the speed, peak to peak", _value(seen.speed, "rad/s", 3)),
+        ("ripple of the current vector, peak to peak", _value(seen.current, "A", 3)),
+    )
+
+
 def _estimation_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
     """Parameters estimated on line, nothing where none are."""
     seen = found.estimation
@@ -244,6 +259,7 @@ def _lines(found: DriveSimulation) -> list[tuple[str, ...]]:
             (
                 *_figure_rows(each),
                 *_phase_rows(each),
+                *_turning_rows(each),
                 *_block_rows(each),
                 *_bridge_rows(each),
                 *_observer_rows(each),
@@ -529,6 +545,7 @@ def _plain_run(found: DriveSimulation) -> PlainData:
         | _plain_blocks(found)
         | _plain_bridge(found)
         | _plain_firmware(found)
+        | ({} if found.turning is None else {"turning": asdict(found.turning)})
         | ({} if found.start is None else {"start": plain_start(found.start)})
         | ({} if found.estimation is None else {"estimation": asdict(found.estimation)})
         | {

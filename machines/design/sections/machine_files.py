@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 _PATH: KeyPath = ("machine", "flux_map")
 
+NOT_USED = "is averaged away: it is not kept"
+
 # Asymmetry over the largest flux linkage below which the halves of a map are the same.
 _SYMMETRIC = 1e-6
 
@@ -118,6 +120,8 @@ def read_flux_maps(
         )
         maps.append(_told(given, part.file, found, reading, pole_pairs, at))
     temperatures = np.array([part.magnet_temperature.si for part in files])
+    if any(part.symmetric.ripple is not None for part in maps):
+        reading.remarks.append(f"the ripple over the rotor angle {NOT_USED} with several files")
     wholes = [part.whole for part in maps if part.whole is not None]
     with reading.document.at(("machine", "temperature", "magnet")):
         whole = (
@@ -240,6 +244,8 @@ def _one_map(
         )
     _refuse_far_torque(found, name, path, pole_pairs, reading, i_max)
     reading.remarks.extend(f"{name}: {finding}" for finding in found.findings)
+    if points.turning is not None and whole.turning is None:
+        reading.remarks.append(f"{name}: the ripple over the rotor angle {NOT_USED} in a delta")
     if points.deviations is not None:
         plain = given.axes == "magnet-d" and (scaling or points.claimed or "peak") == "peak"
         if plain and si_of(given.frame_angle) in (None, 0.0) and whole is points:
@@ -384,6 +390,7 @@ def at_the_terminals(points: FluxPoints, section: FluxMapSection) -> FluxPoints:
         i_q=points.i_q * _SQRT3,
         psi_d=points.psi_d / _SQRT3,
         psi_q=points.psi_q / _SQRT3,
+        turning=None,
     )
 
 

@@ -12,7 +12,8 @@ import pytest
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import Tolerances
-from dqforge.machines.dq_machines.flux_map import FluxMap, MapDeviations, SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
+from dqforge.machines.dq_machines.map_deviations import MapDeviations
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.optimizer.current_reference.torque_band import LEAST_TORQUE, torque_band
 from dqforge.optimizer.operating_points.current_choice import OperatingPoints

@@ -8,15 +8,19 @@ from scipy.integrate import solve_ivp
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
+from dqforge.machines.modulation.ripple import ripple
+from dqforge.machines.names import ModulationName
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_currents, per_unit_base
 from dqforge.reports.papers.explanations import (
     Alternative,
     Coefficients,
     Explanation,
     Printed,
+    RippleColumn,
     explain,
     explain_coefficients,
     explain_largest_error,
+    explain_ripple,
     explain_transients,
     explanation_table,
     plain_explanation,
@@ -25,6 +29,7 @@ from dqforge.reports.papers.paper000_stated_method import (
     DESIGN_NAME,
     PRINTED_TABLE_1,
     PRINTED_TABLE_2,
+    ripple_explained,
 )
 from dqforge.reports.papers.paper001_bench_sensorless import explain_start
 from dqforge.reports.papers.paper001_bench_transients import bench_design
@@ -156,6 +161,38 @@ def test_an_error_of_figure_4_follows_from_three_points(
             gap = abs(float(np.polyval(row, torque)) - exact)
             worst = max(worst, (gap, 100.0 * gap / abs(exact)))
     assert one.found == pytest.approx(worst, rel=5e-3)
+
+
+def test_planted_slots_are_found_beside_the_switching(machine: LinearMachine) -> None:
+    """Slots of 0.9 N m at 200 A of i_q, in proportion to it, whose extremes meet those of the
+    switching that `ripple` has.
+    """
+    points: list[tuple[ModulationName, float, float]] = [
+        ("spwm", 0.0, 206.5), ("spwm", -64.8, 179.7), ("ddt-gdpwm", -64.8, 179.7),
+    ]  # fmt: skip
+    columns = []
+    for name, i_d, i_q in points:
+        switched = ripple(name, machine, i_d, i_q, 300.0, v_dc=500.0, f_sw=1e5).torque
+        printed = round(float(switched) + 2.0 * 0.9 * i_q / 200.0, 2)
+        columns.append(RippleColumn(f"{name} at {i_d} A", name, i_d, i_q, printed))
+    found = explain_ripple(machine, columns, 300.0, v_dc=500.0, f_sw=1e5)
+    assert found.winner.assumed == "slots as i_q; extremes meet"
+    assert found.explained(found.winner) == (True, True, True)
+    assert found.as_good == ()
+
+
+def test_the_torque_ripple_of_table_4_is_that_of_equal_slots_but_without_i_d() -> None:
+    """The step from SPWM to DDT-GDPWM is that of the switching; the column of i_d = 0 is 0.1 N m
+    below what the same slots make there, and further below those that grow with flux or current.
+    """
+    found = ripple_explained(catalogue.load(DESIGN_NAME))
+    assert found.winner.assumed == "slots the same everywhere; extremes meet"
+    assert found.explained(found.winner) == (False, True, True)
+    assert found.winner.found[0] == pytest.approx(3.27, abs=0.01)
+    others = {one.assumed: one.found[0] for one in found.as_good}
+    assert others["slots as i_q; extremes meet"] == pytest.approx(3.64, abs=0.01)
+    assert others["slots as |psi|; extremes meet"] == pytest.approx(3.76, abs=0.01)
+    assert not any(all(found.explained(one)) for one in found.alternatives)
 
 
 def test_times_and_speed_of_the_bench_follow_together() -> None:
