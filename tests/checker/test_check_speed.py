@@ -240,9 +240,9 @@ def test_rests_hold_what_the_corners_leave_out(seed: int, ratio: int) -> None:
         flow[1, 1] /= random.choice(drive.box.torque)  # f in the friction
         exact = expm(flow)[:2]
         if k == 3:
-            share = 1.0 - math.exp(-loop.box.t_s / loop.box.filter_time)
-            exact = np.insert(np.vstack([exact, share * exact[1]]), 2, 0.0, axis=1)
-            exact[2, 2] = 1.0 - share
+            kept = math.exp(-loop.box.t_s / loop.box.filter_time)
+            exact = np.insert(np.vstack([exact, (1.0 - kept) * exact[1]]), 2, 0.0, axis=1)
+            exact[2, 2] = kept
         error = np.abs(exact - mean)
         assert (error <= bounds + 1e-14).all()
         large = bounds > 1e-9
