@@ -4,19 +4,21 @@ template; each case gives texts by name, and compiles nothing.
 
 from __future__ import annotations
 
+import re
 import shutil
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, get_args
 from unittest import mock
 
+import house
+import jinja2
 import numpy as np
 from application_replay import design as program_design
 from firmware_loops import VALUES, infineon, vesc
 from fixed_drives import fitted, observed_design, tuned
-from kept_output import rendered
 from phase_loops import HARMONICS, page_control
 from six_step_drives import bench
 
@@ -50,6 +52,39 @@ from dqforge.reports.verification.measured_cost import cost_on_target
 
 BENCH, SHAPED = "paper001-pmsm-bench", "paper002-phase-waveforms"
 Texts = Mapping[str, bytes | str]
+
+
+def templates() -> list[str]:
+    """Every template of a program or of a file for other firmware."""
+    names = (path.relative_to(house.ROOT).as_posix() for path in house.ROOT.glob("reports/**/*.j2"))
+    return sorted(name for name in names if not re.search(r"\.(html|js|css)\.j2$", name))
+
+
+@contextmanager
+def rendered() -> Iterator[dict[str, str]]:
+    """Every template that is rendered meanwhile, those that another includes too, by its path;
+    with the text that was last made of it, empty where it was included.
+    """
+    found: dict[str, str] = {}
+    get, render = jinja2.Environment.get_template, jinja2.Template.render
+
+    def path(name: object) -> str:
+        room, _, rest = str(name).partition("/")
+        return f"reports/{room}/templates/{rest}"
+
+    def noted(self: jinja2.Environment, name: str, *more: Any, **named: Any) -> jinja2.Template:
+        found.setdefault(path(name), "")
+        return get(self, name, *more, **named)
+
+    def kept(self: jinja2.Template, *values: Any, **named: Any) -> str:
+        found[path(self.name)] = text = render(self, *values, **named)
+        return text
+
+    with (
+        mock.patch.object(jinja2.Environment, "get_template", noted),
+        mock.patch.object(jinja2.Template, "render", kept),
+    ):
+        yield found
 
 
 def _exported(design: Design) -> Texts:

@@ -4,8 +4,8 @@ A case of `kept_drives` gives texts of programs, none of which is compiled. Of e
 `tests/kept/CASE.json` keeps, definition by definition, a few letters for the words of every
 statement, and its numbers. Words are compared exactly. Numbers may differ by 1e-3, as solvers on
 other machines round otherwise; those of at most four digits, and powers of two, are taken to be
-written by hand and must be the same. What a long table holds is kept as every so manieth entry and
-two sums.
+written by hand and must be the same. Of a long table some entries and two
+sums are kept.
 
 This finds what was not meant to change; it proves nothing of what the program does: tests of its
 physics do that. Where the change is meant, look at the text and accept it:
@@ -23,16 +23,13 @@ import json
 import multiprocessing
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from types import CodeType
 from typing import Any
-from unittest import mock
 
 import house
-import jinja2
 
 KEPT = Path(__file__).with_name("kept")
 TEST = "tests/test_kept_output.py::test_text_is_as_it_was_kept"
@@ -53,12 +50,6 @@ WITHIN, EXACT, NOTHING = 1e-3, 1e-6, 1e-12
 FEW_DIGITS, SMALL_CODE = 4, 64
 # Numbers in comments are rounded: the last digit may be another.
 COMMENTS, MACROS = "comments", "macros"
-
-
-def templates() -> list[str]:
-    """Every template of a program or of a file for other firmware."""
-    names = (path.relative_to(house.ROOT).as_posix() for path in house.ROOT.glob("reports/**/*.j2"))
-    return sorted(name for name in names if not re.search(r"\.(html|js|css)\.j2$", name))
 
 
 def definitions(text: str) -> Iterator[tuple[str, str]]:
@@ -182,33 +173,6 @@ def _difference(title: str, body: str, kept: str) -> str:
     return f"{len(was) - len(now)} statements are gone" if len(was) > len(now) else ""
 
 
-@contextmanager
-def rendered() -> Iterator[dict[str, str]]:
-    """Every template that is rendered meanwhile, those that another includes too, by its path;
-    with the text that was last made of it, empty where it was included.
-    """
-    found: dict[str, str] = {}
-    get, render = jinja2.Environment.get_template, jinja2.Template.render
-
-    def path(name: object) -> str:
-        room, _, rest = str(name).partition("/")
-        return f"reports/{room}/templates/{rest}"
-
-    def noted(self: jinja2.Environment, name: str, *more: Any, **named: Any) -> jinja2.Template:
-        found.setdefault(path(name), "")
-        return get(self, name, *more, **named)
-
-    def kept(self: jinja2.Template, *values: Any, **named: Any) -> str:
-        found[path(self.name)] = text = render(self, *values, **named)
-        return text
-
-    with (
-        mock.patch.object(jinja2.Environment, "get_template", noted),
-        mock.patch.object(jinja2.Template, "render", kept),
-    ):
-        yield found
-
-
 def texts_of(made: Mapping[str, bytes | str]) -> dict[str, str]:
     """Those of the files that are text of programs."""
     return {
@@ -233,10 +197,13 @@ def making(path: str) -> list[str]:
     return [case for case in kept_drives.CASES if path in kept_of(case)["made by"]]
 
 
-def _update(case: str, make: Callable[[], Mapping[str, bytes | str]]) -> None:
+def update(case: str) -> None:
+    """Keep the texts of a case as they are now."""
+    import kept_drives
+
     profile = cProfile.Profile(subcalls=False, builtins=False)
-    with rendered() as names:
-        made = profile.runcall(make)
+    with kept_drives.rendered() as names:
+        made = profile.runcall(kept_drives.CASES[case])
     codes = [entry.code for entry in profile.getstats() if isinstance(entry.code, CodeType)]
     ran = {Path(code.co_filename) for code in codes if code.co_name != "<module>"}
     own = (path.relative_to(house.ROOT) for path in ran if path.is_relative_to(house.ROOT))
@@ -250,8 +217,7 @@ if __name__ == "__main__":
     import kept_drives
 
     for wanted in sys.argv[2:] or kept_drives.CASES:
-        process = multiprocessing.get_context("fork").Process(
-            target=_update, args=(wanted, kept_drives.CASES[wanted])
-        )
+        # Each in a process of its own: what one solves, the next would not come to.
+        process = multiprocessing.get_context("fork").Process(target=update, args=(wanted,))
         process.start()
         process.join()

@@ -22,14 +22,14 @@ static inline float half(float x)
 @pytest.mark.parametrize("case", kept_drives.CASES)
 def test_text_is_as_it_was_kept(case: str) -> None:
     kept = kept_output.kept_of(case)
-    with kept_output.rendered() as names:
+    with kept_drives.rendered() as names:
         texts = kept_output.texts_of(kept_drives.CASES[case]())
     found = [f"{case}: {line}" for line in kept_output.differences(texts, kept["texts"])]
     assert not found, "\n".join([*found, "where it is meant: python tests/kept_output.py --update"])
     assert {name for name in kept["made by"] if name.endswith(".j2")} == names.keys()
 
 
-@pytest.mark.parametrize("template", kept_output.templates())
+@pytest.mark.parametrize("template", kept_drives.templates())
 def test_template_is_rendered_for_a_kept_text(template: str) -> None:
     assert kept_output.making(template), f"no case of kept_drives renders {template}"
 
