@@ -27,13 +27,16 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.names import FeedbackMethod, Firmware
+from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.estimators import TRACKERS
-from dqforge.optimizer.solution import solve
+from dqforge.optimizer.operating_points.solve import solve_curves
+from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.answers import dqy
 from dqforge.reports.capability import Outcome, asked_for
 from dqforge.reports.estimator_comparison import observer_errors, random_starts
 from dqforge.reports.firmware.loop_code import loop_files
 from dqforge.reports.fixed_observers.fixed_observer_header import fixed_observer_files
+from dqforge.reports.main_header import header_files
 from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.pages.templating import render
 from dqforge.reports.papers.paper000_load_test import method_sources
@@ -252,6 +255,22 @@ def _observers(*methods: str) -> Texts:
     )
 
 
+def _fitted() -> Texts:
+    """Current references by each method, on breakpoints that are searched and on given ones."""
+    found = {}
+    for method, mode, name in (
+        ("minimax", "shared", "paper000-ipmsm-100kw"),
+        ("least-squares", "own", "abb-ipmsm-2k2"),
+        ("lagrange", "shared", "abb-ipmsm-2k2"),
+    ):
+        settings = [f"fit.method={method}", f"fit.breakpoint_mode={mode}", "fit.form=polynomial"]
+        design = catalogue.load(name, [*settings, "fit.segments=3", "fit.degree=3"])
+        fit = solve_fit(design).fit
+        made = Solution(design, solve_curves(design), fit, (), None, None)
+        found[method] = header_files(made)
+    return _of_each(found)
+
+
 def _shaped(*settings: str) -> Callable[[], Texts]:
     return lambda: _library(SHAPED, *settings)
 
@@ -287,6 +306,7 @@ CASES: dict[str, Callable[[], Texts]] = {
         "control.speed_loop={method: bandwidth, bandwidth: 12 rad/s, ratio: 10}",
         "export.frame_tables=true",
     ),
+    "fitted": _fitted,
     "estimators": _estimators,
     "firmware": _firmware,
     "flux-observer": lambda: _observers("flux", "extended-emf"),
