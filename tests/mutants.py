@@ -12,6 +12,7 @@ most. What none of them notices is printed. What changes no number stands in
     python tests/mutants.py 100 --seed a --out OLD.json
     python tests/mutants.py 100 --seed a --since OLD.json
     python tests/mutants.py 40 --seed b --evidence
+    python tests/mutants.py 40 --only "emitted code" proofs
 
 ``--against`` plants the same changes in another checkout too, where their lines stand there once.
 ``--out`` goes on where an earlier run with the same file ended. ``--since`` asks first the case
@@ -49,6 +50,7 @@ from pathlib import Path
 import callers
 import drawn_cases
 import house
+import kept_output
 
 # What the score is about; words, pages and readers of files are held by other tests.
 KINDS = {
@@ -285,8 +287,9 @@ def _loading(path: str) -> frozenset[str]:
 
 
 def order(change: Change) -> tuple[str, ...]:
-    """What is asked of a change, first what is likeliest to notice it soonest: functions of tests
-    that come to it by name, and whole files that import it, over whatever others.
+    """What is asked of a change, first what is likeliest to notice it soonest: kept texts that the
+    file makes, then functions of tests that come to it by name, and whole files that import it,
+    over whatever others.
 
     Steps are counted by name; a whole file is as near as a function that is two steps away. The
     file's own tests, those of its folder, of its room on another floor, and others follow each
@@ -314,7 +317,8 @@ def order(change: Change) -> tuple[str, ...]:
 
     by_name = callers.cases(change.path, change.line, set(reached))
     files = {test for test, loaded in house.tests().items() if loaded & reached}
-    return tuple(sorted(by_name.keys() | files, key=near))
+    kept = [f"{kept_output.TEST}[{case}]" for case in kept_output.making(change.path)]
+    return (*kept, *sorted(by_name.keys() | files, key=near))
 
 
 @dataclass(frozen=True, slots=True)
@@ -489,6 +493,8 @@ def score(
             one.result()
     for kind, (count, whole) in tally(planted, cases).items():
         _say(f"{title}: {kind}: {share(count, whole)}")
+    by_kept = sum(case.startswith(kept_output.TEST) for case in cases.values())
+    _say(f"{title}: by kept texts: {by_kept}")
     return cases
 
 

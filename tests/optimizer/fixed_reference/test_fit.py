@@ -12,6 +12,7 @@ from dqforge.machines.design.settings import WeakeningSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.fixed_control.design import dc_link
+from dqforge.optimizer.fixed_reference import fit
 from dqforge.optimizer.fixed_reference.fit import (
     _even,
     fit_line,
@@ -131,3 +132,16 @@ def test_rows_crowd_where_currents_rise_like_a_root() -> None:
     steps = np.diff(nodes.i_q[:, 0])
     assert np.max(steps) < 1.1 * np.min(steps)
     assert line_fit("reluctance", 16).reference.torque[1] < 2**15 / 300
+
+
+def test_a_way_is_divided_evenly_where_it_goes_on_and_nodes_stay_apart_where_it_rests() -> None:
+    """At rest over the first half of the torque, straight over the second: as a part of the way
+    counts a thousandth of the torque, 500 to 1 over each half.
+    """
+    at = np.linspace(0.0, 4.0, 401)
+    nodes = fit._even(np.maximum(at - 2.0, 0.0), at, 12)
+    assert np.all(np.diff(nodes) > 0.0)
+    assert nodes[[0, -1]] == pytest.approx([0.0, 4.0], abs=1e-12)
+    straight = np.diff(nodes[nodes >= 2.0])
+    np.testing.assert_allclose(straight, 2.0 / 12.0 * 1.001 / 1.0005, rtol=1e-9)
+    np.testing.assert_allclose(fit._even(0.0 * at, at, 4), [0.0, 1.0, 2.0, 3.0, 4.0], atol=1e-12)
