@@ -132,9 +132,9 @@ def test_neither_help_nor_check_loads_what_they_do_not_need() -> None:
     ("most", "command"),
     [
         (19, "--help"),
-        (89, "check paper000-ipmsm-100kw"),
-        (116, "mtpa paper000-ipmsm-100kw"),
-        (148, "tune vdyno-trampa-6340"),
+        (90, "check paper000-ipmsm-100kw"),
+        (117, "mtpa paper000-ipmsm-100kw"),
+        (149, "tune vdyno-trampa-6340"),
     ],
 )
 def test_commands_load_modules_that_they_use(most: int, command: str) -> None:

@@ -404,7 +404,7 @@ def _told(
     why = ""
     if guessed:
         why = (
-            ", as the torque tells" if agreement is not None else ", name it theta_el or theta_mech"
+            ", as the torque shows" if agreement is not None else ", name it theta_el or theta_mech"
         )
     about = f"rotor angle ({turning.name}) taken as {kind}{why}: {span:.4g} deg (electrical)"
     if agreement is None:

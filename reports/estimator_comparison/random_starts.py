@@ -16,6 +16,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.from_machine import RandomDrive, make_design, random_drives
 from dqforge.machines.design.settings import ObserverSettings, StartUpSettings
 from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.dq_machines.flux_map import MOST_ORDERS
 from dqforge.machines.errors import NoSolutionError, VerificationError
 from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.names import StartUpMethodName
@@ -539,6 +540,7 @@ def _sources(prefix: str, code: str, low: str, *, shared: bool) -> dict[str, str
         "parameters": PARAMETERS,
         "states": STATES,
         "columns": COLUMNS,
+        "waves": MOST_ORDERS,
         "hears": (),
     }
     sources = {

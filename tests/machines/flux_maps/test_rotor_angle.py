@@ -105,7 +105,7 @@ def test_a_mechanical_angle_by_its_name_or_by_the_torque(title: str) -> None:
     is_the_machine(reading)
     said = next(finding for finding in reading.findings if "taken as" in finding)
     assert "mechanical" in said
-    assert ("as the torque tells" in said) == ("mech" not in title)
+    assert ("as the torque shows" in said) == ("mech" not in title)
 
 
 def test_a_table_with_decimal_commas() -> None:
