@@ -11,6 +11,7 @@ import pytest
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.dq_machines.flux_map import MOST_ORDERS
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import InverterModel, Scenario, constant
@@ -74,7 +75,7 @@ int main(void)
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("plant")
-    context = {"parameters": PARAMETERS, "states": STATES, "hears": ()}
+    context = {"parameters": PARAMETERS, "states": STATES, "hears": (), "waves": MOST_ORDERS}
     for name in ("plant.c", "phase_plant.c"):
         (folder / name).write_text(render(f"simulation/{name}.j2", context), encoding="ascii")
     (folder / "main.c").write_text(MAIN, encoding="ascii")
