@@ -109,6 +109,6 @@ def rotor_angle(path: Path) -> None:
             right.plot(torque, part, color=colour, label=f"order {order:g}")
         left.set(xlabel="Electrical angle in deg", ylabel="Torque in N m", title="At MTPA currents")
         right.set(xlabel="Torque in N m", ylabel="Ripple in N m", title="Along MTPA")
-        for axes in (left, right):
-            axes.legend(fontsize=6.5, loc="best")
+        left.legend(fontsize=6.5, loc="lower right", bbox_to_anchor=(1.0, 0.1))
+        right.legend(fontsize=6.5, loc="upper left")
     save(figure, path)
