@@ -110,13 +110,13 @@ def _keeping_gaps(said: Sequence[str], came: Sequence[str]) -> list[str]:
     return [next((gap for gap in gaps if is_said(gap, line)), line) for line in came]
 
 
-# A clipped area, named by a hash of its corners.
-_AREA = re.compile(r"(?<=-)p[0-9a-f]{10}\b")
+# A clipped area or a mark, named by a hash of its corners.
+_AREA = re.compile(r"(?<=-)[pm][0-9a-f]{10}\b")
 
 
 def same_drawing(said: str, came: str, tolerance: float = 1e-3) -> bool:
     """Whether two figures have the same text and the same numbers but for rounding, which the names
-    of clipped areas follow.
+    of areas and marks follow.
     """
     said, came = (_AREA.sub("area", text) for text in (said, came))
     if said == came:

@@ -1,4 +1,5 @@
-"""Draw the figures of the documentation anew; the files are the same bytes every time.
+"""Draw the figures of the documentation anew, or those that are named; the files are the same bytes
+every time.
 
 The one figure of measured times, time-over-points.svg, is drawn by
 `figures_operating_points.time_over_points` alone.
@@ -6,9 +7,11 @@ The one figure of measured times, time-over-points.svg, is drawn by
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import _kernels  # noqa: F401
 import figures_application
 import figures_box_proofs
 import figures_certificates
@@ -151,13 +154,13 @@ FIGURES: dict[str, Callable[[Path], None]] = {
 """Every figure by the name of its file, with what draws it."""
 
 
-def main() -> None:
-    """Write the figures into docs/figures."""
+def main(names: Sequence[str]) -> None:
+    """Write the figures of these names, or all, into docs/figures."""
     folder = Path(__file__).resolve().parents[1] / "figures"
     folder.mkdir(exist_ok=True)
-    for name, draw in FIGURES.items():
-        draw(folder / f"{name}.svg")
+    for name in names or FIGURES:
+        FIGURES[name](folder / f"{name}.svg")
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])
