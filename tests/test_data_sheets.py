@@ -224,7 +224,7 @@ def test_leaving_writes_nothing(tmp_path: Path, key: str) -> None:
         person.press("pole-pairs (", key)
         shown, code = person.rest()
     assert code == 130
-    assert shown.endswith("\nnothing is written\n")
+    assert shown.endswith("\nnothing is written\ndqforge: interrupted\n")
     assert "Traceback" not in shown
     assert list(tmp_path.iterdir()) == []
 

@@ -15,6 +15,10 @@ NAMED = re.compile(
 FILES = (".py", ".yaml", ".md", ".json", ".toml", ".html", ".npz", ".svg", ".sha256", ".columns")
 
 
+# Lines of code in which changes were planted.
+PLANTED = re.compile(r"<!-- planted changes -->.*<!-- end of planted changes -->", re.DOTALL)
+
+
 def is_there(name: str) -> bool:
     """Whether modules and what is in them lead along a dotted name."""
     parts = name.removeprefix("dqforge.").split(".")
@@ -35,7 +39,7 @@ def test_every_dotted_name_of_a_page_can_be_imported() -> None:
     dead = [
         f"{page.relative_to(ROOT)}: {name}"
         for page in PAGES
-        for name in sorted(set(NAMED.findall(page.read_text(encoding="utf-8"))))
+        for name in sorted(set(NAMED.findall(PLANTED.sub("", page.read_text(encoding="utf-8")))))
         if not name.endswith(FILES) and not is_there(name)
     ]
     assert dead == []
