@@ -8,6 +8,7 @@ import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, get_args
@@ -158,6 +159,7 @@ def _programs() -> Texts:
     solution = solve(design)
     (plan,) = [found for _, found in asked_for((APPLICATION,), Outcome(solution))]
     context = application_context(solution, plan)
+    assert solution.start_up is not None
     started = start_up_files(solution, solution.start_up)
     low = render("single_headers/application/application.h.j2", context | {"low": "injection"})
     return _of_each(
@@ -182,7 +184,7 @@ def _six_step() -> Texts:
     found = {}
     for method in ("zero-crossing", "diode-conduction"):
         design = bench(f"control.observer.method={method}")
-        run = _without_tools(lambda design=design: simulate_six_step(design))
+        run = _without_tools(partial(simulate_six_step, design))
         found[method] = {**_exported(design), **run}
     return _of_each(found)
 
@@ -206,7 +208,7 @@ def _estimators() -> Texts:
         {
             "cost": _without_tools(lambda: any_[0]._cost(asked, figures)),
             **{
-                name: _without_tools(lambda row=row: any_[1]._cycles(solution, compared, row))
+                name: _without_tools(partial(any_[1]._cycles, solution, compared, row))
                 for name, row in rows.items()
             },
             "starts": random_starts._sources("drive", "flux", "injection", shared=True),
@@ -235,7 +237,9 @@ def _on_target() -> Texts:
             "vectors": _without_tools(lambda: run._run_vectors({}, "drive", "cortex-m4", ["q15"])),
             "board": {"target.ld": render("verification/target.ld.j2", board)},
             "cost": _without_tools(
-                lambda: cost_on_target({}, "drive.h", "f", "cortex-m4", np.float32([0.0, 1.5]))
+                lambda: cost_on_target(
+                    {}, "drive.h", "f", "cortex-m4", np.array([0.0, 1.5], dtype=np.float32)
+                )
             ),
         }
     )
