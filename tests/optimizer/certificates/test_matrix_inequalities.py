@@ -14,6 +14,7 @@ from dqforge.optimizer.certificates.cell_queue import (
 from dqforge.optimizer.certificates.matrix_inequalities import (
     Inequality,
     Term,
+    _best_length,
     _block,
     _triangle,
     _vector,
@@ -25,6 +26,20 @@ from dqforge.optimizer.certificates.matrix_inequalities import (
 def random_loop(rng: np.random.Generator, radius: float, size: int = 6) -> np.ndarray:
     loop = rng.normal(size=(size, size))
     return np.asarray(loop * radius / np.max(np.abs(np.linalg.eigvals(loop))))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_step_is_as_long_as_the_barrier_likes_best(seed: int) -> None:
+    """The zero of its slope, by bisection; no farther than where a factor has lost 95 %."""
+    rng = np.random.default_rng(seed)
+    stretch = rng.uniform(-0.9, 1.0, 12) / (1.0 + seed)
+    gain = max(-float(np.sum(stretch)), 0.0) + float(rng.uniform(0.1, 0.5))
+    low, high = 0.0, 0.95 / max(-float(stretch.min()), 1e-12)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        falls = gain + np.sum(stretch / (1.0 + middle * stretch)) < 0.0
+        low, high = (low, middle) if falls else (middle, high)
+    assert _best_length(stretch, gain) == pytest.approx(high, rel=1e-3)
 
 
 def test_the_largest_gain_of_a_first_order_lag_is_found() -> None:

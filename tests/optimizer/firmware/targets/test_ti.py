@@ -254,6 +254,16 @@ def test_contradictions_name_both_numbers() -> None:
         assert part in words
 
 
+@pytest.mark.parametrize(("rated", "against"), [(9.3, False), (9.6, True)])
+def test_a_rated_speed_within_five_percent_of_the_largest_frequency_is_none(
+    rated: float, against: bool
+) -> None:
+    """620 and 640 Hz against 600 Hz."""
+    own = TEKNIC | {"USER_MOTOR1_RATED_SPEED_KRPM": rated}
+    words = " ".join(configuration("another", own).contradictions)
+    assert ("above FREQ_MAX_Hz 600 Hz" in words) == against
+
+
 @pytest.mark.parametrize("ticks", [1, 2, 5])
 @pytest.mark.parametrize("fastest", [None, 300.0])
 def test_every_value_of_the_block_is_that_of_its_rule(ticks: int, fastest: float | None) -> None:
