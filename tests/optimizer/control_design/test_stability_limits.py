@@ -52,7 +52,6 @@ def flux() -> Iterator[Bench]:
         yield found
 
 
-@pytest.mark.slow
 def test_the_template_at_600_rpm_is_stable_from_spread_3_73_or_a_loop_of_730_upwards() -> None:
     text = catalogue.template().replace(b"    pole: 400 rad/s\n", b"    method: flux\n")
     design = load_text(text, "template.yaml")
