@@ -172,7 +172,11 @@ class Place:
         named += words[1:] if words[0] in {"new", "serve"} else []
         named += words[1:] if words[0] == "explore" else []  # a study's folder may be looked into
         named += [*_DEFAULTS, "../tmp/matplotlib"]
-        return [Path(os.path.normpath(self.work / name)) for name in named if name]
+        places = [self.work / name for name in named if name]
+        return [
+            *(Path(os.path.normpath(place)) for place in places),
+            *(Path(os.path.realpath(place)) for place in places if "\0" not in str(place)),
+        ]
 
     def tried(self, words: list[str]) -> str:
         """Let a command line be; what is wrong with how it ended, empty where nothing is."""

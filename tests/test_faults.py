@@ -44,6 +44,23 @@ def test_what_ends_a_command_is_told_and_waits_for_its_files(
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_what_a_library_makes_of_an_interrupt_is_one(
+    number: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """CasADi's functions have the wrong arguments where a signal cuts their call off."""
+
+    def command() -> None:
+        try:
+            signal.raise_signal(number)
+        except KeyboardInterrupt:
+            raise NotImplementedError from None
+
+    assert exit_code(command, lambda _: None) == 128 + number
+    assert capsys.readouterr().err.count("\n") == 1
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
 def test_what_comes_while_an_object_is_destroyed_is_not_lost(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import errno
 import inspect
 import os
+import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -56,7 +57,7 @@ def exit_code(command: Callable[[], object], locate: Callable[[DqforgeError], No
             warnings.simplefilter("ignore")
             warnings.simplefilter("error", RuntimeWarning)
             with asked_to_end() as asked, cleared_up():
-                code: object = command()
+                code: object = _unless_asked(command, asked)
         sys.stdout.flush()
         if code == INTERRUPTED:  # what the parser makes of Ctrl-C
             code = _interrupted(asked)
@@ -96,8 +97,18 @@ def exit_code(command: Callable[[], object], locate: Callable[[DqforgeError], No
     return code if isinstance(code, int) else 0
 
 
+def _unless_asked(command: Callable[[], object], asked: Sequence[int]) -> object:
+    """Run a command; what a library makes of an interrupt that cut it off is an interrupt."""
+    try:
+        return command()
+    except Exception:
+        if asked:
+            raise KeyboardInterrupt from None
+        raise
+
+
 def _interrupted(asked: Sequence[int]) -> int:
-    tell("ended by SIGTERM" if asked else "interrupted")
+    tell("ended by SIGTERM" if asked and asked[0] == signal.SIGTERM else "interrupted")
     return 128 + asked[0] if asked else INTERRUPTED
 
 

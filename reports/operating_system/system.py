@@ -13,6 +13,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 
 WINDOWS = os.name == "nt"
 
@@ -117,7 +118,7 @@ def undisturbed() -> Iterator[None]:
 
 @contextmanager
 def asked_to_end() -> Iterator[list[int]]:
-    """Let SIGTERM end a command as Ctrl-C does, with what it began cleared up; which signal came.
+    """Let SIGTERM end a command as Ctrl-C does, with what it began cleared up; which signals came.
 
     Who ignores it, or has an answer of their own, keeps that.
     """
@@ -127,6 +128,10 @@ def asked_to_end() -> Iterator[list[int]]:
         signal.signal(number, signal.SIG_IGN)  # once: what clears up is not disturbed again
         asked.append(number)
         raise KeyboardInterrupt
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        asked.append(number)
+        signal.default_int_handler(number, frame)
 
     here = threading.current_thread() is threading.main_thread()
     if not here or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
@@ -143,11 +148,16 @@ def asked_to_end() -> Iterator[list[int]]:
         signal.setitimer(signal.ITIMER_REAL, 0.01)
 
     signal.signal(signal.SIGTERM, end)
+    usually = signal.getsignal(signal.SIGINT)
+    if usually is signal.default_int_handler:
+        signal.signal(signal.SIGINT, interrupt)
     sys.unraisablehook = lost
     try:
         yield asked
     finally:
         sys.unraisablehook = usual
+        if usually is signal.default_int_handler:
+            signal.signal(signal.SIGINT, usually)
         if not WINDOWS and signal.getitimer(signal.ITIMER_REAL)[0]:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -43,7 +43,7 @@ SOLVED = {
     },
     "osqp": {(PHASES,): {"dqy", "run", "export"}, (PHASES, SERVO): {"compare"}},
     "casadi": {
-        (SALIENT,): {"dqy", "run", "export", "simulate"},
+        (SALIENT,): {"dqy", "run", "export"},
         (SALIENT, SERVO): {"compare"},
         (SERVO, "--set", KALMAN): {"tune", "run", "export"},
         (SERVO,): {"estimators"},
@@ -61,6 +61,7 @@ ANSWERED = [
     ("osqp", ["tune", PHASES]),
     ("casadi", ["tune", SALIENT]),
     ("casadi", ["fit", SALIENT]),
+    ("casadi", ["simulate", SALIENT]),
 ]
 
 
