@@ -20,7 +20,6 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.topologies import controlled_frame
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.estimators import TunedTracker, solve_tracker, tune_tracker
-from dqforge.optimizer.exploration.acceptance import wilson
 from dqforge.optimizer.observers.conditions import lost_voltage
 from dqforge.optimizer.sampled_systems import ComplexArray
 from dqforge.optimizer.start_up.plan import (
@@ -426,6 +425,8 @@ class StartRate:
     @property
     def interval(self) -> tuple[float, float]:
         """Within which the true share lies with 95 %."""
+        from dqforge.optimizer.exploration.acceptance import wilson
+
         return wilson(self.succeeded, self.count)
 
     @property
