@@ -57,7 +57,7 @@ def exit_code(command: Callable[[], object], locate: Callable[[DqforgeError], No
             warnings.simplefilter("ignore")
             warnings.simplefilter("error", RuntimeWarning)
             with asked_to_end() as asked, cleared_up():
-                code: object = _unless_asked(command, asked)
+                code: object = command()
         sys.stdout.flush()
         if code == INTERRUPTED:  # what the parser makes of Ctrl-C
             code = _interrupted(asked)
@@ -95,16 +95,6 @@ def exit_code(command: Callable[[], object], locate: Callable[[DqforgeError], No
             raise
         code = _refused(refusal, locate)
     return code if isinstance(code, int) else 0
-
-
-def _unless_asked(command: Callable[[], object], asked: Sequence[int]) -> object:
-    """Run a command; what a library makes of an interrupt that cut it off is an interrupt."""
-    try:
-        return command()
-    except Exception:
-        if asked:
-            raise KeyboardInterrupt from None
-        raise
 
 
 def _interrupted(asked: Sequence[int]) -> int:

@@ -120,7 +120,8 @@ def undisturbed() -> Iterator[None]:
 def asked_to_end() -> Iterator[list[int]]:
     """Let SIGTERM end a command as Ctrl-C does, with what it began cleared up; which signals came.
 
-    Who ignores it, or has an answer of their own, keeps that.
+    Who ignores it, or has an answer of their own, keeps that. What a library that they cut off
+    makes of them is an interrupt, too.
     """
     asked: list[int] = []
 
@@ -154,6 +155,10 @@ def asked_to_end() -> Iterator[list[int]]:
     sys.unraisablehook = lost
     try:
         yield asked
+    except Exception:
+        if asked:
+            raise KeyboardInterrupt from None
+        raise
     finally:
         sys.unraisablehook = usual
         if usually is signal.default_int_handler:
