@@ -436,8 +436,7 @@ def _proposed(links: _Links, frames: list[FloatArray]) -> Chain | None:
 #     T+ = S - (1 + r) sigma y,       S+ = S - r sigma y       y = w or w_f
 #
 # the last line every ratio-th sample only. a = 1 - exp(-t_s/T_f) is the filter's share of a new
-# sample, K is the torque constant that the controller assumes,
-# and
+# sample, K the torque constant that the controller assumes, and
 #
 #     rho' = R' t_s/L',  p = kp t_s/L',  q = ki t_s^2/L',  r = ki_s ratio t_s/kp_s
 #     h = kp_s t_s/(J' sigma),   eta = t_s K sigma/(L' kp_s)

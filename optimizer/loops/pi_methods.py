@@ -422,17 +422,15 @@ def speed_plants(
     b[:, n] = 1.0
     inner, entry = _open(PlantBatch(a, b, 0, t_s), current_gains[0], current_gains[1] * t_s)
     inner[:, :, 1] -= entry
-    size, measured = n + 2, n
-    stepped = np.zeros((count, size + 2, size + 2))
-    stepped[:, :size, :size], stepped[:, :size, -1], stepped[:, -1, -1] = inner, entry, 1.0
-    if np.all(np.asarray(filter_time) > 0.0):
-        # w_f of the newest sample of the speed, as it is emitted
+    known = n + 2  # states without a filter
+    filtered = bool(np.all(np.asarray(filter_time) > 0.0))
+    size, measured = (known + 1, known) if filtered else (known, n)
+    stepped = np.zeros((count, size + 1, size + 1))
+    stepped[:, :known, :known], stepped[:, :known, -1], stepped[:, -1, -1] = inner, entry, 1.0
+    if filtered:  # by the newest sample of the speed, as it is emitted
         share = np.broadcast_to(-np.expm1(-t_s / np.asarray(filter_time)), count)
-        stepped[:, size] = share[:, np.newaxis] * stepped[:, measured]
-        stepped[:, size, size] = 1.0 - share
-        size, measured = size + 1, size
-    else:
-        stepped = np.delete(np.delete(stepped, size, axis=1), size, axis=2)
+        stepped[:, known] = share[:, np.newaxis] * stepped[:, n]
+        stepped[:, known, known] = 1.0 - share
     stepped = np.linalg.matrix_power(stepped, ratio)
     return PlantBatch(stepped[:, :size, :size], stepped[:, :size, size], measured, t_s * ratio)
 

@@ -119,7 +119,7 @@ def plain_control(solution: Solution) -> PlainData:
         "voltage_share": _controlled_share(design),
         "advance": CURRENT_DELAY * control.t_s,
         "torque_max": float(solution.reference.torque_max),
-        "speed_filter": speed_filter(
+        "speed_filter": filter_share(
             settings.filter_time if settings is not None else 0.0, control.t_s
         ),
     }
@@ -184,13 +184,6 @@ def _plain_references(found: DynamicReferences | None) -> PlainData:
             for name, value in members.items()
         }
     }
-
-
-def speed_filter(filter_time: float, t_s: float) -> float:
-    """Share of a new sample in the sampled first-order filter of a time constant in s: 1 -
-    exp(-t_s/filter_time).
-    """
-    return filter_share(filter_time, t_s)
 
 
 def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> ControlModel:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
+from dqforge.machines.design.settings import filter_share
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import CurrentFrame, Feedforward, ModulationName
@@ -38,7 +39,6 @@ from dqforge.reports.control.control_text import (
     pi_structs,
     speed_loop_functions,
 )
-from dqforge.reports.control.header import speed_filter
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.loops.proven_text import judged_lines
 from dqforge.reports.pages.templating import render
@@ -101,7 +101,7 @@ def surroundings(solution: Solution) -> Surroundings:
         voltage_margin=design.operation.voltage_margin,
         speed=solution.gains.speed,
         ratio=1 if settings is None else settings.ratio,
-        speed_filter=speed_filter(
+        speed_filter=filter_share(
             settings.filter_time if settings is not None else 0.0, design.control.t_s
         ),
     )
