@@ -16,7 +16,6 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.from_machine import RandomDrive, make_design, random_drives
 from dqforge.machines.design.settings import ObserverSettings, StartUpSettings
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.flux_map import MOST_ORDERS
 from dqforge.machines.errors import NoSolutionError, VerificationError
 from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.names import StartUpMethodName
@@ -43,8 +42,7 @@ from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.simulation.design_run import controller_files
 from dqforge.reports.simulation.plant_input import (
-    PARAMETERS,
-    STATES,
+    PLANT,
     Drive,
     RunInput,
     run_input,
@@ -531,17 +529,13 @@ def _doubles(content: bytes) -> FloatArray:
 
 
 def _sources(prefix: str, code: str, low: str, *, shared: bool) -> dict[str, str]:
-    context = {
+    context = PLANT | {
         "prefix": prefix,
         "macro": prefix.upper(),
         "code": code,
         "low": low,
         "shared": shared,
-        "parameters": PARAMETERS,
-        "states": STATES,
         "columns": COLUMNS,
-        "waves": MOST_ORDERS,
-        "hears": (),
     }
     sources = {
         "plant.c": render("simulation/plant.c.j2", context),

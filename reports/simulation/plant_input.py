@@ -15,7 +15,13 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.flux_map import FluxMap, FluxRipple, SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import (
+    MOST_ORDERS,
+    FluxMap,
+    FluxRipple,
+    SaturatedMachine,
+    ripple_of_map,
+)
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import NumberFormat, Topology
@@ -113,6 +119,13 @@ PARAMETERS = (
 )
 
 # What is recorded at a sampling instant, in this order.
+# What the templates of the plant are rendered with where nothing is said of it.
+PLANT: dict[str, object] = {
+    "parameters": PARAMETERS,
+    "states": STATES,
+    "waves": MOST_ORDERS,
+    "hears": (),
+}
 COLUMNS = (
     *(
         "t",
@@ -245,10 +258,7 @@ def waves_table(ripple: FluxRipple) -> FloatArray:
 
 def _ripple_of(drive: Drive) -> FluxRipple | None:
     """What turns with the rotor of a machine with a flux map, None for others."""
-    machine = drive.machine
-    if isinstance(machine, SaturatedMachine) and drive.phases is None:
-        return machine.flux_map.ripple
-    return None
+    return ripple_of_map(drive.machine) if drive.phases is None else None
 
 
 def _machine_parameters(drive: Drive, scenario: Scenario, topology: Topology) -> dict[str, float]:

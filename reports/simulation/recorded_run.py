@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import MOST_ORDERS
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.files.scratch import scratch_folder
 from dqforge.machines.names import FeedbackMethod, NumberFormat, SampledRuleName, Topology
@@ -33,6 +32,7 @@ from dqforge.reports.simulation.plant_input import (
     HEARD,
     LONGEST_DELAY,
     PARAMETERS,
+    PLANT,
     STATES,
     SUMMARY,
     Drive,
@@ -438,7 +438,7 @@ def simulation_sources(
     position = next((name for name in observers if name != REDUCED_ORDER), "")
     tracker = next((each for each in TRACKERS.values() if each.code == position), None)
     hears = () if tracker is None else tracker.hears
-    context = {
+    context = PLANT | {
         "prefix": controller,
         "macro": controller.upper(),
         "format": number_format,
@@ -464,7 +464,6 @@ def simulation_sources(
         "states": STATES + (HEARD if hears else ()) + (BRIDGE_STATES if bridge else ()),
         "bridge": bridge or "",
         "bins": BINS,
-        "waves": MOST_ORDERS,
         "most_angles": MOST_ANGLES,
         "sampled_rules": get_args(SampledRuleName),
         "hears": hears,

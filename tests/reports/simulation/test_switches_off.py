@@ -11,12 +11,11 @@ import pytest
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.flux_map import MOST_ORDERS
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import InverterModel, Scenario, constant
 from dqforge.reports.pages.templating import render
-from dqforge.reports.simulation.plant_input import PARAMETERS, STATES, Drive, run_input
+from dqforge.reports.simulation.plant_input import PARAMETERS, PLANT, Drive, run_input
 
 T_S = 1e-4
 MACHINE = LinearMachine(
@@ -75,9 +74,8 @@ int main(void)
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("plant")
-    context = {"parameters": PARAMETERS, "states": STATES, "hears": (), "waves": MOST_ORDERS}
     for name in ("plant.c", "phase_plant.c"):
-        (folder / name).write_text(render(f"simulation/{name}.j2", context), encoding="ascii")
+        (folder / name).write_text(render(f"simulation/{name}.j2", PLANT), encoding="ascii")
     (folder / "main.c").write_text(MAIN, encoding="ascii")
     command = ["cc", "-std=c99", "-O1", "-o", "plant", "main.c", "-lm"]
     subprocess.run(command, cwd=folder, check=True, timeout=60)
