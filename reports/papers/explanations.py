@@ -136,19 +136,10 @@ def explanation_table(found: Explanation) -> Table:
         for one in found.alternatives[:_SHOWN]
     )
     winner = found.winner
-    misses = [
-        f"{of.name} {of.value:g} ({value:.4g})"
-        for of, value, holds in zip(
-            found.printed, winner.found, found.explained(winner), strict=True
-        )
-        if not holds
-    ]
+    judged = list(zip(found.printed, winner.found, found.explained(winner), strict=True))
+    misses = [f"{of.name} {of.value:g} ({value:.4g})" for of, value, holds in judged if not holds]
     with_it = ", ".join(
-        f"{of.name} {value:.4g} {of.unit}".strip()
-        for of, value, holds in zip(
-            found.printed, winner.found, found.explained(winner), strict=True
-        )
-        if holds
+        f"{of.name} {value:.4g} {of.unit}".strip() for of, value, holds in judged if holds
     )
     said = [
         f"Scanned: {found.bounds}, {len(found.alternatives)} alternatives.",
