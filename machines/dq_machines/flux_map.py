@@ -21,7 +21,7 @@ from dqforge.machines.arrays import (
     check_numbers,
     owned_numbers,
 )
-from dqforge.machines.dq_machines.map_deviations import MapDeviations
+from dqforge.machines.dq_machines.map_deviations import LEAST_POINTS, MapDeviations
 from dqforge.machines.dq_machines.synchronous import (
     CurrentRegion,
     FluxFormulas,
@@ -34,7 +34,6 @@ from dqforge.machines.records import dataclass
 
 # Points evaluated together: their coefficients (256 bytes each) and all intermediate values stay in
 # the cache.
-_LEAST_POINTS = 4
 _CHUNK = 2048
 
 MOST_ORDERS = 8
@@ -351,6 +350,19 @@ class TorqueRipple:
     amplitudes: FloatArray
     peak_to_peak: FloatArray
 
+    def over(self, torque: FloatArray) -> FloatArray:
+        """Peak to peak over the magnitude of mean torques in N m, shape (N,); NaN without one."""
+        size = np.abs(torque)
+        return self.peak_to_peak / np.where(size > 0.0, size, np.nan)
+
+
+def swing(orders: FloatArray, period: float, series: FloatArray) -> FloatArray:
+    """Peak to peak, shape (N,), of Fourier series: cosine and sine of K orders, shape (K, 2, N)."""
+    turns = np.outer(np.arange(_ANGLES) * (period / _ANGLES), orders)
+    course = np.einsum("tk,kn->tn", np.cos(turns), series[:, 0])
+    course += np.einsum("tk,kn->tn", np.sin(turns), series[:, 1])
+    return np.asarray(np.ptp(course, axis=0))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FluxRipple:
@@ -406,11 +418,8 @@ class FluxRipple:
     def torque_ripple(self, pole_pairs: int, i_d: FloatArray, i_q: FloatArray) -> TorqueRipple:
         """Ripple of the torque at currents in A, shape (N,)."""
         found = pole_pairs * self.coefficients(i_d, i_q)
-        theta = np.arange(_ANGLES) * (self.period / _ANGLES)
-        turns = np.outer(theta, self.orders)
-        course = np.einsum("tk,kn->tn", np.cos(turns), found[:, 0])
-        course += np.einsum("tk,kn->tn", np.sin(turns), found[:, 1])
-        return TorqueRipple(self.orders, np.hypot(found[:, 0], found[:, 1]), np.ptp(course, axis=0))
+        largest = swing(np.array(self.orders), self.period, found)
+        return TorqueRipple(self.orders, np.hypot(found[:, 0], found[:, 1]), largest)
 
 
 def _flattened(i_d: FloatArray, i_q: FloatArray) -> tuple[tuple[int, ...], FloatArray, FloatArray]:
@@ -424,9 +433,9 @@ def _flattened(i_d: FloatArray, i_q: FloatArray) -> tuple[tuple[int, ...], Float
 def _check_grid(i_d: FloatArray, i_q: FloatArray, fluxes: dict[str, FloatArray]) -> None:
     """Refuse grids that no spline can go through; raises `InputError`."""
     for name, axis in (("i_d", i_d), ("i_q", i_q)):
-        if axis.ndim != 1 or axis.size < _LEAST_POINTS:
+        if axis.ndim != 1 or axis.size < LEAST_POINTS:
             raise InputError(
-                f"the flux map needs at least {_LEAST_POINTS} different values of {name}, got "
+                f"the flux map needs at least {LEAST_POINTS} different values of {name}, got "
                 f"{axis.size}"
             )
         if not (np.all(np.isfinite(axis)) and np.all(np.diff(axis) > 0.0)):
@@ -767,6 +776,11 @@ def _quotient(
     return np.where(tiny, series, flux / np.where(tiny, 1.0, current))
 
 
+def ripple_of_map(machine: Machine) -> FluxRipple | None:
+    """What turns with the rotor of a machine with a flux map, None where its data know nothing."""
+    return machine.flux_map.ripple if isinstance(machine, SaturatedMachine) else None
+
+
 def torque_ripple(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> TorqueRipple | None:
     """Ripple of the torque of a machine, None where its data know none.
 
@@ -774,6 +788,5 @@ def torque_ripple(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> TorqueR
         machine: Any machine.
         i_d, i_q: Currents in A (peak), shape (N,).
     """
-    if not isinstance(machine, SaturatedMachine) or machine.flux_map.ripple is None:
-        return None
-    return machine.flux_map.ripple.torque_ripple(machine.pole_pairs, i_d, i_q)
+    ripple = ripple_of_map(machine)
+    return None if ripple is None else ripple.torque_ripple(machine.pole_pairs, i_d, i_q)

@@ -11,6 +11,8 @@ from dqforge.machines.records import dataclass
 # Currents that differ by less than this share of the largest one are the same.
 _SAME_CURRENT = 1e-6
 
+LEAST_POINTS = 4  # Of an axis, for a cubic spline through them.
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapDeviations:
@@ -54,7 +56,8 @@ class MapDeviations:
         largest = float(max(np.abs(at_d).max(), at_q.max()))
         axis_d, row = axis_of(at_d, _SAME_CURRENT * largest)
         axis_q, column = axis_of(at_q, _SAME_CURRENT * largest)
-        full = axis_d.size * axis_q.size == at_d.size and min(axis_d.size, axis_q.size) >= _LEAST
+        full = axis_d.size * axis_q.size == at_d.size
+        full &= min(axis_d.size, axis_q.size) >= LEAST_POINTS
         if not full or axis_q[0] > _SAME_CURRENT * largest:
             away = np.hypot(i_d[:, None] - at_d, i_q[:, None] - at_q)
             nearest = np.zeros((i_d.size, at_d.size))
@@ -70,9 +73,6 @@ class MapDeviations:
             folded[:, 1:] += sign * over_q[:, :zero][:, ::-1]
             found.append(over_d[:, row] * folded[:, column])
         return found[0], found[1]
-
-
-_LEAST = 4
 
 
 def axis_of(values: FloatArray, width: float) -> tuple[FloatArray, NDArray[np.intp]]:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import MOST_ORDERS, FluxMap, FluxRipple
-from dqforge.machines.dq_machines.map_deviations import axis_of
+from dqforge.machines.dq_machines.flux_map import MOST_ORDERS, FluxMap, FluxRipple, swing
+from dqforge.machines.dq_machines.map_deviations import LEAST_POINTS, axis_of
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.text_formats import NamedArray
 from dqforge.machines.flux_maps.coordinates import Parts
@@ -23,7 +23,6 @@ from dqforge.machines.flux_maps.map_names import per_pole_pair
 from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
-_SAME = 1e-6
 _CLOSED = 0.02  # Difference over the ripple below which the last angle is the first one again.
 _FEWEST = 6  # Angles that most pairs of currents have where the angle is a coordinate.
 _UNEVEN = 0.01  # Distance of an angle from even steps over a step that is no rounding.
@@ -31,7 +30,6 @@ _SECTOR = math.pi / 3.0  # Electrical angle after which a machine of three equal
 _NEAR = 0.05  # Distance of a period from a multiple of it, over a step of the angle.
 _KEPT = 0.01  # Smallest order over the largest that is kept.
 _TOLD = 0.2  # Misfit of torque and flux linkages, or of the mirror image, that is a warning.
-_LEAST = 4  # Points of an axis that a spline needs.
 
 
 class Turning(NamedTuple):
@@ -45,7 +43,7 @@ def cells_of(i_d: FloatArray, i_q: FloatArray) -> tuple[NDArray[np.intp], NDArra
     """Number of the pair of currents that each point has, shape (K,), and
     how often each pair occurs.
     """
-    tolerance = max(_SAME * float(np.max(np.abs([i_d, i_q]), initial=0.0)), 1e-300)
+    tolerance = max(SAME * float(np.max(np.abs([i_d, i_q]), initial=0.0)), 1e-300)
     keys = np.stack([np.round(i_d / tolerance), np.round(i_q / tolerance)], axis=1) + 0.0
     order = np.lexsort(keys.T)
     new = np.any(np.diff(keys[order], axis=0) != 0.0, axis=1)
@@ -301,7 +299,7 @@ def _grid(points: FluxPoints, count: int) -> tuple[FloatArray, FloatArray, NDArr
         # Of unequal halves the larger one counts; the other follows by symmetry.
         kept = i_q >= 0.0 if i_q[-1] >= -i_q[0] else i_q <= 0.0
         i_q, place = i_q[kept], place[:, kept]
-    if i_d.size < _LEAST or i_q.size < _LEAST:
+    if min(i_d.size, i_q.size) < LEAST_POINTS:
         return None
     return i_d, i_q, place.ravel()
 
@@ -379,15 +377,9 @@ def _compared(waves: _Waves, torque: FloatArray, theta: FloatArray) -> _Agreemen
     slope = float(np.sum(own * beside)) / square if square > 0.0 else 1.0
     whole = float(np.sum(found * found))
     misfit = math.sqrt(float(np.sum((beside - own) ** 2)) / whole) if whole > 0.0 else 0.0
-    series = np.einsum("hpt,hp->t", _basis(waves.orders), cogging)
+    largest = swing(waves.orders, 2.0 * math.pi / float(waves.orders[0]), cogging[..., None])
     made = _Waves(waves.i_d, waves.i_q, waves.orders, psi, found)
-    return _Agreement(made, slope, misfit, float(np.ptp(series)))
-
-
-def _basis(orders: FloatArray) -> FloatArray:
-    """Cosine and sine of each order over its period, (H, 2, 360)."""
-    turns = np.outer(orders, np.arange(360) * (2.0 * math.pi / float(orders[0]) / 360))
-    return np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    return _Agreement(made, slope, misfit, float(largest[0]))
 
 
 def _told(

@@ -132,11 +132,12 @@ def _turning_tables(
         return []
     orders = tuple(f"order {order:g} N m" for order in ripple.orders)
     columns = ("torque N m", "peak to peak N m", "of the torque %", *orders)
+    relative = ripple.over(torque)
     cells = tuple(
         (
             _number(torque[k]),
             _number(ripple.peak_to_peak[k]),
-            _number(100.0 * ripple.peak_to_peak[k] / abs(torque[k])) if torque[k] else "-",
+            _number(100.0 * relative[k]) if torque[k] else "-",
             *(_number(part[k]) for part in ripple.amplitudes),
         )
         for k in rows
@@ -145,12 +146,13 @@ def _turning_tables(
     return [Table("Torque ripple over the rotor angle", columns, cells, (note,))]
 
 
-def _plain_turning(ripple: TorqueRipple | None) -> PlainData:
+def _plain_turning(ripple: TorqueRipple | None, torque: FloatArray) -> PlainData:
     if ripple is None:
         return {}
     parts = {
         "orders": list(ripple.orders),
         "peak_to_peak_Nm": ripple.peak_to_peak,
+        "relative": ripple.over(torque),
         "amplitudes_Nm": ripple.amplitudes,
     }
     return {"torque_ripple": parts}
@@ -409,7 +411,7 @@ def plain_points(
         "efficiency": found.efficiency,
         "most_torque": _plain_points(most),
         **_plain_harmonics(found),
-        **_plain_turning(found.turning),
+        **_plain_turning(found.turning, found.points.torque),
     }
 
 
@@ -493,7 +495,7 @@ def plain_curves(curves: Curves) -> PlainData:
         "base": None
         if curves.base is None
         else {"current_A": curves.base.current, "torque_Nm": curves.base.torque},
-        **_plain_turning(curves.turning),
+        **_plain_turning(curves.turning, curves.chosen.torque),
     }
 
 

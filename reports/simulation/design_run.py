@@ -14,7 +14,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
-from dqforge.machines.dq_machines.flux_map import SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import ripple_of_map
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Firmware, NumberFormat, Topology
 from dqforge.machines.plants.scenario import Profile, Scenario
@@ -139,13 +139,15 @@ class PhaseFigures:
 class TurningFigures:
     """What a machine whose map knows the rotor angle did over the last tenth of a run.
 
-    ``torque`` is the mean in N m; peak to peak ``ripple`` of every instant of it and
-    ``ripple_means`` of its means over control periods, ``speed`` in rad/s, and ``current`` of the
-    magnitude of the current vector in A, at the recorded samples.
+    ``torque`` is the mean in N m; peak to peak ``ripple`` of every instant of it (``relative`` to
+    the mean, None where that is next to nothing) and ``ripple_means`` of its means over control
+    periods, ``speed`` in rad/s, and ``current`` of the magnitude of the current vector in A, at the
+    recorded samples.
     """
 
     torque: float
     ripple: float
+    relative: float | None
     ripple_means: float
     speed: float
     current: float
@@ -536,23 +538,20 @@ def evaluate(design: Design, run: Simulation) -> DriveSimulation:
         torque_largest=float(np.max(np.abs(run.torque))),
         observed=observed(run),
         phases=None if run.phases is None else phase_figures(run.figures, run.phases),
-        turning=turning_figures(run) if _turns(design) else None,
+        turning=None if ripple_of_map(design.machine) is None else turning_figures(run),
         start=None if run.start is None else start_figures(run, run.start),
         estimation=None if run.estimation is None else estimation_figures(run.estimation),
     )
 
 
-def _turns(design: Design) -> bool:
-    machine = design.machine
-    return isinstance(machine, SaturatedMachine) and machine.flux_map.ripple is not None
-
-
 def turning_figures(run: Simulation) -> TurningFigures:
     """Figures of a machine whose torque depends on the rotor angle."""
     figures, last = run.figures, run.t >= 0.9 * float(run.t[-1])
+    torque, ripple = float(figures.tail_torque[0]), float(figures.tail_ripple[0])
     return TurningFigures(
-        torque=float(figures.tail_torque[0]),
-        ripple=float(figures.tail_ripple[0]),
+        torque=torque,
+        ripple=ripple,
+        relative=ripple / abs(torque) if abs(torque) > 0.1 * ripple else None,
         ripple_means=float(figures.tail_ripple_means[0]),
         speed=float(np.ptp(run.omega_m[last])),
         current=float(np.ptp(np.hypot(run.i_d, run.i_q)[last])),

@@ -160,8 +160,7 @@ def _turning_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
     seen = found.turning
     if seen is None:
         return ()
-    loaded = abs(seen.torque) > 0.1 * seen.ripple
-    share = f" ({100.0 * seen.ripple / abs(seen.torque):.3g} %)" if loaded else ""
+    share = "" if seen.relative is None else f" ({100.0 * seen.relative:.3g} %)"
     return (
         ("last tenth: mean torque", _value(seen.torque, "N m")),
         ("its ripple, peak to peak", _value(seen.ripple, "N m", 3) + share),

@@ -19,7 +19,7 @@ from dqforge.machines.design.design import (
 )
 from dqforge.machines.design.sections.fit import FitSection
 from dqforge.machines.design.sections.machine_files import (
-    NOT_USED,
+    RIPPLE_LEFT,
     FluxMaps,
     check_connection,
     losses_told,
@@ -210,7 +210,7 @@ def _scaled(
         told = ", ".join(f"{name} {values[0]:g}" for name, values in factors.items())
         reading.remarks.append(f"the flux map is scaled (machine.map_scale): {told}")
         if machine.flux_map.ripple is not None:
-            reading.remarks.append(f"the ripple over the rotor angle {NOT_USED} with map_scale")
+            reading.remarks.append(f"{RIPPLE_LEFT} with map_scale")
     return ScaledMachines.varied(machine, 1, factors).machine(0)
 
 

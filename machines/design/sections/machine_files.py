@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 _PATH: KeyPath = ("machine", "flux_map")
 
-NOT_USED = "is averaged away: it is not kept"
+RIPPLE_LEFT = "the ripple over the rotor angle is averaged away: it is not kept"
 
 # Asymmetry over the largest flux linkage below which the halves of a map are the same.
 _SYMMETRIC = 1e-6
@@ -121,7 +121,7 @@ def read_flux_maps(
         maps.append(_told(given, part.file, found, reading, pole_pairs, at))
     temperatures = np.array([part.magnet_temperature.si for part in files])
     if any(part.symmetric.ripple is not None for part in maps):
-        reading.remarks.append(f"the ripple over the rotor angle {NOT_USED} with several files")
+        reading.remarks.append(f"{RIPPLE_LEFT} with several files")
     wholes = [part.whole for part in maps if part.whole is not None]
     with reading.document.at(("machine", "temperature", "magnet")):
         whole = (
@@ -245,7 +245,7 @@ def _one_map(
     _refuse_far_torque(found, name, path, pole_pairs, reading, i_max)
     reading.remarks.extend(f"{name}: {finding}" for finding in found.findings)
     if points.turning is not None and whole.turning is None:
-        reading.remarks.append(f"{name}: the ripple over the rotor angle {NOT_USED} in a delta")
+        reading.remarks.append(f"{name}: {RIPPLE_LEFT} in a delta")
     if points.deviations is not None:
         plain = given.axes == "magnet-d" and (scaling or points.claimed or "peak") == "peak"
         if plain and si_of(given.frame_angle) in (None, 0.0) and whole is points:
