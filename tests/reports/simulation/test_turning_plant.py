@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from dqforge.machines.flux_maps.building import build_flux_map
 from dqforge.machines.flux_maps.map_files import read_flux_points
 from dqforge.machines.plants.scenario import InverterModel, Profile, Scenario, constant
 from dqforge.reports.answers.mtpa import Request, answer_mtpa
-from dqforge.reports.simulation.design_run import simulate_design
+from dqforge.reports.simulation.design_run import simulate_design, turning_figures
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import Simulator, simulate, simulator
 from dqforge.reports.simulation.tables import plain_simulation, simulation_tables
@@ -184,6 +185,8 @@ def test_references_carry_the_ripple_of_the_torque(folder: Path) -> None:
     assert float(table.rows[-1][1]) == pytest.approx(found["peak_to_peak_Nm"][-1], rel=1e-3)
     share = 100.0 * found["peak_to_peak_Nm"][-1] / float(np.max(course[-1].mean()))
     assert float(table.rows[-1][2]) == pytest.approx(share, rel=2e-3)
+    assert 100.0 * found["relative"][-1] == pytest.approx(share, rel=2e-3)
+    assert math.isnan(found["relative"][0])
 
 
 @pytest.mark.slow
@@ -204,5 +207,8 @@ def test_the_loop_shows_the_ripple_of_its_currents(folder: Path) -> None:
     assert seen.ripple == pytest.approx(float(np.ptp(own)), rel=0.005)
     assert seen.torque == pytest.approx(6.0, abs=0.05)
     assert plain_simulation(found)["turning"]["ripple"] == seen.ripple
+    assert seen.relative == pytest.approx(seen.ripple / seen.torque)
+    idle = replace(run.figures, tail_torque=0.0 * run.figures.tail_torque)
+    assert turning_figures(replace(run, figures=idle)).relative is None
     rows = {row[0]: row[1] for row in simulation_tables(found)[0].rows}
     assert rows["its ripple, peak to peak"].startswith(f"{seen.ripple:.3g} N m")
