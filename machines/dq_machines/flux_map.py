@@ -351,13 +351,23 @@ class TorqueRipple:
     peak_to_peak: FloatArray
 
     def over(self, torque: FloatArray) -> FloatArray:
-        """Peak to peak over the magnitude of mean torques in N m, shape (N,); NaN without one."""
+        """Peak to peak over the magnitude of the mean, shape (N,); NaN where that is zero.
+
+        Args:
+            torque: Means in N m, shape (N,).
+        """
         size = np.abs(torque)
         return self.peak_to_peak / np.where(size > 0.0, size, np.nan)
 
 
 def swing(orders: FloatArray, period: float, series: FloatArray) -> FloatArray:
-    """Peak to peak, shape (N,), of Fourier series: cosine and sine of K orders, shape (K, 2, N)."""
+    """Peak to peak of Fourier series, shape (N,).
+
+    Args:
+        orders: K orders per electrical turn.
+        period: Electrical angle in rad after which they repeat.
+        series: Cosine and sine of each order, shape (K, 2, N).
+    """
     turns = np.outer(np.arange(_ANGLES) * (period / _ANGLES), orders)
     course = np.einsum("tk,kn->tn", np.cos(turns), series[:, 0])
     course += np.einsum("tk,kn->tn", np.sin(turns), series[:, 1])
