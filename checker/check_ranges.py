@@ -523,7 +523,7 @@ class Claims:
             if state is None or arguments[own] in self.code.constants or own == "measured":
                 continue
             if arguments[own] not in ("any", state) or state not in self.stated["states"]:
-                raise Fault(f"{name}: {own} is not told by a state")
+                raise Fault(f"{name}: {own} is not given by a state")
             self.inside(value, self.argument(state, kind), f"{name}: {own}")
         words = ", ".join(f"{own} {plain(x)}" for own, x in arguments.items())
         return f"{name}: nothing leaves its type for {words}"

@@ -69,7 +69,7 @@ class Box:
         self.t_s, self.kp, self.ki_ts, self.speed_kp, self.speed_ki_ts, ratio = had.values()
         self.ratio = int(ratio)
         if ratio != self.ratio or not 1 <= self.ratio <= MOST_SAMPLES:
-            raise Fault("inputs, ratio: it is no number of current samples")
+            raise Fault("inputs, ratio: it is not a number of current samples")
         self.spans = cells.spans_of(inputs, SPANS)
         friction, self.filter_time, *scales = (Fraction(inputs[name]) for name in OTHERS)
         if min(friction, self.filter_time) < 0:

@@ -158,7 +158,7 @@ class Loop:
         return (
             f"{name}: no pole is larger than {words['pole']}, the phase margin is at least "
             f"{words['phase']} deg, the gain margin {words['gain']} dB, and M_s at most "
-            f"{words['sensitivity']}, but for half a unit of the last digit"
+            f"{words['sensitivity']}, within half a unit of the last digit"
         )
 
 
@@ -275,9 +275,9 @@ def check_observer(header: kit.Header, stated: dict[str, Any]) -> str:
         if abs(found - right) > NEAR * size - Fraction(2 * held.r, ONE):
             raise Fault(f"speed observer: {what} is not that of the machine")
     return (
-        f"errors of the speed observer shrink to {float(a):.6g} of themselves in every sample, but "
-        f"for rounding, on the machine that it knows, with {float(inertia):.6g} kg m^2, friction "
-        f"{float(friction):.6g} N m s/rad, at i_d = 0 and no load"
+        f"errors of the speed observer shrink to {float(a):.6g} of themselves in every sample, "
+        f"apart from rounding, on the machine that it knows, with {float(inertia):.6g} kg m^2, "
+        f"friction {float(friction):.6g} N m s/rad, at i_d = 0 and no load"
     )
 
 
