@@ -225,7 +225,7 @@ def ripple_of(
             (electrical) ahead.
 
     Raises:
-        InputError: The angles cover no whole multiple of 60 deg (electrical).
+        InputError: The angles cover no whole multiple of 60 deg (electrical), or more than a turn.
     """
     points, count = turning.points, turning.angle.size
     grid = _grid(points, count)
@@ -240,6 +240,7 @@ def ripple_of(
     if points.torque is not None:
         torque = points.torque.values.reshape(-1, count)[place].reshape(shape)
         torque = torque if per_pole_pair else torque / pole_pairs
+    _check_turn(turning, pole_pairs)
     trials: list[tuple[str, _Waves, _Agreement | None]] = []
     for kind, factor in (("electrical", 1), ("mechanical", pole_pairs)):
         if turning.kind not in ("", kind) or (pole_pairs == 1 and trials):
@@ -302,6 +303,18 @@ def _grid(points: FluxPoints, count: int) -> tuple[FloatArray, FloatArray, NDArr
     if min(i_d.size, i_q.size) < LEAST_POINTS:
         return None
     return i_d, i_q, place.ravel()
+
+
+def _check_turn(turning: TurningPoints, pole_pairs: int) -> None:
+    """Refuse angles of more than a turn of the shaft: degrees that were read as radians."""
+    span = float(turning.angle[-1] - turning.angle[0])
+    if span <= 2.0 * math.pi * (1 if turning.kind == "mechanical" else pole_pairs) * (1.0 + _NEAR):
+        return
+    raise InputError(
+        f"the rotor angles ({turning.name}) span {math.degrees(span):.4g} deg, more than a turn of "
+        "the shaft; name their unit, as in theta_el [deg]",
+        source=turning.points.source,
+    )
 
 
 def _whole_period(angle: FloatArray, factor: int) -> int | None:

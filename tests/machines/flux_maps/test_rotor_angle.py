@@ -162,3 +162,18 @@ def test_without_an_angle_a_map_has_no_ripple() -> None:
         read_flux_points(content, "map.csv", torque="ignore"), pole_pairs=PAIRS
     )
     assert reading.flux_map.ripple is None
+
+
+@pytest.mark.parametrize("name", ["theta", "theta_el", "theta_mech", "rotor angle"])
+@pytest.mark.parametrize("last", [60.0, 180.0, 360.0])
+def test_degrees_without_a_unit_are_refused_with_what_to_write(name: str, last: float) -> None:
+    """An angle without a unit is in rad: its degrees would be many turns of the shaft."""
+    titles = (*TITLES[:2], name, *TITLES[3:])
+    with pytest.raises(InputError, match=r"more than a turn of the shaft; name their unit") as told:
+        built(text(rows(np.arange(0.0, last, 5.0)), titles))
+    assert "\n" not in str(told.value)
+
+
+def test_a_whole_turn_of_the_shaft_is_no_more_than_one() -> None:
+    angles = np.arange(0.0, 360.0 * PAIRS + 1.0, 10.0)
+    is_the_machine(built(text(rows(angles), (*TITLES[:2], "theta_el [deg]", *TITLES[3:]))))
