@@ -32,6 +32,7 @@ COSTLY_S = 1.0
 # What a case of the campaign is taken to cost before it was first measured.
 UNKNOWN_S = 3.0
 CLOCK = "processor_s"
+OF_KEPT = "tests/test_kept_output.py::test_it_is_as_it_was_kept["
 
 
 def _git(*words: str) -> str:
@@ -70,7 +71,10 @@ def changed_rooms() -> frozenset[str]:
 
 
 def near(name: str) -> bool:
-    """Whether a file of tests lies beside what is being changed."""
+    """Whether a file of tests lies beside what is being changed, or a case comes to it."""
+    if name.startswith(OF_KEPT):
+        kept = json.loads((HERE / f"kept/{name[len(OF_KEPT) :].rstrip(']')}.json").read_text())
+        return not changed_rooms().isdisjoint(path[:-3] for path in kept["values"])
     return Path(name).parent.as_posix().removeprefix("tests/") in changed_rooms()
 
 
@@ -96,8 +100,11 @@ def of_the_campaign(item: pytest.Item) -> bool:
 
 
 def unit_of(item: pytest.Item) -> str:
-    """What is drawn as a whole: a case of the campaign by itself, all others with their file."""
-    return item.nodeid if of_the_campaign(item) else item.nodeid.partition("::")[0]
+    """What is drawn as a whole: a case of the campaign and one of what is kept by itself, all
+    others with their file.
+    """
+    alone = of_the_campaign(item) or item.nodeid.startswith(OF_KEPT)
+    return item.nodeid if alone else item.nodeid.partition("::")[0]
 
 
 def cost_of(item: pytest.Item, costs: dict[str, float]) -> float:

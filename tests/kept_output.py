@@ -1,6 +1,8 @@
-"""Emitted C as it was when it was last accepted: what a change of it alters is seen and named.
+"""Emitted C, and what functions of physics return, as they were when they were last accepted: what a
+change alters is seen and named.
 
-A case of `kept_drives` gives texts of programs, none of which is compiled. Of each text
+A case of `kept_drives` gives texts of programs, none of which is compiled; one of `kept_runs` is a
+command, or are tests. Of what functions return meanwhile, see `kept_values`. Of each text
 `tests/kept/CASE.json` keeps, definition by definition, a few letters for the words of every
 statement, and its numbers. Words are compared exactly. Numbers may differ by 1e-3, as solvers on
 other machines round otherwise; those of at most four digits, and powers of two, are taken to be
@@ -8,7 +10,7 @@ written by hand and must be the same. Of a long table some entries and two
 sums are kept.
 
 This finds what was not meant to change; it proves nothing of what the program does: tests of its
-physics do that. Where the change is meant, look at the text and accept it:
+physics do that. Where the change is meant, look at what is named and accept it:
 
     python tests/kept_output.py --update             all cases
     python tests/kept_output.py --update simulation  one
@@ -16,23 +18,30 @@ physics do that. Where the change is meant, look at the text and accept it:
 
 from __future__ import annotations
 
-import base64
-import cProfile
-import hashlib
 import json
-import multiprocessing
+import os
 import re
+import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import redirect_stdout
 from functools import cache
 from pathlib import Path
-from types import CodeType
 from typing import Any
 
+import drawn_cases
 import house
 
+from dqforge.reports.operating_system.system import fix_kernels
+
+if __name__ == "__main__" and "--other" not in sys.argv:
+    fix_kernels()  # before numpy is there
+
+import kept_values  # noqa: E402
+from kept_values import in_short  # noqa: E402
+
 KEPT = Path(__file__).with_name("kept")
-TEST = "tests/test_kept_output.py::test_text_is_as_it_was_kept"
+TEST = drawn_cases.OF_KEPT.rstrip("[")
 TEXTS = (".h", ".c", ".xml", ".ld", "_ranges.json")
 # Of one case, definitions by the name of the text: letters of the statements, and numbers; or
 # which earlier text has the same.
@@ -43,8 +52,6 @@ NUMBER = re.compile(r"(?<![\w.])(?!0x)\d+\.?\d*(?:[eE][-+]?\d+)?(?=[FfULul]*(?![
 ENTRY = re.compile(r"-?0x[0-9A-F]+|-?" + NUMBER.pattern)
 ORIGIN = re.compile(r"Made by dqforge[^\n]*|Input file: [^\n]*")
 TABLE = re.compile(r"^[^{;]*=\s*\{")
-# What is asked of the cases that come to it (`mutants`): templates and number formats.
-MAKERS = re.compile(r"reports/.*\.j2$|optimizer/(fixed_\w+|curves)/")
 LONG, ENTRIES, LETTERS = 48, 12, 2
 WITHIN, EXACT, NOTHING = 1e-3, 1e-6, 1e-12
 FEW_DIGITS, SMALL_CODE = 4, 64
@@ -92,11 +99,6 @@ def statements(body: str) -> Iterator[tuple[str, list[str]]]:
             yield NUMBER.sub("#", part.strip()), NUMBER.findall(part)
 
 
-def in_short(words: str) -> str:
-    """Some letters for the words of a statement."""
-    return base64.b64encode(hashlib.sha256(words.encode()).digest()).decode()[:LETTERS]
-
-
 def kept_form(texts: Mapping[str, str]) -> Kept:
     """What is kept of texts by their names."""
     kept: Kept = {}
@@ -105,7 +107,7 @@ def kept_form(texts: Mapping[str, str]) -> Kept:
         kept[name] = {}
         for title, body in _bodies(text).items():
             found = list(statements(body))
-            letters = "".join(in_short(words) for words, _ in found)
+            letters = "".join(in_short(words, LETTERS) for words, _ in found)
             numbers = [_shortened(number) for _, those in found for number in those]
             form = " ".join([letters, *numbers])
             there = first.setdefault((title, form), name)
@@ -164,7 +166,7 @@ def _difference(title: str, body: str, kept: str) -> str:
     now = list(statements(body))
     table = title == MACROS or TABLE.search(body) is not None
     for k, (words, found) in enumerate(now):
-        if k >= len(was) or in_short(words) != was[k]:
+        if k >= len(was) or in_short(words, LETTERS) != was[k]:
             return f"statement {k + 1} is now: {words}"
         for number in found:
             before = next(left, "nan")
@@ -184,40 +186,117 @@ def texts_of(made: Mapping[str, bytes | str]) -> dict[str, str]:
 
 @cache
 def kept_of(case: str) -> dict[str, Any]:
-    """What is kept of a case: its texts, and the files of the product that make them."""
+    """What is kept of a case: the templates that it renders, their texts, and values by file."""
     found: dict[str, Any] = json.loads((KEPT / f"{case}.json").read_text(encoding="utf-8"))
     return found
 
 
+def cases() -> dict[str, Callable[[], Mapping[str, bytes | str]]]:
+    """All of them by name; those of texts first, quick ones first."""
+    import kept_drives
+    import kept_runs
+
+    return kept_drives.CASES | kept_runs.cases()
+
+
 @cache
-def making(path: str) -> list[str]:
-    """Cases that run or render a file of the product, quick ones first."""
+def making(path: str, line: int = 0) -> list[str]:
+    """Cases that render a template, or come to a function around the line, the quick ones first."""
+    costs = drawn_cases.kept_costs()
+    letters = {in_short(name) for name in (kept_values.around(path, line) if line else ())}
+
+    def makes(case: str) -> bool:
+        kept = kept_of(case)
+        return path in kept["made by"] or not letters.isdisjoint(
+            kept["values"].get(path, "").split()[::2]
+        )
+
+    return sorted(filter(makes, cases()), key=lambda case: costs.get(f"{TEST}[{case}]", 0.0))
+
+
+def recorded(case: str) -> tuple[dict[str, str], dict[str, str], kept_values.Record]:
+    """Templates that a case renders, texts that it makes, and what functions return meanwhile."""
     import kept_drives
 
-    return [case for case in kept_drives.CASES if path in kept_of(case)["made by"]]
-
-
-def update(case: str) -> None:
-    """Keep the texts of a case as they are now."""
-    import kept_drives
-
-    profile = cProfile.Profile(subcalls=False, builtins=False)
+    record = kept_values.Record()
     with kept_drives.rendered() as names:
-        made = profile.runcall(kept_drives.CASES[case])
-    codes = [entry.code for entry in profile.getstats() if isinstance(entry.code, CodeType)]
-    ran = {Path(code.co_filename) for code in codes if code.co_name != "<module>"}
-    own = (path.relative_to(house.ROOT) for path in ran if path.is_relative_to(house.ROOT))
-    makes = {path.as_posix() for path in own} | names.keys()
-    kept = {"made by": sorted(filter(MAKERS.match, makes)), "texts": kept_form(texts_of(made))}
+        made = record.of(cases()[case])
+    return names, texts_of(made), record
+
+
+def all_differences(case: str) -> list[str]:
+    """What is not as it was kept, the texts first."""
+    kept = kept_of(case)
+    names, texts, record = recorded(case)
+    found = [*differences(texts, kept["texts"])]
+    found += [f"{name} is rendered" for name in sorted(names.keys() - set(kept["made by"]))]
+    return [*found, *kept_values.differences(record, kept["values"])]
+
+
+def _each(wanted: Iterable[str], work: Callable[[str], Any]) -> Iterator[Any]:
+    """What work on cases gives, each in a process of its own, as what one solves the next would not
+    come to.
+
+    Raises:
+        SystemExit: One fails.
+    """
+    kept_values.forget()
+    for case in wanted:
+        mine, theirs = os.pipe()
+        child = os.fork()
+        if not child:
+            with os.fdopen(theirs, "w") as end, redirect_stdout(sys.stderr):
+                json.dump(work(case), end)
+            os._exit(0)
+        os.close(theirs)
+        with os.fdopen(mine) as end:
+            said = end.read()
+        if os.waitpid(child, 0)[1]:
+            sys.exit(f"{case}: fails")
+        yield json.loads(said)
+
+
+def _sums(case: str) -> list[list[Any]]:
+    _, _, record = recorded(case)
+    return [[*key, total] for key, total in record.sums.items()]
+
+
+def _kept(case: str) -> list[Any]:
+    names, texts, record = recorded(case)
+    sums = [[*key, total] for key, total in record.sums.items()]
+    return [sorted(names), kept_form(texts), sums]
+
+
+def update(wanted: Sequence[str]) -> None:
+    """Keep what cases make now, and what their functions return with other kernels, too."""
+    words = [sys.executable, __file__, "--other", *wanted]
     KEPT.mkdir(exist_ok=True)
-    (KEPT / f"{case}.json").write_text(json.dumps(kept, indent=0) + "\n", encoding="utf-8")
+    known = {case: k for k, case in enumerate(cases())}
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        for case, (names, texts, sums) in zip(wanted, _each(wanted, _kept), strict=True):
+            there = {(path, name): total for path, name, total in json.loads(next(other.stdout))}
+            here = {(path, name): total for path, name, total in sums}
+            earlier = [
+                kept_of(path.stem)["values"]
+                for path in sorted(KEPT.iterdir())
+                if known.get(path.stem, len(known)) < known[case]
+            ]
+            values = kept_values.kept_form(here, there, earlier)
+            kept = {"made by": names, "texts": texts, "values": values}
+            text = json.dumps(kept, indent=0) + "\n"
+            (KEPT / f"{case}.json").write_text(text, encoding="utf-8")
+
+
+def main(how: str, *wanted: str) -> None:
+    """Keep cases, all of them where none is named; or print what the functions of some return."""
+    if how == "--update":
+        update(wanted or list(cases()))
+    elif how == "--other":
+        for sums in _each(wanted, _sums):
+            sys.stdout.write(json.dumps(sums) + "\n")
+            sys.stdout.flush()
 
 
 if __name__ == "__main__":
-    import kept_drives
-
-    for wanted in sys.argv[2:] or kept_drives.CASES:
-        # Each in a process of its own: what one solves, the next would not come to.
-        process = multiprocessing.get_context("fork").Process(target=update, args=(wanted,))
-        process.start()
-        process.join()
+    main(*sys.argv[1:])

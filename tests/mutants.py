@@ -51,12 +51,13 @@ import callers
 import drawn_cases
 import house
 import kept_output
+import kept_values
 
 # What the score is about; words, pages and readers of files are held by other tests.
 KINDS = {
     "proofs": r"optimizer/(certificates|box_proofs|axis_margins|speed_box|changing_loops)/",
     "number formats": r"optimizer/fixed_\w+/|optimizer/curves/",
-    "formulas": r"optimizer/|machines/(\w+_machines|losses|modulation|plants|transforms|back_emf)",
+    "formulas": kept_values.PHYSICS,
     "emitted code": r"reports/(?!pages/)\w+/templates/(?!.*(harness|vectors|main\.)).*\.[ch]\.j2$",
 }
 BINARY = {"+": "-", "-": "+", "*": "/", "/": "*", "**": "*", "//": "*", "%": "*"}
@@ -74,6 +75,8 @@ LOADING = "loading"
 WAIT_S = 300.0
 # So many files of tests are asked anew of what runs while modules load.
 AT_LOAD = 12
+# So many kept cases before all else.
+FIRST = 5
 # Steps that a whole file of tests is taken to be away.
 WHOLE_FILE = 2
 # Lines on either side of a change whose words say which tests are about it.
@@ -287,9 +290,9 @@ def _loading(path: str) -> frozenset[str]:
 
 
 def order(change: Change) -> tuple[str, ...]:
-    """What is asked of a change, first what is likeliest to notice it soonest: kept texts that the
-    file makes, then functions of tests that come to it by name, and whole files that import it,
-    over whatever others.
+    """What is asked of a change, first what is likeliest to notice it soonest: some of the kept cases
+    that come to its function or template, then functions of tests that come to it by name, and
+    whole files that import it, over whatever others.
 
     Steps are counted by name; a whole file is as near as a function that is two steps away. The
     file's own tests, those of its folder, of its room on another floor, and others follow each
@@ -317,8 +320,9 @@ def order(change: Change) -> tuple[str, ...]:
 
     by_name = callers.cases(change.path, change.line, set(reached))
     files = {test for test, loaded in house.tests().items() if loaded & reached}
-    kept = [f"{kept_output.TEST}[{case}]" for case in kept_output.making(change.path)]
-    return (*kept, *sorted(by_name.keys() | files, key=near))
+    kept = kept_output.making(change.path, change.line)
+    kept = [f"{kept_output.TEST}[{case}]" for case in kept]
+    return (*kept[:FIRST], *sorted(by_name.keys() | files, key=near), *kept[FIRST:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -494,7 +498,7 @@ def score(
     for kind, (count, whole) in tally(planted, cases).items():
         _say(f"{title}: {kind}: {share(count, whole)}")
     by_kept = sum(case.startswith(kept_output.TEST) for case in cases.values())
-    _say(f"{title}: by kept texts: {by_kept}")
+    _say(f"{title}: by what is kept: {by_kept}")
     return cases
 
 

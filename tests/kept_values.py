@@ -1,0 +1,239 @@
+"""What the functions of physics return while a case runs: a number for each, in short.
+
+A function is followed through its first calls. Every number in what it returns counts with a weight
+of its own place and by its logarithm, so that a share of a small number is seen beside a large one;
+arrays count by their largest entry and two weighted sums. What differs between two sets of kernels
+of the linear algebra, as what is left of a residual, is not kept.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import hashlib
+import importlib
+import math
+import re
+import sys
+import zlib
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from fractions import Fraction
+from functools import cache
+from types import CodeType, FrameType
+from typing import Any
+
+import house
+import numpy as np
+
+PHYSICS = r"optimizer/|machines/(\w+_machines|losses|modulation|plants|transforms|back_emf)"
+ROOT = f"{house.ROOT}/"
+CALLS, LEAVES, LETTERS = 8, 400, 4
+# Below the first, a number counts as nothing; within the second, sums are the same, and those that
+# are kept are so with other kernels within a tenth of it.
+NOTHING, WITHIN = 1e-12, 2e-4
+SMALL = 1e-6  # of the largest entry of an array
+WEIGHTS = 0.5 + np.random.default_rng(7).random(4096)
+NONE, NAN, INFINITE = 2.0, 77.0, 88.0
+# By file and function.
+Sums = Mapping[tuple[str, str], float]
+
+
+def _by_logarithm(number: float | Fraction) -> float:
+    if not number or (isinstance(number, float) and not NOTHING <= abs(number) < math.inf):
+        special = NAN if number != number else math.copysign(INFINITE, number)
+        return 0.0 if abs(number) < NOTHING else special
+    parts = abs(number).as_integer_ratio()
+    size = math.log(parts[0]) - math.log(parts[1]) - math.log(NOTHING)
+    return size if number > 0 else -size
+
+
+def _of_array(array: np.ndarray[Any, Any]) -> Iterator[float]:
+    both = np.stack([array.real, array.imag]) if array.dtype.kind == "c" else array
+    numbers = both.astype(float).ravel()
+    finite = np.isfinite(numbers)
+    weights = np.resize(WEIGHTS, numbers.size)
+    yield numbers.size
+    yield weights @ np.where(finite, 0.0, np.where(np.isnan(numbers), 1.0, np.sign(numbers) + 4.0))
+    numbers = np.where(finite, numbers, 0.0)
+    most = np.abs(numbers).max(initial=0.0)
+    yield _by_logarithm(float(most))
+    if most > NOTHING:
+        yield weights @ (numbers / most)
+        yield weights @ np.arcsinh(numbers / (SMALL * most))
+
+
+def _leaves(value: object) -> Iterator[float]:
+    """Numbers within a value, those of arrays in short; what is neither number nor made of
+    numbers, and words of a sentence, are left out.
+    """
+    stack = [value]
+    known: set[int] = set()
+    while stack:
+        match thing := stack.pop():
+            case None:
+                yield NONE
+            case bool() | np.bool_():
+                yield 1.0 if thing else -1.0
+            case int() | float() | Fraction():
+                yield _by_logarithm(thing)
+            case np.integer() | np.floating():
+                yield _by_logarithm(float(thing))
+            case complex() | np.complexfloating():
+                yield from _of_array(np.array(thing))
+            case str():
+                if thing.isidentifier():
+                    yield zlib.crc32(thing.encode()) % 997
+            case tuple() | list():
+                stack.extend(reversed(thing))
+            case dict():
+                stack.extend(reversed(thing.values()))
+            case np.ndarray():
+                if thing.dtype.kind in "biufc":
+                    yield from _of_array(thing)
+            case _ if dataclasses.is_dataclass(thing) and id(thing) not in known:
+                known.add(id(thing))
+                names = reversed([field.name for field in dataclasses.fields(thing)])
+                stack.extend(getattr(thing, name, None) for name in names)
+
+
+class Record:
+    """Sums over what functions of physics return, in the order of their first return."""
+
+    def __init__(self) -> None:
+        self.sums: dict[tuple[str, str], float] = {}
+        self._leaves: dict[tuple[str, str], int] = defaultdict(int)
+        self._calls: dict[CodeType, int] = {}
+        self._physics = re.compile(PHYSICS)
+
+    def _left(self, code: CodeType) -> int:
+        """Calls of a function that still count."""
+        # Bodies of classes run where modules load, comprehensions within what is followed.
+        own = code.co_flags & 1 and not code.co_name.startswith("<")
+        path = code.co_filename
+        physics = path.startswith(ROOT) and self._physics.match(path.removeprefix(ROOT))
+        return self._calls.setdefault(code, CALLS if own and physics else 0)
+
+    def _called(self, frame: FrameType, _event: str, _value: object) -> Any:
+        left = self._left(frame.f_code)
+        if not left:
+            return None
+        self._calls[frame.f_code] = left - 1
+        frame.f_trace_lines = False
+        return self._returned
+
+    def _returned(self, frame: FrameType, event: str, value: object) -> Any:
+        if event == "return":
+            key = frame.f_code.co_filename.removeprefix(ROOT), frame.f_code.co_qualname
+            total, number = self.sums.get(key, 0.0), self._leaves[key]
+            for number, leaf in enumerate(_leaves(value), number + 1):  # noqa: B007
+                total += leaf * WEIGHTS[number % WEIGHTS.size]
+                if number > LEAVES:
+                    break
+            self.sums[key], self._leaves[key] = float(total), number
+        return self._returned
+
+    def of(self, case: Callable[[], object]) -> Any:
+        """Run a case, with nothing at hand that earlier ones have solved; give what it gives."""
+        forget()
+        with _followed_by(self._called):
+            return case()
+
+
+@contextmanager
+def _followed_by(called: Any) -> Iterator[None]:
+    before = sys.gettrace()
+    sys.settrace(called)
+    try:
+        yield
+    finally:
+        sys.settrace(before)
+
+
+def unseen() -> AbstractContextManager[None]:
+    """What runs meanwhile, as a module that loads, is not recorded: it does so once."""
+    return _followed_by(None)
+
+
+def forget() -> None:
+    """Load the whole product, and empty what functions of it and of the tests have kept of earlier
+    calls.
+    """
+    for name in house.modules():
+        importlib.import_module(f"dqforge.{name}")
+    for module in list(sys.modules.values()):
+        file = str(getattr(module, "__file__", ""))
+        if file.startswith(ROOT) and "site-packages" not in file:
+            for thing in list(vars(module).values()):
+                inner = vars(thing).values() if isinstance(thing, type) else ()
+                for one in (thing, *inner):
+                    method = getattr(one, "__func__", one)
+                    if isinstance(method, type(functions)):
+                        method.cache_clear()
+
+
+def in_short(words: str, letters: int = LETTERS) -> str:
+    """Some letters for words."""
+    return base64.b64encode(hashlib.sha256(words.encode()).digest()).decode()[:letters]
+
+
+def kept_form(sums: Sums, other: Sums, earlier: Iterable[Mapping[str, str]]) -> dict[str, str]:
+    """What is kept of sums, by file: what ``other`` kernels give too and no ``earlier`` case has
+    already.
+    """
+    had = {
+        (path, letters, number)
+        for kept in earlier
+        for path, line in kept.items()
+        for letters, number in _pairs(line)
+    }
+    found: dict[str, list[str]] = defaultdict(list)
+    for (path, name), total in sums.items():
+        one = in_short(name), f"{total:.4f}"
+        same = abs(other.get((path, name), math.inf) - total) <= 0.1 * WITHIN
+        if same and total and (path, *one) not in had:
+            found[path] += one
+    return {path: " ".join(words) for path, words in sorted(found.items())}
+
+
+def _pairs(line: str) -> Iterator[tuple[str, str]]:
+    words = line.split()
+    return zip(words[::2], words[1::2], strict=True)
+
+
+@cache
+def functions(path: str) -> dict[str, str]:
+    """The names of the functions of a file by their letters."""
+    codes = [compile((house.ROOT / path).read_text(encoding="utf-8"), path, "exec")]
+    for code in codes:
+        codes += [inner for inner in code.co_consts if isinstance(inner, CodeType)]
+    return {in_short(code.co_qualname): code.co_qualname for code in codes}
+
+
+def around(path: str, line: int) -> list[str]:
+    """The functions around a line of a file, by their names."""
+    codes = [compile((house.ROOT / path).read_text(encoding="utf-8"), path, "exec")]
+    found = []
+    for code in codes:
+        inside = [inner for inner in code.co_consts if isinstance(inner, CodeType)]
+        codes += inside
+        lines = [code.co_firstlineno, *(one for *_, one in code.co_lines() if one)]
+        if min(lines) <= line <= max(lines):
+            found.append(code.co_qualname)
+    return found
+
+
+def differences(record: Record, kept: Mapping[str, str]) -> Iterator[str]:
+    """Functions that return something else than what was kept, in the order of their first return,
+    and those that do not run any more; not those that are new or gone.
+    """
+    was = {(path, one): float(x) for path, line in kept.items() for one, x in _pairs(line)}
+    for (path, name), total in record.sums.items():
+        before = was.pop((path, in_short(name)), None)
+        if before is not None and abs(total - before) > WITHIN:
+            yield f"{path}: {name} returns something else: {before:.4f} is now {total:.4f}"
+    for path, letters in was:
+        name = functions(path).get(letters) if (house.ROOT / path).is_file() else None
+        if name is not None:
+            yield f"{path}: {name} is no longer called"
