@@ -1,5 +1,5 @@
-"""Emitted C, and what functions of physics return, as they were when they were last accepted: what a
-change alters is seen and named.
+"""Emitted C, and what functions of physics return, as they were when last accepted: what a change
+alters is seen and named.
 
 A case of `kept_drives` gives texts of programs, none of which is compiled; one of `kept_runs` is a
 command, or are tests. Of what functions return meanwhile, see `kept_values`. Of each text
@@ -30,15 +30,14 @@ from pathlib import Path
 from typing import Any
 
 import drawn_cases
-import house
 
 from dqforge.reports.operating_system.system import fix_kernels
 
 if __name__ == "__main__" and "--other" not in sys.argv:
     fix_kernels()  # before numpy is there
 
-import kept_values  # noqa: E402
-from kept_values import in_short  # noqa: E402
+import kept_values
+from kept_values import in_short
 
 KEPT = Path(__file__).with_name("kept")
 TEST = drawn_cases.OF_KEPT.rstrip("[")

@@ -1,25 +1,24 @@
-"""Runs of commands and of tests whose functions of physics are kept (`kept_values`): few, quick, and
-together they come to nearly every function.
+"""Runs of commands and of tests whose functions of physics are kept (`kept_values`): few, quick,
+and together they come to nearly every function.
 """
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import inspect
 import io
-import os
 import shlex
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, chdir, redirect_stderr, redirect_stdout
 from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import conftest
 import faults
 import fuzz
 import house
@@ -53,8 +52,8 @@ COMMANDS = {
     "losses-map": "losses paper000-ipmsm-100kw --map 4x5",
     "losses-choice": "losses paper000-ipmsm-100kw --choice"
     " --set modulation_choice.torques=4 --set modulation_choice.speeds=5",
-    "losses-points": "losses abb-ipmsm-2k2 --points '5 N m 900 rpm' --strategies mtpa,id0,least-loss"
-    " --frequencies '8 kHz, 16 kHz'",
+    "losses-points": "losses abb-ipmsm-2k2 --points '5 N m 900 rpm' --frequencies '8 kHz, 16 kHz'"
+    " --strategies mtpa,id0,least-loss",
     "losses-phases": "losses paper002-phase-waveforms --points '0.5 N m 900 rpm'",
     "losses-mission": "losses paper000-ipmsm-100kw --mission mission.csv",
     "dqy": "dqy paper002-phase-waveforms",
@@ -89,10 +88,9 @@ def _commanded(lines: str) -> None:
         for name, content in FILES.items():
             Path(name).write_bytes(content)
         for line in lines.split(";"):
-            try:
+            with pytest.raises(SystemExit) as end:
                 cli.main(shlex.split(line))
-            except SystemExit as end:
-                assert not end.code, f"{line}: {said.getvalue()}"
+            assert not end.value.code, f"{line}: {said.getvalue()}"
 
 
 def _module(path: str) -> ModuleType:
@@ -101,7 +99,8 @@ def _module(path: str) -> ModuleType:
     if name not in sys.modules:
         file = house.ROOT / path
         spec = importlib.util.spec_from_file_location(name, file)
-        assert spec is not None and spec.loader is not None
+        assert spec is not None
+        assert spec.loader is not None
         if str(file.parent) not in sys.path:
             sys.path.append(str(file.parent))
         sys.modules[name] = module = importlib.util.module_from_spec(spec)
@@ -134,7 +133,7 @@ class _Fixtures(dict[str, Any]):
 
     def __init__(self, module: ModuleType, place: Path) -> None:
         super().__init__(tmp_path=place)
-        self._places = [module, conftest]
+        self._places = [module, importlib.import_module("conftest")]
 
     def __missing__(self, name: str) -> Any:
         fixture: Any = next(vars(one)[name] for one in self._places if name in vars(one))
@@ -158,7 +157,7 @@ def _tested(path: str, names: list[str]) -> None:
                 _called(test, _Fixtures(module, Path(place)), **arguments)
 
 
-def _all(runs: list[Callable[[], None]]) -> dict[str, str]:
+def _all(runs: Sequence[Callable[[], None]]) -> dict[str, str]:
     for run in runs:
         run()
     return {}

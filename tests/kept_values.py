@@ -12,6 +12,7 @@ import base64
 import dataclasses
 import hashlib
 import importlib
+import itertools
 import math
 import re
 import sys
@@ -40,62 +41,63 @@ NONE, NAN, INFINITE = 2.0, 77.0, 88.0
 Sums = Mapping[tuple[str, str], float]
 
 
-def _by_logarithm(number: float | Fraction) -> float:
-    if not number or (isinstance(number, float) and not NOTHING <= abs(number) < math.inf):
-        special = NAN if number != number else math.copysign(INFINITE, number)
-        return 0.0 if abs(number) < NOTHING else special
-    parts = abs(number).as_integer_ratio()
-    size = math.log(parts[0]) - math.log(parts[1]) - math.log(NOTHING)
+def _by_logarithm(number: Any) -> float:
+    if abs(number) < NOTHING:
+        return 0.0
+    if isinstance(number, float) and not math.isfinite(number):
+        return NAN if math.isnan(number) else math.copysign(INFINITE, number)
+    above, below = abs(number).as_integer_ratio()
+    size = math.log(above) - math.log(below) - math.log(NOTHING)
     return size if number > 0 else -size
 
 
-def _of_array(array: np.ndarray[Any, Any]) -> Iterator[float]:
+def _of_array(array: np.ndarray[Any, Any]) -> tuple[float, ...]:
     both = np.stack([array.real, array.imag]) if array.dtype.kind == "c" else array
     numbers = both.astype(float).ravel()
-    finite = np.isfinite(numbers)
     weights = np.resize(WEIGHTS, numbers.size)
-    yield numbers.size
-    yield weights @ np.where(finite, 0.0, np.where(np.isnan(numbers), 1.0, np.sign(numbers) + 4.0))
-    numbers = np.where(finite, numbers, 0.0)
-    most = np.abs(numbers).max(initial=0.0)
-    yield _by_logarithm(float(most))
-    if most > NOTHING:
-        yield weights @ (numbers / most)
-        yield weights @ np.arcsinh(numbers / (SMALL * most))
+    strange = np.where(np.isnan(numbers), NAN, np.sign(numbers) * INFINITE)
+    finite = np.isfinite(numbers)
+    numbers, strange = np.where(finite, numbers, 0.0), np.where(finite, 0.0, strange)
+    most = np.abs(numbers).max(initial=NOTHING)
+    sums = strange, numbers / most, np.arcsinh(numbers / (SMALL * most))
+    return numbers.size, _by_logarithm(float(most)), *(float(weights @ each) for each in sums)
+
+
+def _of_one(thing: object) -> tuple[float, ...]:
+    """Numbers for what is no collection: none for what is no number, a sentence, or a function."""
+    found: tuple[float, ...] = ()
+    match thing:
+        case None:
+            found = (NONE,)
+        case bool() | np.bool_():
+            found = (1.0 if thing else -1.0,)
+        case int() | float() | Fraction() | np.integer() | np.floating():
+            found = (_by_logarithm(thing if isinstance(thing, (int, Fraction)) else float(thing)),)
+        case complex() | np.complexfloating():
+            found = _of_array(np.array(thing))
+        case np.ndarray() if thing.dtype.kind in "biufc":
+            found = _of_array(thing)
+        case str() if thing.isidentifier():
+            found = (float(zlib.crc32(thing.encode()) % 997),)
+    return found
 
 
 def _leaves(value: object) -> Iterator[float]:
-    """Numbers within a value, those of arrays in short; what is neither number nor made of
-    numbers, and words of a sentence, are left out.
-    """
+    """Numbers within a value, those of arrays in short."""
     stack = [value]
     known: set[int] = set()
     while stack:
         match thing := stack.pop():
-            case None:
-                yield NONE
-            case bool() | np.bool_():
-                yield 1.0 if thing else -1.0
-            case int() | float() | Fraction():
-                yield _by_logarithm(thing)
-            case np.integer() | np.floating():
-                yield _by_logarithm(float(thing))
-            case complex() | np.complexfloating():
-                yield from _of_array(np.array(thing))
-            case str():
-                if thing.isidentifier():
-                    yield zlib.crc32(thing.encode()) % 997
             case tuple() | list():
                 stack.extend(reversed(thing))
             case dict():
                 stack.extend(reversed(thing.values()))
-            case np.ndarray():
-                if thing.dtype.kind in "biufc":
-                    yield from _of_array(thing)
-            case _ if dataclasses.is_dataclass(thing) and id(thing) not in known:
-                known.add(id(thing))
+            case _ if dataclasses.is_dataclass(thing):
                 names = reversed([field.name for field in dataclasses.fields(thing)])
-                stack.extend(getattr(thing, name, None) for name in names)
+                stack.extend(getattr(thing, name, None) for name in names if id(thing) not in known)
+                known.add(id(thing))
+            case _:
+                yield from _of_one(thing)
 
 
 class Record:
@@ -127,10 +129,9 @@ class Record:
         if event == "return":
             key = frame.f_code.co_filename.removeprefix(ROOT), frame.f_code.co_qualname
             total, number = self.sums.get(key, 0.0), self._leaves[key]
-            for number, leaf in enumerate(_leaves(value), number + 1):  # noqa: B007
+            for leaf in itertools.islice(_leaves(value), LEAVES):
+                number += 1
                 total += leaf * WEIGHTS[number % WEIGHTS.size]
-                if number > LEAVES:
-                    break
             self.sums[key], self._leaves[key] = float(total), number
         return self._returned
 
@@ -234,6 +235,6 @@ def differences(record: Record, kept: Mapping[str, str]) -> Iterator[str]:
         if before is not None and abs(total - before) > WITHIN:
             yield f"{path}: {name} returns something else: {before:.4f} is now {total:.4f}"
     for path, letters in was:
-        name = functions(path).get(letters) if (house.ROOT / path).is_file() else None
-        if name is not None:
-            yield f"{path}: {name} is no longer called"
+        gone = functions(path).get(letters) if (house.ROOT / path).is_file() else None
+        if gone is not None:
+            yield f"{path}: {gone} is no longer called"

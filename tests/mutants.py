@@ -290,9 +290,9 @@ def _loading(path: str) -> frozenset[str]:
 
 
 def order(change: Change) -> tuple[str, ...]:
-    """What is asked of a change, first what is likeliest to notice it soonest: some of the kept cases
-    that come to its function or template, then functions of tests that come to it by name, and
-    whole files that import it, over whatever others.
+    """What is asked of a change, first what is likeliest to notice it soonest: some of the kept
+    cases that come to its function or template, then functions of tests that come to it by name,
+    and whole files that import it, over whatever others.
 
     Steps are counted by name; a whole file is as near as a function that is two steps away. The
     file's own tests, those of its folder, of its room on another floor, and others follow each

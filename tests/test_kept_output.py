@@ -1,4 +1,4 @@
-"""Emitted texts, and what functions of physics return, are as they were when they were last accepted
+"""Emitted texts, and what functions of physics return, are as they were when last accepted
 (`kept_output`).
 """
 
