@@ -30,7 +30,7 @@ import numpy as np
 
 PHYSICS = r"optimizer/|machines/(\w+_machines|losses|modulation|plants|transforms|back_emf)"
 ROOT = f"{house.ROOT}/"
-CALLS, LEAVES, LETTERS = 8, 400, 4
+CALLS, LEAVES, LETTERS = 40, 5000, 4
 # Below the first, a number counts as nothing; within the second, sums are the same, and those that
 # are kept are so with other kernels within a tenth of it.
 NOTHING, WITHIN = 1e-12, 2e-4
