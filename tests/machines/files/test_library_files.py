@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from typing import Any
 
-import jsonschema
 import pytest
 import yaml
 
@@ -35,6 +34,8 @@ def test_the_schemas_of_the_package_are_those_of_the_models(
 
 
 def test_what_ships_keeps_the_schemas() -> None:
+    import jsonschema  # A second, which a run without this file is spared.
+
     designs = [
         catalogue.template(),
         *map(catalogue.read_text, [*catalogue.names(), *catalogue.motors()]),
@@ -47,6 +48,8 @@ def test_what_ships_keeps_the_schemas() -> None:
 
 
 def test_the_schema_refuses_a_wrong_key_and_a_wrong_word() -> None:
+    import jsonschema  # A second, which a run without this file is spared.
+
     validator = jsonschema.Draft202012Validator(json.loads(schema_bytes(DESIGN_SCHEMA)))
     for old, new, words in (
         ("  resistance:", "  resistence:", "'resistence' was unexpected"),
