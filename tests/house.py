@@ -36,7 +36,7 @@ def parsed(path: Path) -> ast.Module:
 # A statement that imports, over several lines where it has brackets; and texts of several lines,
 # in which such a line is no statement. Trees of all files would take a hundred times as long.
 IMPORT = re.compile(
-    r"^[ \t]*(?:import (?P<whole>[\w.]+)"
+    r"^[ \t]*(?:import (?P<whole>[\w.]+)[^\n]*"
     r"|from (?P<where>[\w.]+) import (?P<names>\([^)]*\)|[^\n]*))",
     re.MULTILINE,
 )

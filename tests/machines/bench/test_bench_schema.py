@@ -28,7 +28,7 @@ def test_every_key_is_described() -> None:
 
 
 def test_the_documented_file_is_within_it() -> None:
-    import jsonschema  # A second, which a run without this file is spared.
+    import jsonschema
 
     text = METHOD.read_text().split("## The bench file\n")[1]
     lines = [line[4:] for line in text.splitlines()[1:]]
@@ -47,7 +47,7 @@ def test_the_documented_file_is_within_it() -> None:
     ],
 )
 def test_a_slip_is_seen(run: str, word: str) -> None:
-    import jsonschema  # A second, which a run without this file is spared.
+    import jsonschema
 
     with pytest.raises(jsonschema.ValidationError, match=word):
         jsonschema.validate(yaml.safe_load(bench_text(run)), bench_json_schema())
