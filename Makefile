@@ -30,7 +30,8 @@ currents = $(BIN)/dqforge dqy $(1) --plot out/$(2).svg >out/$(2).txt 2>&1 || { c
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 DEFAULT := -m "not slow and not benchmark"
 
-# The cheap files, and of the costly ones what fills this many seconds: those near a change, then drawn for each commit.
+# The cheap files and the rules of the house, and of the costly files what fills this many seconds: those near a change,
+# then drawn for each commit.
 DRAWN_TESTS ?= 80
 test: $(VENV)/dev.stamp
 	$(PYTEST) $(DEFAULT) --drawn $(DRAWN_TESTS)

@@ -22,6 +22,9 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine  # noqa: E402
 settings.register_profile("dqforge", deadline=None, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("dqforge")
 
+# Files that a run with a draw leaves out as a whole.
+NEEDLESS = pytest.StashKey[frozenset[Path]]()
+
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 # What is started in the background of a script has Ctrl-C ignored, and hands that down to every
@@ -47,6 +50,12 @@ def pytest_configure(config: pytest.Config) -> None:
     """Measure what cases take, where that is asked for."""
     drawn_cases.configure(config)
     config.pluginmanager.register(_AfterSelection())
+    config.stash[NEEDLESS] = drawn_cases.needless_files(config)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Import no file of which nothing would run."""
+    return True if collection_path in config.stash[NEEDLESS] else None
 
 
 def pytest_report_header(config: pytest.Config) -> str:

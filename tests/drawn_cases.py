@@ -2,11 +2,12 @@
 
 `tests/costs.json` keeps the seconds of processor time of every file of tests that takes long (its
 cases share what they set up, so that a file costs the same whichever of them run), and of every
-case of the campaign; what is not listed is cheap and always runs. ``--drawn 90`` fills 90 s of
-processor time: first the files beside the modules that the working tree or the commits of the
-last day change, then others in an order that the commit gives, so that each has its turn; without
-the option all of them run. ``--always PATH`` keeps what lies there whatever it costs.
-``--keep-costs`` writes the file anew from what a run without the option took.
+case of the campaign; what is not listed is cheap and always runs, as do the files of `ALWAYS`.
+``--drawn 90`` fills 90 s of processor time: first the files beside the modules that the working
+tree or the commits of the last day change, then others in an order that the commit gives, so that
+each has its turn; without the option all of them run. Files of which no case would run are not
+imported. ``--always PATH`` keeps what lies there whatever it costs. ``--keep-costs`` writes the
+file anew from what a run without the option took.
 
 As a program, ``python tests/drawn_cases.py 2 NAME...`` prints the two names whose turn it is.
 """
@@ -28,7 +29,14 @@ import pytest
 
 HERE = Path(__file__).parent
 COSTS = HERE / "costs.json"
-COSTLY_S = 1.0
+COSTLY_S = 0.4
+# What changes of any room meet: how the code is built, worded and written down.
+ALWAYS = tuple(
+    f"tests/{name}.py"
+    for name in (
+        "site/test_reference", "test_docstrings", "test_formulas", "test_house", "test_wording",
+    )
+)  # fmt: skip
 # What a case of the campaign is taken to cost before it was first measured.
 UNKNOWN_S = 3.0
 CLOCK = "processor_s"
@@ -120,16 +128,20 @@ def drawn(
 
     Their order is that of ``items``.
     """
-    units = {
-        unit_of(item): 0.0 if item.nodeid.startswith(tuple(always)) else cost_of(item, costs)
-        for item in items
-    }
-    left, kept = budget, set()
-    for unit in sorted(units, key=lambda unit: (not near(unit), turn(unit))):
-        if units[unit] <= left or units[unit] == 0.0:
-            kept.add(unit)
-            left -= units[unit]
+    units = {unit_of(item): cost_of(item, costs) for item in items}
+    kept = filling(budget, units, always)
     return [item for item in items if unit_of(item) in kept]
+
+
+def filling(budget: float, units: dict[str, float], always: Sequence[str] = ()) -> set[str]:
+    """The units, of these with their costs, that `drawn` keeps."""
+    left, kept, always = budget, set(), (*ALWAYS, *always)
+    for unit in sorted(units, key=lambda unit: (not near(unit), turn(unit))):
+        cost = 0.0 if unit.startswith(always) else units[unit]
+        if cost <= left or cost == 0.0:
+            kept.add(unit)
+            left -= cost
+    return kept
 
 
 def _processor_s() -> float:
@@ -201,13 +213,39 @@ def configure(config: pytest.Config) -> None:
             config.pluginmanager.register(Costs())
 
 
+def needless_files(config: pytest.Config) -> frozenset[Path]:
+    """Files of which no case would run, so that they need not be imported.
+
+    None where the campaign is asked for, since its cases are drawn one by one.
+    """
+    budget: Any = config.getoption("--drawn")
+    marks = config.getoption("markexpr")
+    if budget is None or not ("not slow" in marks and "not benchmark" in marks):
+        return frozenset()
+    asked = [config.rootpath / arg.partition("::")[0] for arg in config.args]
+    costs = {
+        name: cost
+        for name, cost in kept_costs().items()
+        if (path := config.rootpath / name).is_file() and any(map(path.is_relative_to, asked))
+    }
+    kept = filling(budget, costs, config.getoption("--always"))
+    measuring = [path for path in (HERE / "benchmarks").glob("*.py") if _all_measures(path)]
+    return frozenset({config.rootpath / name for name in costs.keys() - kept}.union(measuring))
+
+
+def _all_measures(path: Path) -> bool:
+    """Whether every case of a file is a benchmark."""
+    return "\npytestmark = pytest.mark.benchmark\n" in path.read_text(encoding="utf-8")
+
+
 def leave_out(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Take out what is costly and whose turn it is not."""
     budget: Any = config.getoption("--drawn")
     if budget is None:
         return
     kept = drawn(items, budget, kept_costs(), config.getoption("--always"))
-    config.hook.pytest_deselected(items=[item for item in items if item not in set(kept)])
+    runs = set(kept)
+    config.hook.pytest_deselected(items=[item for item in items if item not in runs])
     items[:] = kept
 
 

@@ -5,6 +5,7 @@ programme, which test covers each module.
 from __future__ import annotations
 
 import ast
+import re
 import sys
 from functools import cache
 from pathlib import Path
@@ -32,16 +33,38 @@ def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
+# A statement that imports, over several lines where it has brackets; and texts of several lines,
+# in which such a line is no statement. Trees of all files would take a hundred times as long.
+IMPORT = re.compile(
+    r"^[ \t]*(?:import (?P<whole>[\w.]+)[^\n]*"
+    r"|from (?P<where>[\w.]+) import (?P<names>\([^)]*\)|[^\n]*))",
+    re.MULTILINE,
+)
+LONG_TEXT = re.compile(r'""".*?"""', re.DOTALL)
+
+
+def imported_names(source: str) -> set[str]:
+    """Every name that a source imports, with its module before it."""
+    found = set()
+    for statement in IMPORT.finditer(LONG_TEXT.sub("", source)):
+        names = re.sub(r"#.*", "", statement["names"] or "")
+        found |= {
+            f"{statement['where']}.{name}" for name in re.findall(r"(\w+)(?: as \w+)?", names)
+        } or {statement["whole"]}
+    return found
+
+
 def imported(path: Path) -> set[str]:
     """Modules of the package that a file imports."""
-    found = set()
-    for node in ast.walk(parsed(path)):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("dqforge."):
-            where = str(node.module).removeprefix("dqforge.")
-            for name in node.names:
-                whole = f"{where}.{name.name}"
-                found.add(whole if whole in modules() else where)
+    names = _names(path)
+    inside = [name.removeprefix("dqforge.") for name in names if name.startswith("dqforge.")]
+    found = {name if name in modules() else name.rpartition(".")[0] for name in inside}
     return found & set(modules())
+
+
+@cache
+def _names(path: Path) -> set[str]:
+    return imported_names(path.read_text(encoding="utf-8"))
 
 
 @cache
@@ -60,12 +83,7 @@ def tests() -> Imports:
 
 def _by_the_door(path: Path) -> set[str]:
     """What a test comes to by the public names of the package or by its command line."""
-    names = set()
-    for node in ast.walk(parsed(path)):
-        if isinstance(node, ast.Import):
-            names |= {name.name for name in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module == "dqforge":
-            names |= {f"dqforge.{name.name}" for name in node.names}
+    names = _names(path)
     doors = {"__init__.py": "dqforge" in names, "cli.py": "dqforge.cli" in names}
     return set().union(*(imported(ROOT / name) for name, used in doors.items() if used))
 

@@ -46,7 +46,10 @@ def prose(text: str) -> str:
 
 
 def suspect(source: str) -> bool:
-    """Whether a line with a quotation mark has a phrase: a module without one is not parsed."""
+    """Whether a line with a quotation mark has a phrase, docstrings aside: a module without one is
+    not parsed.
+    """
+    source = re.sub(r'(\A|:\n *)"""[^"]*?"""\n', r"\1\n", source)
     lines = "\n".join(line for line in source.splitlines() if '"' in line)
     return phrases().search(re.sub(r'"\s*f?"', "", lines)) is not None
 
@@ -105,7 +108,9 @@ def test_messages_and_help_are_written_in_the_words_of_the_field() -> None:
         place = ROOT / folder
         for path in [place] if place.is_file() else sorted(place.rglob("*.py")):
             name = path.relative_to(ROOT).as_posix()
-            if not EMITTED.match(name) and suspect(path.read_text(encoding="utf-8")):
+            if not EMITTED.match(name) and (
+                name == "cli.py" or suspect(path.read_text(encoding="utf-8"))
+            ):
                 faults += [f"{name}:{fault}" for fault in found(literals(path))]
     assert not faults
 

@@ -5,8 +5,8 @@ brute force and python-control.
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
-import control
 import mpmath
 import numpy as np
 import pytest
@@ -26,6 +26,9 @@ from dqforge.optimizer.sampled_systems import (
     loop_margins,
 )
 
+if TYPE_CHECKING:
+    import control
+
 A = np.array([[-300.0, -500.0], [800.0, -20.0]])
 B = np.array([[700.0], [3.0]])
 T_S = 1e-3
@@ -43,6 +46,8 @@ def transfer_system(numerator: list[float], denominator: list[float], t_s: float
 
 
 def as_control(system: SampledSystem) -> control.StateSpace:
+    import control
+
     return control.ss(system.a, system.b[:, :1], system.c, system.d[:, :1], system.t_s)
 
 
@@ -173,6 +178,8 @@ def test_current_loop_is_the_transfer_function_written_by_hand(drive: dict[str, 
 @settings(deadline=None)
 @given(drives)
 def test_margins_and_poles_agree_with_python_control(drive: dict[str, float]) -> None:
+    import control
+
     loop, numerator, denominator = loop_of(drive)
     found = loop_margins(loop.open_loop)
     reference = control.tf(numerator, denominator, drive["t_s"])
@@ -282,6 +289,8 @@ def resonant_loop() -> SampledSystem:
 
 
 def test_the_worst_of_several_crossovers_counts() -> None:
+    import control
+
     loop = resonant_loop()
     margins = loop_margins(loop)
     _, phases, stability, _, crossings, _ = control.stability_margins(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import jsonschema
 import pytest
 import yaml
 from bench_files import bench_text
@@ -29,6 +28,8 @@ def test_every_key_is_described() -> None:
 
 
 def test_the_documented_file_is_within_it() -> None:
+    import jsonschema
+
     text = METHOD.read_text().split("## The bench file\n")[1]
     lines = [line[4:] for line in text.splitlines()[1:]]
     written = yaml.safe_load("\n".join(lines[: lines.index("", 1)]))
@@ -46,5 +47,7 @@ def test_the_documented_file_is_within_it() -> None:
     ],
 )
 def test_a_slip_is_seen(run: str, word: str) -> None:
+    import jsonschema
+
     with pytest.raises(jsonschema.ValidationError, match=word):
         jsonschema.validate(yaml.safe_load(bench_text(run)), bench_json_schema())

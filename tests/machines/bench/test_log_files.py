@@ -8,7 +8,6 @@ import tracemalloc
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import asammdf
 import nptdms
 import numpy as np
 import pytest
@@ -143,6 +142,8 @@ def _tdms(channels: Mapping[str, np.ndarray], step: float | None = None) -> byte
 
 
 def _mdf(tmp_path: Path, groups: Sequence[tuple[np.ndarray, Mapping[str, np.ndarray]]]) -> bytes:
+    import asammdf
+
     with asammdf.MDF(version="4.10") as log:
         for times, channels in groups:
             log.append(

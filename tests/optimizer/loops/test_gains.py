@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import control
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -269,6 +268,8 @@ def test_one_rate_speed_loop_agrees_with_python_control(bench001: LinearMachine)
     """With ratio 1 the loop is PI x closed current loop x mechanics, which
     python-control can build by itself.
     """
+    import control
+
     inertia = bench001.inertia or 0.0
     q_axis = tune_current_loop(bench001.r_s, bench001.l_q, 200e-6, CurrentLoopSettings())
     control_ = control_settings(200e-6, CurrentLoopSettings(), SpeedLoopSettings(ratio=1))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import TYPE_CHECKING
 
-import control
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -22,6 +22,9 @@ from dqforge.optimizer.loops.pi_methods import (
 )
 from dqforge.optimizer.loops.plants import current_loop, speed_loop
 from dqforge.optimizer.sampled_systems import loop_margins
+
+if TYPE_CHECKING:
+    import control
 
 FloatArray = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 T_S = 1e-4
@@ -100,6 +103,8 @@ def reference_current_loop(
     """PI, one sample of computation and the sampled winding, as python-control puts them
     together.
     """
+    import control
+
     winding = control.c2d(
         control.ss([[-r_s / inductance]], [[1.0 / inductance]], [[1.0]], [[0.0]]), T_S
     )
@@ -109,6 +114,8 @@ def reference_current_loop(
 
 
 def assert_like_control(batch: LoopBatch, loops: list[control.StateSpace]) -> None:
+    import control
+
     found = batch_margins(batch)
     for row, loop in enumerate(loops):
         poles = np.linalg.eigvals(loop.A - loop.B @ loop.C / (1.0 + loop.D[0, 0]))
@@ -165,6 +172,8 @@ def test_speed_loops_of_random_drives_agree_with_python_control() -> None:
     """Both controllers at one rate, with a wrong torque constant, dc link and
     feedforward of the back-EMF.
     """
+    import control
+
     generator = np.random.default_rng(4)
     count, current_gains = 25, (2.9, 4000.0)
     drive = DriveVariants(
