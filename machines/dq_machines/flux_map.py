@@ -693,9 +693,7 @@ class SaturatedMachine(MachineFormulas):
     _origin: FluxJet = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Check every number, and keep the values at zero current, which several properties
-        read.
-        """
+        """Check every number, and keep the values at zero current."""
         check_numbers(self, MACHINE)
         if not isinstance(self.flux_map, FluxMap):
             got = type(self.flux_map).__name__
@@ -723,9 +721,7 @@ class SaturatedMachine(MachineFormulas):
         return self.flux_map.flux(i_d, i_q)
 
     def jet(self, i_d: FloatArray, i_q: FloatArray) -> FluxJet:
-        """Flux linkages with first and second derivatives at currents in A, arrays of shape
-        (N,).
-        """
+        """Flux linkages with two derivatives at currents in A, arrays of shape (N,)."""
         return self.flux_map.jet(i_d, i_q)
 
     def known(self, i_d: FloatArray, i_q: FloatArray) -> NDArray[np.bool_]:
