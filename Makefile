@@ -7,7 +7,7 @@ DEMO_DESIGN ?= paper000-ipmsm-100kw
 # Modules are compiled once, when they are installed and when they change, not by each process.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo demo-run demo-currents demo-salient-currents test importers campaign faults forged drawn-campaign coverage costs times drawn-times check lint types contracts format figures fuzz fuzz-commands mutants sessions numbers docs page-checks page-drives wheel sbom schemas site-checks lock clean
+.PHONY: demo demo-run demo-currents demo-salient-currents test importers campaign faults forged drawn-campaign coverage costs kept times drawn-times check lint types contracts format figures fuzz fuzz-commands mutants sessions numbers docs page-checks page-drives wheel sbom schemas site-checks lock clean
 
 demo: $(VENV)/runtime.stamp
 	@mkdir -p out
@@ -55,6 +55,10 @@ COVERED ?=
 coverage: $(VENV)/dev.stamp
 	$(PYTEST) $(DEFAULT) $(COVERED) --always $(PROOFS) --cov --cov-report=
 	$(BIN)/coverage report --fail-under=99
+
+# Emitted texts, and what functions of physics return, as they were when last accepted: all cases.
+kept: $(VENV)/dev.stamp
+	$(PYTEST) tests/test_kept_output.py
 
 # What the costly files of tests take, for the draw; on a quiet machine.
 costs: $(VENV)/dev.stamp
