@@ -77,7 +77,7 @@ def test_the_checker_runs_alone(tmp_path: Path) -> None:
         (tmp_path / name).write_text(content)
     lines = check_independently(tmp_path).splitlines()
     assert lines[0] == (
-        "confirmed: ranges in fixed point; not covered of ranges in fixed point: abb2k2_root_q15"
+        "confirmed: ranges in fixed point; not covered of ranges in fixed point: nothing"
     )
     assert lines[-2:] == [
         "confirmed: abb2k2_control_q15.h: no product and no sum exceeds 99.9977% of int32_t",
@@ -154,7 +154,7 @@ def evaluated(body: str, x: int, y: int) -> int:
         ("return x * 70000;", "a product can reach"),
         ("return x + 2147460000;", "a sum can reach"),
         ("return x << 3U;", "a left shift of a negative number"),
-        ("return 1 >> (x & 63);", "is not understood"),
+        ("return 1 >> (x & 63);", "a shift by 0 to 63"),
         ("return 3 >> 32U;", "a shift by 32"),
         ("int16_t k = x * 2; return k;", "is more than int16_t holds"),
         ("int32_t k; return k;", "a value is used that may not be set"),
