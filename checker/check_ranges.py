@@ -1,4 +1,4 @@
-"""Confirms `<prefix>_ranges.json`: that no integer of the control in fixed point leaves its type.
+"""Confirms `<prefix>_ranges.json`: that no integer of what runs in fixed point leaves its type.
 
     python -I -S check_ranges.py abb2k2_ranges.json
 

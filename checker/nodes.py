@@ -292,7 +292,9 @@ def bounds_of_rest(sign: str, a: Node, b: Node) -> tuple[int, int]:
             raise Other
         x = a.of[0]
         return min(x.low, 0), max(x.high, 0)
-    whole = bare(b.of[0]) if sign == "-" and b.op == "*" else b
+    if sign != "-" or b.op != "*":
+        raise Other
+    whole = bare(b.of[0])
     if whole.op != "/" or bare(whole.of[0]) is not a or bare(whole.of[1]) is not bare(b.of[1]):
         raise Other
     most = whole.of[1].high - 1

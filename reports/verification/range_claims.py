@@ -119,6 +119,11 @@ def _control_part(fit: IntegerFit, upper: str) -> _Part:
     return _Part("control", control.width, _states(control), _calls(control, upper), ("turn",))
 
 
+def _any_code(kind: str, ends: list[int]) -> bool:
+    """Whether a range holds every number of a type of C."""
+    return ends[1] - ends[0] + 1 >= 1 << int(kind.strip("uint_"))
+
+
 def _observer_part(observer: FixedPositionObserver, upper: str) -> _Part:
     """A position observer, whose words keep within the ranges of its method."""
     f, code = observer.format, observer.method.code
@@ -127,10 +132,13 @@ def _observer_part(observer: FixedPositionObserver, upper: str) -> _Part:
     for word, limit in zip(
         observer.method.words, observer.method.limits(observer.gains), strict=True
     ):
-        name, _, member = word.name.partition(".")
-        if limit.high - limit.low + 1 < 1 << int(word.type.strip("uint_")):  # not any number
-            inner = state.setdefault(name, {}) if member else state
-            inner[member or name] = [limit.low, limit.high]
+        name, _, entry = word.name.partition("[")
+        ends = [limit.low, limit.high]
+        if entry:
+            state.setdefault(name, []).append(ends)
+        elif not _any_code(word.type, ends):
+            record, _, member = name.partition(".")
+            state |= {record: state.get(record, {}) | {member: ends}} if member else {name: ends}
     start = {"observer": "any", "theta_e": "any", "omega_m": "any"}
     calls: list[Call] = [
         (f"{code}_start", start, {"observer": own}),
