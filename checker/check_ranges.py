@@ -111,7 +111,7 @@ class Run:
 
     def every(self, kind: str, parameters: Any, body: Tree, given: list[Any]) -> Any:
         """All ways through a function, for all pieces of its first argument."""
-        bounds = []
+        bounds: list[Any] = []
 
         def once(first: int, after: int) -> tuple[Any, Any]:
             own = each(nodes.given, given)

@@ -206,10 +206,10 @@ def product(node: Node) -> tuple[Node, Node, Fraction, int]:
     return bare(inner.of[0]), bare(inner.of[1]), c, k
 
 
-def found(bound: Callable[..., Any], *nodes: Node) -> Any:
+def found(bound: Callable[..., Any], *made: Any) -> Any:
     """A bound of what is made so; else None."""
     try:
-        return bound(*nodes)
+        return bound(*made)
     except Other:
         return None
 
