@@ -39,7 +39,8 @@ class Code:
     """Types, constants and functions of headers."""
 
     def __init__(self) -> None:
-        self.types: dict[str, list[tuple[str, str, int]]] = {}  # members: type, name, how many
+        # Members: type, name, and how many of each dimension of an array.
+        self.types: dict[str, list[tuple[str, str, tuple[int, ...]]]] = {}
         self.constants: dict[str, Tree] = {}
         self.functions: dict[str, Tree] = {}  # type, parameters, body, line, header
         self.defined: set[str] = set()
@@ -77,7 +78,8 @@ class Code:
                     raise Fault(f"{name}: this program does not read '{line.strip()[:40]}'")
             kept.append("")
         self.where, self.at = name, 0
-        self.tokens = [(x, row) for row, line in enumerate(kept, 1) for x in TOKEN.findall(line)]
+        lines = (x.replace("unsigned int ", "uint32_t ") for x in kept)  # int has 32 bits here
+        self.tokens = [(x, row) for row, line in enumerate(lines, 1) for x in TOKEN.findall(line)]
         for text, row in self.tokens:
             if text in self.defined or not TOKEN.fullmatch(text) or text in "'\"\\#@`$":
                 raise Fault(f"{name}, line {row}: '{text}' is not understood")
@@ -110,13 +112,13 @@ class Code:
             self.skip(",")
         return found
 
-    def size(self) -> int:
-        """The length of an array; 0 of what is none."""
-        if not self.skip("["):
-            return 0
-        found = int(self.take().rstrip("U"))
-        self.take("]")
-        return found
+    def size(self) -> tuple[int, ...]:
+        """How many entries an array has in each dimension; none of what is no array."""
+        found: list[int] = []
+        while self.skip("["):
+            found.append(int(self.take().rstrip("U")))
+            self.take("]")
+        return tuple(found)
 
     def is_type(self, ahead: int = 0) -> bool:
         return self.next(ahead) in LIMITS or self.next(ahead) in self.types
@@ -148,10 +150,14 @@ class Code:
             raise Fault(f"{self.where}, line {row}: {name} is declared twice")
         table[name] = value
 
-    def member(self) -> tuple[str, str, int]:
+    def member(self) -> tuple[str, str, tuple[int, ...]]:
+        self.skip("const")
         if not self.is_type():
             self.take("a type")
-        found = self.take(), self.take(), self.size()
+        kind, pointer = self.take(), self.skip("*")
+        if pointer and kind in LIMITS:
+            self.take("a record")
+        found = kind, self.take(), self.size()
         self.take(";")
         return found
 
@@ -159,11 +165,12 @@ class Code:
         self.skip("const")
         kind, pointer = self.take(), self.skip("*")
         self.own.add(self.next())
-        return kind, self.take(), pointer
+        name, array = self.take(), bool(self.size())
+        return kind, name, pointer or array
 
     def local(self, row: int) -> Tree:
-        """A declaration: type, name, length of an array, value, and whether a pointer."""
-        self.skip("static")
+        """A declaration: type, name, size of an array, value, whether a pointer, and a constant."""
+        constant = self.skip("static")
         self.skip("const")
         kind, pointer, name, many = self.take(), self.skip("*"), self.take(), self.size()
         if name in self.own:
@@ -171,15 +178,18 @@ class Code:
         self.own.add(name)
         value = self.listed() if self.skip("=") else None
         self.take(";")
-        return ("local", row, kind, name, many, value, pointer)
+        return ("local", row, kind, name, many, value, pointer, constant)
 
     def listed(self) -> Tree:
         """A value, or a list of them in braces."""
         return ("list", self.until("}", self.listed)) if self.skip("{") else self.expression()
 
     def block(self) -> Tree:
+        before = set(self.own)  # a name may stand again in another block, not within one
         self.take("{")
-        return ("block", self.until("}", self.statement))
+        found = ("block", self.until("}", self.statement))
+        self.own = before
+        return found
 
     def statement(self) -> Tree:
         row = self.tokens[self.at][1]

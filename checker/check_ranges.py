@@ -1,4 +1,4 @@
-"""Confirms `<prefix>_ranges.json`: that no integer of the control in fixed point leaves its type.
+"""Confirms `<prefix>_ranges.json`: that no integer of what runs in fixed point leaves its type.
 
     python -I -S check_ranges.py abb2k2_ranges.json
 
@@ -13,8 +13,10 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +35,7 @@ Impossible = nodes.Impossible
 Node = nodes.Node
 Pointer = nodes.Pointer
 corners, each, fresh, hull, used = nodes.corners, nodes.each, nodes.fresh, nodes.hull, nodes.used
+always, copied, narrow, put = nodes.always, nodes.copied, nodes.narrow, nodes.put
 
 
 # Part 1. Running the C on ranges.
@@ -97,7 +100,7 @@ class Run:
                 self.known[key] = self.every(kind, parameters, body, given)
             value, left, bound = self.known[key]
             for x, after, (_, _, pointer) in zip(given, left, parameters):
-                if pointer and isinstance(x, dict):
+                if pointer and isinstance(x, dict | list):
                     put(x, after)
             value = each(fresh, value)
             if bound and isinstance(value, Node):
@@ -108,38 +111,61 @@ class Run:
 
     def every(self, kind: str, parameters: Any, body: Tree, given: list[Any]) -> Any:
         """All ways through a function, for all pieces of its first argument."""
-        found, bounds = [], []
-        pieces = self.cuts.get(self.name, 1)
+        bounds: list[Any] = []
+
+        def once(first: int, after: int) -> tuple[Any, Any]:
+            own = each(nodes.given, given)
+            if pieces > 1:
+                own[0] = Node(first, after - 1, own[0].kind)
+            value = self.once(kind, parameters, body, own)
+            root = isinstance(value, Node) and own
+            bounds.append(nodes.found(nodes.bound_of_root, value, own[0]) if root else None)
+            return value, own
+
+        found, pieces = [], self.cuts.get(self.name, 1)
+        low, size = (given[0].low, given[0].high - given[0].low + 1) if pieces > 1 else (0, 1)
         for piece in range(pieces):
-            ways: list[bool] = []
-            while True:
-                own = each(fresh, given)
-                if pieces > 1:
-                    low, size = given[0].low, given[0].high - given[0].low + 1
-                    first, after = (low + size * (piece + k) // pieces for k in (0, 1))
-                    if first == after:
-                        break
-                    own[0] = Node(first, after - 1, own[0].kind)
-                self.ways, self.way, self.taken = ways, 0, []
-                try:
-                    value = self.once(kind, parameters, body, own)
-                    root = isinstance(value, Node) and own
-                    bounds.append(nodes.found(nodes.bound_of_root, value, own[0]) if root else None)
-                    found.append((value, own))
-                except Impossible:
-                    pass
-                while ways and not ways[-1]:
-                    ways.pop()
-                if len(found) > MOST_WAYS:
-                    raise self.fault("it has too many ways")
-                if not ways:
-                    break
-                ways[-1] = False
+            first, after = (low + size * (piece + k) // pieces for k in (0, 1))
+            if first < after:
+                found += self.tried(partial(once, first, after))
         if not found:
             raise Impossible
         bound = None if None in bounds else max(x for x in bounds if x is not None)
         value, left = each(hull, *map(list, found))
         return each(fresh, value), left, bound
+
+    def tried(self, once: Callable[[], Any]) -> list[Any]:
+        """What all ways leave."""
+        found: list[Any] = []
+        ways: list[bool] = []
+        while True:
+            self.ways, self.way, self.taken = ways, 0, []
+            with suppress(Impossible):
+                found.append(once())
+            while ways and not ways[-1]:
+                ways.pop()
+            if len(found) > MOST_WAYS:
+                raise self.fault("it has too many ways")
+            if not ways:
+                return found
+            ways[-1] = False
+
+    def joined(self, tree: Tree) -> None:
+        """A condition within a round of a loop, whose sides are put together at its end: a root of
+        so many rounds would have too many ways.
+        """
+        before = (self.here, self.ways, self.way, self.taken)
+
+        def once() -> dict[str, Any]:
+            self.here = each(fresh, before[0])
+            self.do(tree)
+            return self.here
+
+        found = self.tried(once)
+        _, self.ways, self.way, self.taken = before
+        if not found:
+            raise Impossible
+        self.here = each(hull, *found)
 
     def once(self, kind: str, parameters: Any, body: Tree, given: list[Any]) -> Any:
         """One way through a function."""
@@ -160,12 +186,12 @@ class Run:
             return None
         self.row = tree[1]
         if what == "local":
-            _, _, kind, name, many, value, pointer = tree
-            if many and value:
+            _, _, kind, name, many, value, pointer, constant = tree
+            if constant and value:
                 made = self.kept.get(id(value)) or self.filled(kind, many, value)
                 self.kept[id(value)] = made
-            elif value is None:
-                made = self.filled(kind, many, None)
+            elif value is None or value[0] == "list":
+                made = self.filled(kind, many, value)
             else:
                 made = self.value(value)
                 made = made if pointer else self.stored(made, kind)
@@ -179,7 +205,7 @@ class Run:
             return self.do(tree[3] if self.holds(tree[2]) else tree[4])
         elif what == "while":
             for _ in range(MOST_ROUNDS):
-                found = ("end", None) if not self.holds(tree[2]) else self.do(tree[3])
+                found = ("end", None) if not self.holds(tree[2]) else self.round(tree[3])
                 if found:
                     return found if found[0] == "return" else None
                 self.row = tree[1]
@@ -190,31 +216,47 @@ class Run:
             self.value(tree[2])
         return None
 
+    def round(self, tree: Tree) -> tuple[str, Any] | None:
+        """A round of a loop; a condition without another side that only sets numbers is joined."""
+        alone = all(
+            isinstance(x, str) or getattr(x, "lost", True) == "" for x in self.here.values()
+        )
+        for part in tree[1]:
+            sets = part[0] == "if" and {x[0] for x in part[3][1]} == {"set"}
+            if alone and sets and part[4] == ("block", []):
+                self.joined(part)
+            elif found := self.do(part):
+                return found
+        return None
+
     def any(self, kind: str, lost: str = "") -> Any:
         """Every value of a type; ``lost`` says why none may be used."""
         if kind in LIMITS:
             found = Node(*LIMITS[kind], kind)
             found.lost = lost
             return found
-        made: dict[str, Any] = {}
-        for own, name, size in self.code.types[kind]:
-            items = [self.any(own, lost) for _ in range(size or 1)]
-            made[name] = items if size else items[0]
-        return made
+        members = self.code.types[kind]
+        return {name: self.anything(own, size, lost) for own, name, size in members}
 
-    def filled(self, kind: str, many: int, value: Tree | None) -> Any:
+    def anything(self, kind: str, many: tuple[int, ...], lost: str = "") -> Any:
+        """As `any`, of an array."""
+        if not many:
+            return self.any(kind, lost)
+        return [self.anything(kind, many[1:], lost) for _ in range(many[0])]
+
+    def filled(self, kind: str, many: tuple[int, ...], value: Tree | None) -> Any:
         """A constant or variable from its list."""
         if value is None:
             lost = str(self.fault("a value is used that may not be set"))
-            return [self.any(kind, lost) for _ in range(many)] if many else self.any(kind, lost)
+            return self.anything(kind, many, lost)
         if many:
-            if value[0] != "list" or len(value[1]) != many:
-                raise self.fault(f"a table has not {many} entries")
-            return [self.filled(kind, 0, item) for item in value[1]]
-        if kind in LIMITS:
-            return self.converted(self.value(value), kind)
+            if value[0] != "list" or len(value[1]) != many[0]:
+                raise self.fault(f"a table has not {many[0]} entries")
+            return [self.filled(kind, many[1:], item) for item in value[1]]
+        if value[0] != "list":
+            return self.stored(self.value(value), kind)
         members = self.code.types[kind]
-        if value[0] != "list" or len(value[1]) != len(members):
+        if len(value[1]) != len(members):
             raise self.fault(f"a constant of {kind} has not {len(members)} members")
         rows = zip(members, value[1])
         return {name: self.filled(own, size, x) for (own, name, size), x in rows}
@@ -296,8 +338,8 @@ class Run:
             case ("name", name):
                 return self.named(name)
             case ("cast", kind, inner):
-                wraps = inner[0] == "name" and inner[1] in self.wraps and kind.startswith("u")
-                return self.cast(self.value(inner), kind, wraps)
+                wraps = (inner[0] == "name" and inner[1] in self.wraps) or self.name in self.wraps
+                return self.cast(self.value(inner), kind, wraps and kind.startswith("u"))
             case ("call", name, given):
                 return self.call(name, [self.value(x) for x in given])
             case ("member", inner, name):
@@ -313,6 +355,8 @@ class Run:
                 return self.value(inner)
             case ("one", sign, inner):
                 return self.one(sign, self.value(inner))
+            case ("choice", ("two", sign, a, b), *both) if STRENGTH[sign] == 7 and both == [b, a]:
+                return self.larger(sign, self.value(a), self.value(b))
             case ("choice", condition, first, second):
                 return self.value(first if self.holds(condition) else second)
             case ("two", sign, first, second):
@@ -321,6 +365,16 @@ class Run:
                     return Node(truth, truth, "int32_t")
                 return self.two(sign, self.value(first), self.value(second))
         raise self.fault("an expression is not understood")
+
+    def larger(self, sign: str, a: Node, b: Node) -> Node:
+        """The larger of two numbers, or the smaller: no side need be taken."""
+        kind = common(a.kind, b.kind)
+        a, b = self.converted(a, kind), self.converted(b, kind)
+        for one, other in ((a, b), (b, a)):
+            if always("<=", one, other):
+                return other if sign[0] == "<" else one
+        pick = max if sign[0] == "<" else min
+        return Node(pick(a.low, b.low), pick(a.high, b.high), kind)
 
     def named(self, name: str) -> Any:
         if name in self.here:
@@ -337,6 +391,8 @@ class Run:
             array, index = array.array, self.two("+", array.index, index)
         if not isinstance(array, list) or index.low < 0 or index.high >= len(array):
             raise self.fault(f"the index {index.low} to {index.high} leaves the table")
+        if index.low == index.high:
+            return array[index.low]
         return each(hull, *array[index.low : index.high + 1])
 
     def converted(self, value: Any, kind: str) -> Any:
@@ -387,19 +443,24 @@ class Run:
         b = a if same else self.converted(b, kind)
         if sign in ("+", "-", "*"):
             ends = corners(a, b, {"+": int.__add__, "-": int.__sub__, "*": int.__mul__}[sign])
-            least = 0 if sign == "*" and same and a.low <= 0 <= a.high else min(ends)
-            if sign == "*" and same and least:
-                least = min(a.low**2, a.high**2)
-            return self.made(sign, least, max(ends), kind, (a, b))
+            least, most = min(ends), max(ends)
+            if sign == "*" and same:
+                least = 0 if a.low <= 0 <= a.high else min(a.low**2, a.high**2)
+            rest = nodes.found(nodes.bounds_of_rest, sign, a, b)
+            if rest is not None:
+                least, most = max(least, rest[0]), min(most, rest[1])
+            if sign == "-" and any(x == (">=", a, b) for x in self.taken):
+                least = max(least, 0)
+            return self.made(sign, least, most, kind, (a, b))
         if sign == "/" and b.low > 0:
             ends = corners(a, b, lambda x, y: abs(x) // y * (1 if x > 0 else -1))
             return self.made(sign, min(ends), max(ends), kind, (a, b))
-        if sign == "&" and a.low >= 0 and b.low >= 0:
+        if sign == "&" and b.low >= 0:
             m = b.low  # in a part of a where higher bits are the same, a mask leaves a range
             size = m + 1 if m & (m + 1) == 0 else m if m & (m - 1) == 0 else 0
-            if m == b.high and size and a.low // size == a.high // size:
+            if m == b.high and size and a.low >= 0 and a.low // size == a.high // size:
                 return Node(a.low & m, a.high & m, kind)
-            return Node(0, min(a.high, b.high), kind)
+            return Node(0, b.high if a.low < 0 else min(a.high, b.high), kind)
         raise self.fault(f"'{sign}' of {a.low} to {a.high}, {b.low} to {b.high} is not understood")
 
     def made(self, op: str, low: int, high: int, kind: str, of: tuple[Node, ...]) -> Node:
@@ -418,48 +479,6 @@ class Run:
             if max(-low, high) > self.fullest.get(own, (0, ""))[0]:
                 self.fullest[own] = max(-low, high), str(self.fault(f"'{op}'"))
         return Node(low, high, kind, op, of)
-
-
-def always(sign: str, a: Node, b: Node) -> bool:
-    """Whether a comparison holds for all numbers of both ranges."""
-    match sign:
-        case "==":
-            return a.low == a.high == b.low == b.high
-        case "!=":
-            return a.high < b.low or a.low > b.high
-        case "<" | "<=":
-            return a.high < b.low + (sign == "<=")
-    return a.low + (sign == ">=") > b.high
-
-
-def narrow(sign: str, a: Node, b: Node) -> None:
-    """Leaves of both ranges what a comparison allows."""
-    if sign == "!=":
-        for one, other in ((a, b), (b, a)):
-            if (x := other.low) == other.high:
-                one.narrow(one.low + (one.low == x), one.high - (one.high == x))
-    if sign in ("<", "<=", "=="):
-        a.narrow(a.low, b.high - (sign == "<"))
-        b.narrow(a.low + (sign == "<"), b.high)
-    if sign in (">", ">=", "=="):
-        a.narrow(b.low + (sign == ">"), a.high)
-        b.narrow(b.low, a.high - (sign == ">"))
-
-
-def copied(value: Any) -> Any:
-    """A copy whose members can change."""
-    return each(lambda x: x, value)
-
-
-def put(record: Any, after: Any) -> None:
-    """Sets the members of a record in place."""
-    for name, value in after.items():
-        if isinstance(value, dict):
-            put(record[name], value)
-        elif isinstance(value, list):
-            record[name] = value
-        elif isinstance(value, Node):
-            record[name] = Node(value.low, value.high, value.kind)
 
 
 # Part 2. The certificate: calls, with what their arguments can be.
@@ -484,17 +503,24 @@ class Claims:
                 value = value[member]
             return value
         if isinstance(told, dict):
-            whole, known = (
-                self.run.any(kind),
-                {x: own for own, x, _ in self.code.types.get(kind, ())},
-            )
+            whole = self.run.any(kind)
+            known = {x: (own, many) for own, x, many in self.code.types.get(kind, ())}
             for name, member in told.items():
-                whole[name] = self.argument(member, known[name])
+                whole[name] = self.entries(member, *known[name])
             return whole
         low, high = told
         if not LIMITS[kind][0] <= low <= high <= LIMITS[kind][1]:
             raise Fault(f"{low} to {high} are no numbers of {kind}")
         return Node(low, high, kind)
+
+    def entries(self, told: Any, kind: str, many: tuple[int, ...]) -> Any:
+        """As `argument`, of an array: a list of its entries, or what all can be."""
+        if not many:
+            return self.argument(told, kind)
+        each = told if isinstance(told[0], list) else [told] * many[0]
+        if len(each) != many[0]:
+            raise Fault(f"{plain(told)} are not {many[0]} entries")
+        return [self.entries(x, kind, many[1:]) for x in each]
 
     def inside(self, value: Any, told: Any, place: str) -> None:
         """A record must hold what is told of it."""
@@ -502,8 +528,8 @@ class Claims:
             for name, member in value.items():
                 self.inside(member, told[name], f"{place}.{name}")
         elif isinstance(value, list):
-            for each, other in zip(value, told):
-                self.inside(each, other, place)
+            for k, (entry, other) in enumerate(zip(value, told)):
+                self.inside(entry, other, f"{place}[{k}]")
         elif value.lost or value.low < told.low or value.high > told.high:
             raise Fault(
                 f"{place} may be {value.low} to {value.high}, not {told.low} to {told.high}"
@@ -520,7 +546,7 @@ class Claims:
         self.run.call(name, given)
         for value, (kind, own, pointer) in zip(given, parameters):
             state = told.get("after", arguments)[own] if pointer and own != "gains" else None
-            if state is None or arguments[own] in self.code.constants or own == "measured":
+            if state is None or own == "measured" or arguments[own] in self.code.constants:
                 continue
             if arguments[own] not in ("any", state) or state not in self.stated["states"]:
                 raise Fault(f"{name}: {own} is not given by a state")
@@ -533,6 +559,8 @@ def plain(told: Any) -> str:
     """Ranges in words."""
     if isinstance(told, dict):
         return "(" + ", ".join(f"{name} {plain(x)}" for name, x in told.items()) + ")"
+    if isinstance(told, list) and isinstance(told[0], list):
+        return "[" + ", ".join(map(plain, told)) + "]"
     return told if isinstance(told, str) else f"{told[0]} to {told[1]}"
 
 
@@ -550,7 +578,8 @@ def claims(stated: dict[str, Any], beside: kit.Beside) -> Iterator[str]:
     made = Claims(stated, code)
     said = [made.call(told) for told in stated["calls"]]
     said += [f"{name} stays within {plain(told)}" for name, told in stated["states"].items()]
-    said += [f"'{name}' is an angle and wraps" for name in stated["wraps"]]
+    made_of = {True: "{} makes an angle, which wraps", False: "'{}' is an angle and wraps"}
+    said += [made_of[name in code.functions].format(name) for name in stated["wraps"]]
     for name, comments in code.said.items():
         found = FULLEST.search(comments)
         if found is None:

@@ -108,13 +108,64 @@ def fresh(node: Node) -> Node:
     return node if node.low == node.high else Node(used(node).low, node.high, node.kind)
 
 
+def given(node: Node) -> Node:
+    """As `fresh`; what may not be set remains so."""
+    if not node.lost:
+        return fresh(node)
+    found = Node(node.low, node.high, node.kind)
+    found.lost = node.lost
+    return found
+
+
+def copied(value: Any) -> Any:
+    """A copy whose members can change."""
+    return each(lambda x: x, value)
+
+
+def put(record: Any, after: Any) -> None:
+    """Sets the members of a record, or the entries of an array, in place."""
+    for name, value in after.items() if isinstance(after, dict) else enumerate(after):
+        if isinstance(value, dict | list):
+            put(record[name], value)
+        elif isinstance(value, Node):
+            record[name] = given(value)
+
+
+def always(sign: str, a: Node, b: Node) -> bool:
+    """Whether a comparison holds for all numbers of both ranges."""
+    match sign:
+        case "==":
+            return a.low == a.high == b.low == b.high
+        case "!=":
+            return a.high < b.low or a.low > b.high
+        case "<" | "<=":
+            return a.high < b.low + (sign == "<=")
+    return a.low + (sign == ">=") > b.high
+
+
+def narrow(sign: str, a: Node, b: Node) -> None:
+    """Leaves of both ranges what a comparison allows."""
+    if sign == "!=":
+        for one, other in ((a, b), (b, a)):
+            if (x := other.low) == other.high:
+                one.narrow(one.low + (one.low == x), one.high - (one.high == x))
+    if sign in ("<", "<=", "=="):
+        a.narrow(a.low, b.high - (sign == "<"))
+        b.narrow(a.low + (sign == "<"), b.high)
+    if sign in (">", ">=", "=="):
+        a.narrow(b.low + (sign == ">"), a.high)
+        b.narrow(b.low, a.high - (sign == ">"))
+
+
 def spans(value: Any) -> Any:
     """Ranges alone: what a call is known by."""
     if isinstance(value, Pointer):
         return (id(value.array), spans(value.index))
     if isinstance(value, dict | list):
         return tuple(map(spans, value.values() if isinstance(value, dict) else value))
-    return (used(value).low, value.high) if isinstance(value, Node) else value
+    if not isinstance(value, Node):
+        return value
+    return (value.low, value.high, value.lost) if value.lost else (value.low, value.high)
 
 
 def corners(a: Node, b: Node, of: Callable[[int, int], int]) -> list[int]:
@@ -155,10 +206,10 @@ def product(node: Node) -> tuple[Node, Node, Fraction, int]:
     return bare(inner.of[0]), bare(inner.of[1]), c, k
 
 
-def found(bound: Callable[..., Any], *nodes: Node) -> Any:
+def found(bound: Callable[..., Any], *made: Any) -> Any:
     """A bound of what is made so; else None."""
     try:
-        return bound(*nodes)
+        return bound(*made)
     except Other:
         return None
 
@@ -227,3 +278,24 @@ def bound_of_product(node: Node) -> int:
     most = (limit.high * bound / isqrt(times) + size * max(c2, Fraction(0))) / 2**b
     ends = [(end + c) // 2**k for end in (most, -most)]
     return int(max(ends[0], -ends[1]))
+
+
+def bounds_of_rest(sign: str, a: Node, b: Node) -> tuple[int, int]:
+    """Bounds of what a division leaves: x - q d, or of its whole part q d, where q is x / d.
+
+    In C a quotient is rounded towards zero, so that q d lies between 0 and x, and x - q d between
+    -(d - 1) and d - 1, with the sign of x.
+    """
+    a, b = bare(a), bare(b)
+    if sign == "*":
+        if a.op != "/" or bare(a.of[1]) is not b:
+            raise Other
+        x = a.of[0]
+        return min(x.low, 0), max(x.high, 0)
+    if sign != "-" or b.op != "*":
+        raise Other
+    whole = bare(b.of[0])
+    if whole.op != "/" or bare(whole.of[0]) is not a or bare(whole.of[1]) is not bare(b.of[1]):
+        raise Other
+    most = whole.of[1].high - 1
+    return max(-most, min(a.low, 0)), min(most, max(a.high, 0))
