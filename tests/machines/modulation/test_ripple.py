@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -19,6 +20,7 @@ from dqforge.machines.modulation.modulators import (
 )
 from dqforge.machines.modulation.registry import DISCONTINUOUS
 from dqforge.machines.modulation.ripple import (
+    _torque_span,
     flux_moments,
     harmonic_distortion_factor,
     ripple,
@@ -196,3 +198,19 @@ def test_pulses_are_centred() -> None:
     instants = switching_instants(np.array([0.5, 0.2, 0.0, 1.0, 1.3]), 1e-4)
     expected = [[0.25, 0.75], [0.4, 0.6], [0.5, 0.5], [0.0, 1.0], [0.0, 1.0]]
     np.testing.assert_allclose(instants, 1e-4 * np.array(expected), rtol=1e-14)
+
+
+def test_the_span_over_a_polygon_is_that_of_many_points_on_it() -> None:
+    """Parabolas have their vertex within a piece or beyond it, bent either way, or none."""
+    generator = np.random.default_rng(6)
+    corners = generator.normal(size=(200, 5, 2))
+    corners[:, 4] = -corners[:, 0]  # the mirror image goes on where the polygon ends
+    linear, quadratic = generator.normal(size=(200, 2)), generator.normal(size=(200, 2, 2))
+    quadratic[::10] = 0.0
+    share = np.linspace(0.0, 1.0, 2001)[:, None]
+    for row, (line, square) in enumerate(zip(linear, quadratic, strict=True)):
+        round_ = np.concatenate([corners[row], -corners[row]])
+        points = np.concatenate([a + share * (b - a) for a, b in itertools.pairwise(round_)])
+        torque = points @ line + np.einsum("ni,ij,nj->n", points, square, points)
+        found = _torque_span(line[None], square[None], corners[row : row + 1])[0]
+        assert found == pytest.approx(np.ptp(torque), rel=2e-6)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
-from random_current_loops import drives_inside, radii, random_boxes
+from random_current_loops import corner_drives, drives_inside, radii, random_boxes
 
+import dqforge.optimizer.certificates.current_loop_proof as confirmation
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.certificates.cell_queue import (
     BoxDrive,
@@ -73,6 +75,28 @@ def test_no_drive_is_lost_when_a_cell_shrinks(change: Change) -> None:
             still = np.all((points >= left.low - hair) & (points <= left.high + hair), axis=1)
             assert np.all(still | ~inside)
     assert emptied > 2
+
+
+@pytest.mark.parametrize("dead_time", [(-0.3, 0.2), (0.1, 0.4)])
+def test_a_confirmed_box_reaches_just_as_far_as_its_drives(
+    dead_time: tuple[float, float],
+) -> None:
+    own = BOXES[0]
+    box = replace(own, dead_time=(dead_time[0] * own.r_s[0], dead_time[1] * own.r_s[0]))
+    exact = confirmation._Box(
+        *(Fraction(x) for x in (box.t_s, box.omega_e)),
+        *(
+            tuple(map(Fraction, getattr(box, name)))  # type: ignore[arg-type]
+            for name in confirmation._PAIRS
+        ),
+    )
+    low, high = (
+        np.array(ends, dtype=np.float64)
+        for ends in (confirmation._root(exact).low, confirmation._root(exact).high)
+    )
+    points = parameters(box, corner_drives(box, 2))
+    np.testing.assert_allclose(points.min(axis=0), low, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(points.max(axis=0), high, rtol=1e-12)
 
 
 def test_a_drive_is_found_again_from_its_parameters() -> None:

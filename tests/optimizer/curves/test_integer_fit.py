@@ -20,10 +20,12 @@ from dqforge.optimizer.current_reference.fit import ReferenceFit, fit_reference
 from dqforge.optimizer.current_reference.forms import FixedReference
 from dqforge.optimizer.curves.fitting import SideConditions, fit_curve
 from dqforge.optimizer.curves.integer_polynomial import (
+    _BROKEN,
     CodeScale,
     FixedPolynomial,
     FixedSegment,
     _changes,
+    _Segment,
     _with_pairs,
     fit_fixed,
     overflows,
@@ -296,3 +298,24 @@ def test_what_fixed_point_cannot_hold_is_refused(
     settings = FitSettings(form=form, format="q15", full_scale=scales)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=message):
         fit_reference(CurrentChoice(machine, "mtpa", machine.i_max), settings)
+
+
+@pytest.mark.parametrize(
+    ("seams", "at_zero", "raised"),
+    [
+        ((None, None), False, 0.0),
+        ((7.4, 20.6), False, 0.0),  # either integer beside a seam
+        ((9.0, None), False, 2.0),
+        ((5.0, 24.5), False, 6.5),
+        ((None, 19.0), True, 8.0),
+    ],
+)
+def test_a_broken_seam_weighs_by_how_far_it_is_broken(
+    seams: tuple[float | None, float | None], at_zero: bool, raised: float
+) -> None:
+    """The segment is 7 + x on its codes 0 to 13; the wanted ones lie up to 3 beside it."""
+    local = np.array([0, 5, 9, 0, 13])
+    task = _Segment(100, 13, 16, [0], local, np.array([7.5, 15.0, 15.0]), seams, at_zero)
+    segment = FixedSegment(100, 1, (7,), (0,))
+    np.testing.assert_array_equal(segment.evaluate(local), 7 + local)
+    assert task.error(segment) == pytest.approx(3.0 + _BROKEN * raised)

@@ -85,8 +85,13 @@ def test_sinusoidal_currents_leave_the_ripple_of_the_back_emf() -> None:
     assert 100.0 * np.ptp(torque) == pytest.approx(4.0, abs=0.3)
 
 
-def test_flux_between_the_nodes_is_that_of_the_machine() -> None:
+@pytest.mark.parametrize("rows", [3, 1])
+def test_flux_between_the_nodes_is_that_of_the_machine(rows: int) -> None:
+    """One row serves phases that are a third of a turn apart."""
     control = integers(Z, "four-leg")
+    third = Z.flux[0].size // 3
+    np.testing.assert_allclose(Z.flux[1], np.roll(Z.flux[0], third), atol=1e-12)
+    control = replace(control, shape=control.shape[:rows])
     angle = np.arange(65536)
     flux = PhaseSteps(control).references.flux(Integers(), phase_gains(control).shape, angle)
     found = np.stack(flux) / 2**15 * control.bases[4]
