@@ -13,8 +13,10 @@ most. What none of them notices is printed. What changes no number stands in
     python tests/mutants.py 100 --seed a --since OLD.json
     python tests/mutants.py 40 --seed b --evidence
     python tests/mutants.py 40 --only "emitted code" proofs
+    python tests/mutants.py 100 --again
 
 ``--against`` plants the same changes in another checkout too, where their lines stand there once.
+``--again`` tries what the page lists as not noticed, and takes out what is noticed now or gone.
 ``--out`` goes on where an earlier run with the same file ended. ``--since`` asks first the case
 that noticed a change in an earlier run; ``--evidence`` adds the counts of a draw to those of
 `docs/project/evidence.md`.
@@ -64,7 +66,7 @@ BINARY = {"+": "-", "-": "+", "*": "/", "/": "*", "**": "*", "//": "*", "%": "*"
 COMPARISONS = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
 OF_C = {" + ": " - ", " - ": " + ", " * ": " / ", " < ": " >= ", " > ": " <= ", " <= ": " > "}
 # Of these the order of the arguments does not matter.
-SYMMETRIC = {"min", "max", "minimum", "maximum", "fmin", "fmax", "hypot", "gcd", "lcm"}
+SYMMETRIC = {"min", "max", "minimum", "maximum", "fmin", "fmax", "hypot", "gcd", "lcm", "union1d"}
 COLUMNS = (*sorted(KINDS), "all")
 EVIDENCE = house.ROOT / "docs/project/evidence.md"
 MARKS = "<!-- planted changes -->", "<!-- end of planted changes -->"
@@ -515,6 +517,21 @@ def tally(planted: list[Change], cases: dict[str, str]) -> dict[str, tuple[int, 
     return counts | {"all": (sum(map(bool, cases.values())), len(tried))}
 
 
+def listed(page: str, every: Iterable[Change]) -> dict[str, Change | None]:
+    """Lines of the page that name what was not noticed, with the change where it is still there."""
+    named = {f"* `{one.path}`: `{one.words}`: `{one.named}`": one for one in every}
+    lines = [line for line in page.splitlines() if line.startswith("* `") and " (seed `" in line]
+    return {line: named.get(line.rpartition(" (seed ")[0]) for line in lines}
+
+
+def take_out(cases: dict[str, str], before: dict[str, Change | None]) -> None:
+    """Take from the page what is noticed now, and what can no longer be planted."""
+    gone = {line for line, one in before.items() if one is None or cases.get(one.key)}
+    page = EVIDENCE.read_text(encoding="utf-8").splitlines(keepends=True)
+    kept = [line for line in page if line.rstrip("\n") not in gone]
+    EVIDENCE.write_text("".join(kept), encoding="utf-8")
+
+
 def share(count: int, whole: int) -> str:
     """A share with Wilson's interval."""
     from dqforge.optimizer.exploration.acceptance import wilson
@@ -592,6 +609,7 @@ def main() -> None:
     options.add_argument("--out", type=Path, help="keeps which case noticed which change")
     options.add_argument("--since", type=Path, help="what an earlier run kept")
     options.add_argument("--evidence", action="store_true", help="write the counts to the page")
+    options.add_argument("--again", action="store_true", help="what the page lists, anew")
     options.add_argument("--verbose", action="store_true", help="print what was noticed, too")
     asked = options.parse_args()
     gc.disable()
@@ -601,6 +619,10 @@ def main() -> None:
     found = drawn(drawable, 2 * asked.number, asked.seed)
     sides = {"here": house.ROOT}
     planted = {"here": found[: asked.number]}
+    before_now = listed(EVIDENCE.read_text(encoding="utf-8"), every) if asked.again else {}
+    if asked.again:
+        still = dict.fromkeys(one for one in before_now.values() if one is not None)
+        planted = {"here": [*still][: asked.number]}
     if asked.against:
         sides["there"] = asked.against.resolve()
         pairs = [(change, _there(change, sides["there"])) for change in found]
@@ -613,6 +635,8 @@ def main() -> None:
         if asked.evidence and title == "here":
             tried = [change for change in planted[title] if change.key in {*cases, *same}]
             write_evidence(tried, same, cases, asked.seed)
+        if asked.again:
+            take_out(cases | dict.fromkeys(same, "the same"), before_now)
         _say(f"{title}: {len(planted[title]) - len(counted)} more change no number")
 
 

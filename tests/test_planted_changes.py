@@ -108,3 +108,22 @@ def test_draws_are_summed_where_they_are_fresh() -> None:
         "| `b` | `s` | no | 0 of 0 | 0 of 0 | 0 of 0 | 1 of 1 | 1 of 1 | 1 |",
     ]
     assert "| 0 of 1, 0 % (0 to 79 %) | 1 |" in rows[4]
+
+
+def test_what_is_noticed_when_it_is_tried_again_is_taken_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    still, noticed, gone = (
+        mutants.Change("proofs", "a.py", 0, 1, "-", "+", line, f"a + {line}", 2)
+        for line in (1, 2, 3)
+    )
+    page = "".join(
+        f"* `{one.path}`: `{one.words}`: `{one.named}` (seed `s`)\n"
+        for one in (still, noticed, gone)
+    )
+    monkeypatch.setattr(mutants, "EVIDENCE", tmp_path / "page.md")
+    mutants.EVIDENCE.write_text(page, encoding="utf-8")
+    before = mutants.listed(page, [still, noticed])
+    assert list(before.values()) == [still, noticed, None]
+    mutants.take_out({still.key: "", noticed.key: "tests/x.py::y"}, before)
+    assert mutants.EVIDENCE.read_text(encoding="utf-8") == page.splitlines(keepends=True)[0]
