@@ -12,6 +12,7 @@ from random_current_loops import drives_inside, random_boxes
 from dqforge.optimizer.certificates.both_axes_sensitivity import (
     SensitivitySearch,
     _bounded_real,
+    _Known,
     _stable,
     bound_sensitivity,
     extended,
@@ -19,7 +20,10 @@ from dqforge.optimizer.certificates.both_axes_sensitivity import (
 )
 from dqforge.optimizer.certificates.cell_queue import (
     BoxDrive,
+    Cell,
     CurrentLoopBox,
+    Cut,
+    Open,
     find_certificate,
     loop_matrices,
     lyapunov_frame,
@@ -158,3 +162,16 @@ def test_ten_drives_are_bounded_within_a_tenth() -> None:
         assert confirm_sensitivity(certificate, plain_inputs(box), found.bound).proven
         bounded_ones += 1
     assert bounded_ones >= 10
+
+
+@pytest.mark.parametrize(("share", "verdict"), [(3e-6, Open), (3e-5, Cut)])
+def test_a_cell_without_a_bound_is_left_open_where_it_is_too_narrow(
+    share: float, verdict: type[object]
+) -> None:
+    """The share is of the box, whatever the units of its sides."""
+    box = random_boxes(1, 5, fast=False)[0]
+    known, root = _Known(box, Budget(1000)), root_cell(box)
+    known.asked = 0.2  # below what any loop has
+    half = 0.5 * share * root.width
+    found = known.verdict(Cell(root.middle - half, root.middle + half))
+    assert isinstance(found, verdict)
