@@ -164,7 +164,7 @@ def test_ten_drives_are_bounded_within_a_tenth() -> None:
     assert bounded_ones >= 10
 
 
-@pytest.mark.parametrize(("share", "verdict"), [(3e-6, Open), (3e-5, Cut)])
+@pytest.mark.parametrize(("share", "verdict"), [(9e-6, Open), (11e-6, Cut)])
 def test_a_cell_without_a_bound_is_left_open_where_it_is_too_narrow(
     share: float, verdict: type[object]
 ) -> None:
