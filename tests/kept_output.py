@@ -202,7 +202,8 @@ def cases() -> dict[str, Callable[[], Mapping[str, bytes | str]]]:
 def making(path: str, line: int = 0) -> list[str]:
     """Cases that render a template, or come to a function around the line, the quick ones first."""
     costs = drawn_cases.kept_costs()
-    letters = {in_short(name) for name in (kept_values.around(path, line) if line else ())}
+    names = kept_values.around(path, line) if path.endswith(".py") else []
+    letters = {in_short(name) for name in names}
 
     def makes(case: str) -> bool:
         kept = kept_of(case)
@@ -270,6 +271,9 @@ def update(wanted: Sequence[str]) -> None:
     """Keep what cases make now, and what their functions return with other kernels, too."""
     words = [sys.executable, __file__, "--other", *wanted]
     KEPT.mkdir(exist_ok=True)
+    for path in KEPT.iterdir():
+        if path.stem not in cases():
+            path.unlink()
     known = {case: k for k, case in enumerate(cases())}
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import callers
 import house
+import kept_output
 import mutants
 import pytest
 
@@ -127,3 +128,13 @@ def test_what_is_noticed_when_it_is_tried_again_is_taken_out(
     assert list(before.values()) == [still, noticed, None]
     mutants.take_out({still.key: "", noticed.key: "tests/x.py::y"}, before)
     assert mutants.EVIDENCE.read_text(encoding="utf-8") == page.splitlines(keepends=True)[0]
+
+
+@pytest.mark.parametrize("kind", mutants.KINDS)
+def test_kept_cases_are_asked_first_of_every_kind(kind: str) -> None:
+    names = [name for name in mutants.files(house.ROOT) if mutants.kind_of(name) == kind]
+    drawn = mutants.drawn(mutants.changes(house.ROOT, names), 4, "a")
+    asked = [mutants.order(change) for change in drawn]
+    kept = f"{kept_output.TEST}["
+    assert any(cases[0].startswith(kept) for cases in asked)
+    assert all(not case.startswith(kept) for cases in asked for case in cases[mutants.FIRST :][:1])
