@@ -558,7 +558,7 @@ class Claims:
 def plain(told: Any) -> str:
     """Ranges in words."""
     if isinstance(told, dict):
-        return "(" + ", ".join(f"{name} {plain(x)}" for name, x in told.items()) + ")"
+        return "(" + (", ".join(f"{n} {plain(x)}" for n, x in told.items()) or "its types") + ")"
     if isinstance(told, list) and isinstance(told[0], list):
         return "[" + ", ".join(map(plain, told)) + "]"
     return told if isinstance(told, str) else f"{told[0]} to {told[1]}"
