@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
@@ -83,13 +84,8 @@ def test_a_confirmed_box_reaches_just_as_far_as_its_drives(
 ) -> None:
     own = BOXES[0]
     box = replace(own, dead_time=(dead_time[0] * own.r_s[0], dead_time[1] * own.r_s[0]))
-    exact = confirmation._Box(
-        *(Fraction(x) for x in (box.t_s, box.omega_e)),
-        *(
-            tuple(map(Fraction, getattr(box, name)))  # type: ignore[arg-type]
-            for name in confirmation._PAIRS
-        ),
-    )
+    pairs: list[Any] = [tuple(map(Fraction, getattr(box, name))) for name in confirmation._PAIRS]
+    exact = confirmation._Box(Fraction(box.t_s), Fraction(box.omega_e), *pairs)
     low, high = (
         np.array(ends, dtype=np.float64)
         for ends in (confirmation._root(exact).low, confirmation._root(exact).high)

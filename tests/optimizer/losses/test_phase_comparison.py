@@ -13,6 +13,7 @@ from phase_shapes import paper_machine
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import AnyStrategy, LoadPoint, LossSettings
+from dqforge.machines.devices.inverter import SwitchDevice
 from dqforge.machines.losses.machine_budget import Mission, WindingHeat, read_mission
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
@@ -31,6 +32,10 @@ LIBRARY = catalogue.load("paper002-phase-waveforms")
 
 
 IGBT = catalogue.load("paper002-pmsm-nonsinusoidal").inverter
+
+
+# What the dead time costs where a channel carries the current both ways, and a diode meanwhile.
+CHANNELS = SwitchDevice("mosfet", 40e-3, 1e-3, 1e-3, 20.0, 300.0, 2.0, diode_voltage=1.2)
 
 
 POINTS = (LoadPoint(1.0, 78.5), LoadPoint(3.0, 150.0), LoadPoint(-2.0, 100.0))
@@ -90,11 +95,13 @@ def test_every_topology_has_its_rules_and_its_legs(
     and the document and the notes name each.
     """
     design = _design(topology)
+    design = replace(design, inverter=replace(design.inverter, device=CHANNELS))
     found = _solved(design)
     assert found.strategies == rules
     assert found.legs is not None
     assert len(found.modulations) == (3 if topology == "diode-neutral" else 1)
     bridge = found.budget.conduction + found.budget.switching + found.budget.dead_time
+    assert np.max(found.budget.dead_time) > 1e-3
     assert np.sum(found.legs.leg_loss, axis=-1) == pytest.approx(bridge)
     row = plain_losses(found)["rows"][0]  # type: ignore[index]
     assert set(row["legs_W"]) == set(found.legs.legs)
