@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -54,3 +55,14 @@ def test_excess_stays_within_its_reach(width: int, kp: float, ki_ts: float, furt
     same_way = (abs(kp) + abs(ki_ts)) / max(abs(kp + ki_ts), 1e-9)
     assert worst <= found * 1.0001
     assert found <= 1.02 * same_way * worst + 3
+
+
+@pytest.mark.parametrize(("share", "halvings"), [(0.3, 0), (0.9999, 0), (1.0001, 1), (3.9999, 2)])
+def test_the_link_is_halved_until_its_headroom_of_15_percent_fits(
+    share: float, halvings: int
+) -> None:
+    design = SimpleNamespace(
+        inverter=SimpleNamespace(v_dc=share * 100.0 / 1.15),
+        control=SimpleNamespace(bases=SimpleNamespace(voltage=100.0)),
+    )
+    assert scales._dc_scale(design) == halvings  # type: ignore[arg-type]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, judge
 from dqforge.optimizer.firmware.moteus_format import configuration, pwm_rate
-from dqforge.optimizer.firmware.targets.moteus import MOTEUS
+from dqforge.optimizer.firmware.targets.moteus import MOTEUS, _inductance_slope
 
 configure, profile, shortfalls = MOTEUS.configure, MOTEUS.profile, MOTEUS.shortfalls
 
@@ -192,3 +193,19 @@ def test_a_bandwidth_above_that_of_the_tool_is_remarked_upon_and_is_no_contradic
     held = configure(scooter())
     assert held.contradictions == ()
     assert any("above 1/30 of the control's 20000 Hz" in words for words in held.conventions)
+
+
+def test_the_slope_of_the_inductance_has_the_least_largest_error_up_to_i_max() -> None:
+    """psi_d = psi_pm + L i + c i^3: of c i^2 the line through zero that is as far off at -I as
+    between has the slope -2 (sqrt(2) - 1) c I.
+    """
+    size, bend, most = 1e-4, 2e-9, 40.0
+    machine: Any = SimpleNamespace(
+        psi_pm=0.01,
+        l_d=size,
+        known=lambda i_d, _: np.full(i_d.shape, fill_value=True),
+        flux=lambda i_d, i_q: (0.01 + size * i_d + bend * i_d**3, size * i_q),
+    )
+    drive: Any = SimpleNamespace(i_max=most)
+    slope = _inductance_slope(machine, drive)
+    assert slope == pytest.approx(-2.0 * (math.sqrt(2.0) - 1.0) * bend * most, rel=2e-3)
