@@ -229,7 +229,8 @@ def all_differences(case: str) -> list[str]:
     kept = kept_of(case)
     names, texts, record = recorded(case)
     found = [*differences(texts, kept["texts"])]
-    found += [f"{name} is rendered" for name in sorted(names.keys() - set(kept["made by"]))]
+    for name in sorted(names.keys() ^ set(kept["made by"])):
+        found.append(f"{name} is {'' if name in names else 'no longer '}rendered")
     return [*found, *kept_values.differences(record, kept["values"])]
 
 
@@ -271,10 +272,10 @@ def update(wanted: Sequence[str]) -> None:
     """Keep what cases make now, and what their functions return with other kernels, too."""
     words = [sys.executable, __file__, "--other", *wanted]
     KEPT.mkdir(exist_ok=True)
-    for path in KEPT.iterdir():
-        if path.stem not in cases():
-            path.unlink()
     known = {case: k for k, case in enumerate(cases())}
+    for path in KEPT.iterdir():
+        if path.stem not in known:
+            path.unlink()
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None
         for case, (names, texts, sums) in zip(wanted, _each(wanted, _kept), strict=True):
@@ -283,7 +284,7 @@ def update(wanted: Sequence[str]) -> None:
             earlier = [
                 kept_of(path.stem)["values"]
                 for path in sorted(KEPT.iterdir())
-                if known.get(path.stem, len(known)) < known[case]
+                if known[path.stem] < known[case]
             ]
             values = kept_values.kept_form(here, there, earlier)
             kept = {"made by": names, "texts": texts, "values": values}

@@ -111,6 +111,8 @@ class Record:
 
     def _left(self, code: CodeType) -> int:
         """Calls of a function that still count."""
+        if code in self._calls:
+            return self._calls[code]
         # Bodies of classes run where modules load, comprehensions within what is followed.
         own = code.co_flags & 1 and not code.co_name.startswith("<")
         path = code.co_filename
@@ -206,19 +208,21 @@ def _pairs(line: str) -> Iterator[tuple[str, str]]:
 @cache
 def functions(path: str) -> dict[str, str]:
     """The names of the functions of a file by their letters."""
+    return {in_short(code.co_qualname): code.co_qualname for code in _codes(path)}
+
+
+def _codes(path: str) -> list[CodeType]:
+    """The code of a file and of all functions in it, outer ones first."""
     codes = [compile((house.ROOT / path).read_text(encoding="utf-8"), path, "exec")]
     for code in codes:
         codes += [inner for inner in code.co_consts if isinstance(inner, CodeType)]
-    return {in_short(code.co_qualname): code.co_qualname for code in codes}
+    return codes
 
 
 def around(path: str, line: int) -> list[str]:
     """The functions around a line of a file, by their names."""
-    codes = [compile((house.ROOT / path).read_text(encoding="utf-8"), path, "exec")]
     found = []
-    for code in codes:
-        inside = [inner for inner in code.co_consts if isinstance(inner, CodeType)]
-        codes += inside
+    for code in _codes(path):
         lines = [code.co_firstlineno, *(one for *_, one in code.co_lines() if one)]
         if min(lines) <= line <= max(lines):
             found.append(code.co_qualname)
