@@ -229,8 +229,8 @@ def all_differences(case: str) -> list[str]:
     kept = kept_of(case)
     names, texts, record = recorded(case)
     found = [*differences(texts, kept["texts"])]
-    for name in sorted(names.keys() ^ set(kept["made by"])):
-        found.append(f"{name} is {'' if name in names else 'no longer '}rendered")
+    found += [f"{name} is rendered" for name in sorted(names.keys() - set(kept["made by"]))]
+    found += [f"{name} is not rendered" for name in sorted(set(kept["made by"]) - names.keys())]
     return [*found, *kept_values.differences(record, kept["values"])]
 
 
@@ -257,15 +257,17 @@ def _each(wanted: Iterable[str], work: Callable[[str], Any]) -> Iterator[Any]:
         yield json.loads(said)
 
 
-def _sums(case: str) -> list[list[Any]]:
-    _, _, record = recorded(case)
+def _rows(record: kept_values.Record) -> list[list[Any]]:
     return [[*key, total] for key, total in record.sums.items()]
+
+
+def _sums(case: str) -> list[list[Any]]:
+    return _rows(recorded(case)[2])
 
 
 def _kept(case: str) -> list[Any]:
     names, texts, record = recorded(case)
-    sums = [[*key, total] for key, total in record.sums.items()]
-    return [sorted(names), kept_form(texts), sums]
+    return [sorted(names), kept_form(texts), _rows(record)]
 
 
 def update(wanted: Sequence[str]) -> None:

@@ -30,10 +30,7 @@ from dqforge import cli
 # What commands find in their folder.
 FILES = {
     "study.yaml": faults.STUDY.encode(),
-    "bench.yaml": fuzz.BENCH,
-    "log.csv": fuzz.LOG,
     "cap.csv": fuzz.CAPTURE,
-    "map.csv": fuzz.MAP,
     "mission.csv": b"time [s],speed [rpm],torque [N m]\n0,0,10\n1,900,50\n2,2000,30\n3,2500,-20\n",
 }
 COMMANDS = {
@@ -74,11 +71,11 @@ MANY = 9
 TESTS = Path(__file__).with_name("kept_tests.txt")
 
 
-def _commanded(lines: str) -> None:
-    """Run command lines in a folder of their own.
+def _commanded(line: str) -> None:
+    """Run a command line in a folder of their own.
 
     Raises:
-        AssertionError: One is refused.
+        AssertionError: It is refused.
     """
     said = io.StringIO()
     with tempfile.TemporaryDirectory() as place, ExitStack() as stack:
@@ -87,10 +84,9 @@ def _commanded(lines: str) -> None:
         stack.enter_context(redirect_stderr(said))
         for name, content in FILES.items():
             Path(name).write_bytes(content)
-        for line in lines.split(";"):
-            with pytest.raises(SystemExit) as end:
-                cli.main(shlex.split(line))
-            assert not end.value.code, f"{line}: {said.getvalue()}"
+        with pytest.raises(SystemExit) as end:
+            cli.main(shlex.split(line))
+        assert not end.value.code, f"{line}: {said.getvalue()}"
 
 
 def _module(path: str) -> ModuleType:
