@@ -35,6 +35,7 @@ Parts = dict[str, FloatArray]
 
 
 _KELVIN = 273.15
+_MOST_TURN = 2.01 * math.pi  # Angles of a current beyond which a column without a unit is in deg.
 
 
 _GIVEN_BY = {"i": "current_unit", "psi": "flux_unit"}
@@ -83,6 +84,8 @@ def in_si(
     unit, scale = _unit(array, kind, given.get(kind, ""), source)
     if kind == "temperature" and unit.casefold() in ("k", "kelvin"):
         return plain - _KELVIN
+    if quantity == "beta" and not unit and np.nanmax(np.abs(plain), initial=0.0) > _MOST_TURN:
+        return np.radians(plain)
     return plain * scale
 
 

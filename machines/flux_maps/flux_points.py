@@ -51,12 +51,14 @@ class TurningPoints:
         name: What the angle is called in the file.
         kind: 'electrical' or 'mechanical', '' where the name does not say.
         angle: Angles in rad as the file has them, ascending in even steps, shape (A,).
+        stated: Whether the file says their unit.
         points: C pairs of currents with A angles each, arrays of shape (C A,).
     """
 
     name: str
     kind: Literal["", "electrical", "mechanical"]
     angle: FloatArray
+    stated: bool
     points: FluxPoints
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from dqforge.machines.dq_machines.flux_map import MOST_ORDERS, FluxMap, FluxRipp
 from dqforge.machines.dq_machines.map_deviations import LEAST_POINTS, axis_of
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.text_formats import NamedArray
-from dqforge.machines.flux_maps.coordinates import Parts
+from dqforge.machines.flux_maps.coordinates import Parts, unit_of
 from dqforge.machines.flux_maps.flux_points import SAME, FileTorque, FluxPoints, TurningPoints
 from dqforge.machines.flux_maps.map_names import per_pole_pair
 from dqforge.machines.records import dataclass
@@ -183,7 +184,9 @@ def turning_points(
             given.path, parts["torque"].ravel(), per_pole_pair(f"{given.name} {given.unit}")
         )
     points = FluxPoints(source, i_d, i_q, psi_d, psi_q, torque=torque)
-    return TurningPoints(array.name, _kind(f"{array.name} {array.unit}"), turning.angle, points)
+    kind = _kind(f"{array.name} {array.unit}")
+    stated = unit_of(array, "angle", source) != ""
+    return TurningPoints(array.name, kind, turning.angle, stated, points)
 
 
 def _kind(name: str) -> Literal["", "electrical", "mechanical"]:
@@ -240,7 +243,7 @@ def ripple_of(
     if points.torque is not None:
         torque = points.torque.values.reshape(-1, count)[place].reshape(shape)
         torque = torque if per_pole_pair else torque / pole_pairs
-    _check_turn(turning, pole_pairs)
+    turning, degrees = _within_turn(turning, pole_pairs)
     trials: list[tuple[str, _Waves, _Agreement | None]] = []
     for kind, factor in (("electrical", 1), ("mechanical", pole_pairs)):
         if turning.kind not in ("", kind) or (pole_pairs == 1 and trials):
@@ -281,7 +284,7 @@ def ripple_of(
         tuple(part[1] for part in maps),
         tuple(FluxMap(mirrored.i_d, mirrored.i_q, *part) for part in mirrored.turning),
     )
-    return ripple, (told, said, *about)
+    return ripple, (*degrees, told, said, *about)
 
 
 def _grid(points: FluxPoints, count: int) -> tuple[FloatArray, FloatArray, NDArray[np.intp]] | None:
@@ -305,11 +308,21 @@ def _grid(points: FluxPoints, count: int) -> tuple[FloatArray, FloatArray, NDArr
     return i_d, i_q, place.ravel()
 
 
-def _check_turn(turning: TurningPoints, pole_pairs: int) -> None:
-    """Refuse angles of more than a turn of the shaft: degrees that were read as radians."""
+def _within_turn(
+    turning: TurningPoints, pole_pairs: int
+) -> tuple[TurningPoints, tuple[str, ...]]:
+    """The points with angles of at most a turn of the shaft: an angle without a unit that would be
+    more in radians is in degrees, as a sentence says.
+    """
     span = float(turning.angle[-1] - turning.angle[0])
-    if span <= 2.0 * math.pi * (1 if turning.kind == "mechanical" else pole_pairs) * (1.0 + _NEAR):
-        return
+    most = 2.0 * math.pi * (1 if turning.kind == "mechanical" else pole_pairs) * (1.0 + _NEAR)
+    if span <= most:
+        return turning, ()
+    if not turning.stated and math.radians(span) <= most:
+        said = f"{turning.name} has no unit and was read in degrees: radians would be"
+        return replace(turning, angle=np.radians(turning.angle)), (
+            f"{said} {span / (2.0 * math.pi):.3g} turns",
+        )
     raise InputError(
         f"the rotor angles ({turning.name}) span {math.degrees(span):.4g} deg, more than a turn of "
         "the shaft; name their unit, as in theta_el [deg]",

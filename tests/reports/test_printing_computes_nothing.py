@@ -67,6 +67,7 @@ MODELS = {
     "steps.integer_reader": "steps in integers on numbers that know their text and range",
     "steps.integer_text": "the observers in integers on numbers that know their text and range",
     "start_up.tried": "the state machine of a start in single precision",
+    "verification.range_claims": "ranges of the integers, by their gains and largest codes",
     "waveforms.float32_model": "phase currents in single precision",
 }
 

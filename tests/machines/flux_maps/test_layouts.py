@@ -392,7 +392,7 @@ AMPLITUDES, BETA = np.linspace(0.0, 120.0, 7), np.radians(np.linspace(0.0, 90.0,
 
 
 @pytest.mark.parametrize("arrange", ["table", "axes"])
-@pytest.mark.parametrize("unit", ["deg", "rad"])
+@pytest.mark.parametrize("unit", ["deg", "rad", ""], ids=lambda unit: unit or "deg without a unit")
 @pytest.mark.parametrize(
     ("begin", "sign", "phrase"),
     [
@@ -407,16 +407,16 @@ def test_amplitude_and_angle(
     size, angle = np.meshgrid(AMPLITUDES, BETA, indexing="ij")
     psi_d, psi_q = MACHINE.flux(-size * np.sin(angle), size * np.cos(angle))
     given = sign * angle + math.radians(begin)
-    shown, axis = (np.degrees(given), np.degrees(given[0])) if unit == "deg" else (given, given[0])
+    shown, axis = (given, given[0]) if unit == "rad" else (np.degrees(given), np.degrees(given[0]))
     if arrange == "table":
         rows: Cells = [
-            ["Is [A]", f"beta [{unit}]", "psi_d [Wb]", "psi_q [Wb]"],
+            ["Is [A]", f"beta [{unit}]" if unit else "beta", "psi_d [Wb]", "psi_q [Wb]"],
             *columns_of(size, shown, psi_d, psi_q),
         ]
         content, source = text_of(rows, ";"), "map.csv"
     else:
         content, source = (
-            mat({"Is": AMPLITUDES, f"beta_{unit}": axis, "psi_d": psi_d, "psi_q": psi_q}),
+            mat({"Is": AMPLITUDES, f"beta_{unit}".rstrip("_"): axis, "psi_d": psi_d, "psi_q": psi_q}),
             "map.mat",
         )
     points = read_flux_points(content, source)

@@ -164,13 +164,23 @@ def test_without_an_angle_a_map_has_no_ripple() -> None:
     assert reading.flux_map.ripple is None
 
 
-@pytest.mark.parametrize("name", ["theta", "theta_el", "theta_mech", "rotor angle"])
+@pytest.mark.parametrize("name", ["theta", "theta_el", "rotor angle"])
 @pytest.mark.parametrize("last", [60.0, 180.0, 360.0])
-def test_degrees_without_a_unit_are_refused_with_what_to_write(name: str, last: float) -> None:
-    """An angle without a unit is in rad: its degrees would be many turns of the shaft."""
-    titles = (*TITLES[:2], name, *TITLES[3:])
+def test_degrees_without_a_unit_are_read_and_told(name: str, last: float) -> None:
+    """As radians they would be many turns of the shaft."""
+    content = text(rows(np.arange(0.0, last, 5.0)), (*TITLES[:2], name, *TITLES[3:]))
+    reading = built(content)
+    is_the_machine(reading)
+    assert any(f"{name} has no unit and was read in degrees" in one for one in reading.findings)
+
+
+@pytest.mark.parametrize(
+    ("name", "last"), [("theta [rad]", 60.0), ("theta_mech", 3600.0), ("theta [deg]", 3600.0)]
+)
+def test_angles_of_more_than_a_turn_are_refused_with_what_to_write(name: str, last: float) -> None:
+    content = text(rows(np.arange(0.0, last, 5.0)), (*TITLES[:2], name, *TITLES[3:]))
     with pytest.raises(InputError, match=r"more than a turn of the shaft; name their unit") as told:
-        built(text(rows(np.arange(0.0, last, 5.0)), titles))
+        built(content)
     assert "\n" not in str(told.value)
 
 
