@@ -308,9 +308,7 @@ def _grid(points: FluxPoints, count: int) -> tuple[FloatArray, FloatArray, NDArr
     return i_d, i_q, place.ravel()
 
 
-def _within_turn(
-    turning: TurningPoints, pole_pairs: int
-) -> tuple[TurningPoints, tuple[str, ...]]:
+def _within_turn(turning: TurningPoints, pole_pairs: int) -> tuple[TurningPoints, tuple[str, ...]]:
     """The points with angles of at most a turn of the shaft: an angle without a unit that would be
     more in radians is in degrees, as a sentence says.
     """

@@ -416,7 +416,9 @@ def test_amplitude_and_angle(
         content, source = text_of(rows, ";"), "map.csv"
     else:
         content, source = (
-            mat({"Is": AMPLITUDES, f"beta_{unit}".rstrip("_"): axis, "psi_d": psi_d, "psi_q": psi_q}),
+            mat(
+                {"Is": AMPLITUDES, f"beta_{unit}".rstrip("_"): axis, "psi_d": psi_d, "psi_q": psi_q}
+            ),
             "map.mat",
         )
     points = read_flux_points(content, source)
