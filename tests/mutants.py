@@ -13,6 +13,7 @@ most. What none of them notices is printed. What changes no number stands in
     python tests/mutants.py 100 --seed a --since OLD.json
     python tests/mutants.py 40 --seed b --evidence
     python tests/mutants.py 40 --only "emitted code" proofs
+    python tests/mutants.py 20 --beneath optimizer/losses machines/back_emf
     python tests/mutants.py 100 --again
 
 ``--against`` plants the same changes in another checkout too, where their lines stand there once.
@@ -602,6 +603,7 @@ def main() -> None:
     options.add_argument("number", type=int)
     options.add_argument("--seed", default=drawn_cases.seed())
     options.add_argument("--only", nargs="+", choices=sorted(KINDS), help="kinds that are drawn")
+    options.add_argument("--beneath", nargs="+", default=[""], help="files or folders, alone")
     options.add_argument("--seconds", type=int, default=20, help="processor time per change")
     options.add_argument("--processes", type=int, default=2, help="at once")
     options.add_argument("--within", type=float, default=math.inf, help="no new one after so long")
@@ -615,7 +617,11 @@ def main() -> None:
     gc.disable()
     every = changes(house.ROOT, files(house.ROOT))
     same = equivalent(every, tomllib.loads(EQUIVALENT.read_text(encoding="utf-8"))["change"])
-    drawable = [change for change in every if change.kind in (asked.only or KINDS)]
+    drawable = [
+        change
+        for change in every
+        if change.kind in (asked.only or KINDS) and change.path.startswith(tuple(asked.beneath))
+    ]
     found = drawn(drawable, 2 * asked.number, asked.seed)
     sides = {"here": house.ROOT}
     planted = {"here": found[: asked.number]}
