@@ -112,7 +112,7 @@ def test_a_first_sample_and_one_without_a_covariance_begin_with_that_of_the_star
     state, v = drawn(0.3)
     i = seen(state, v, 0.1)
     words = list(state.words)
-    words[2 + 7] = -words[2 + 7]  # variance of the speed
+    words[2 + 7] = np.full(COUNT, -(2**52))  # variance of the speed
     broken = replace(state, words=tuple(words))
     begun = METHOD.step(Integers(), fixed(), broken, v, i)
     for found, start in (
