@@ -13,6 +13,7 @@ from random_current_loops import corner_drives, drives_inside, radii, random_box
 
 import dqforge.optimizer.certificates.current_loop_proof as confirmation
 from dqforge.machines.arrays import FloatArray
+from dqforge.optimizer.certificates.both_axes_sensitivity import extended
 from dqforge.optimizer.certificates.cell_queue import (
     BoxDrive,
     Cell,
@@ -143,3 +144,77 @@ def test_the_remainder_bounds_interpolation_and_is_nearly_reached(negative: bool
                 largest[place] = max(largest[place], sizes.max() / bound)
     assert largest[0] > 0.9
     assert largest[1] > 0.5
+
+
+def exact(box: CurrentLoopBox) -> confirmation._Box:
+    return confirmation._read(confirmation.plain_inputs(box))
+
+
+def in_doubles(matrix: Any) -> FloatArray:
+    return np.array([[float(entry.mid()) for entry in row] for row in matrix.tolist()])
+
+
+@pytest.mark.parametrize("change", [lambda box: box, with_dead_time])
+def test_the_checkers_loop_is_the_finders(change: Change) -> None:
+    """Both are written apart; that of a disturbance adds the voltages, and what they become."""
+    generator = np.random.default_rng(5)
+    for box in map(change, BOXES):
+        root = root_cell(box)
+        point = generator.uniform(root.low, root.high)
+        ball = confirmation._loop(exact(box), [Fraction(value) for value in point])
+        loop = loop_matrices(box, point[None])
+        np.testing.assert_allclose(in_doubles(ball), loop[0], rtol=1e-12, atol=1e-13)
+        assert max(float(entry.rad()) for entry in ball.entries()) < 1e-12
+        disturbed = in_doubles(confirmation._disturbed(ball))
+        np.testing.assert_allclose(disturbed, extended(loop)[0], rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("change", [lambda box: box, with_dead_time])
+def test_the_checker_shrinks_cells_as_the_finder_does(change: Change) -> None:
+    generator = np.random.default_rng(6)
+    met = [0, 0]
+    for box in map(change, BOXES):
+        root = root_cell(box)
+        for _ in range(8):
+            middle = generator.uniform(root.low, root.high)
+            half = 0.5 * generator.uniform(0.02, 0.5) * root.width
+            cell = Cell(np.maximum(root.low, middle - half), np.minimum(root.high, middle + half))
+            rational = confirmation._Cell(
+                tuple(map(Fraction, cell.low)), tuple(map(Fraction, cell.high))
+            )
+            found, own = confirmation._shrunk(exact(box), rational), shrunk(box, cell)
+            assert (found is None) == (own is None)
+            met[found is None] += 1
+            if found is not None and own is not None:
+                for ends, others in ((found.low, own.low), (found.high, own.high)):
+                    both = np.array(ends, dtype=np.float64), others
+                    np.testing.assert_allclose(*both, rtol=1e-9, atol=1e-9 * root.width[2])
+    assert min(met) > 3
+
+
+@pytest.mark.parametrize("change", [lambda box: box, with_dead_time])
+def test_what_is_still_open_holds_the_drives_of_its_cells_and_little_else(change: Change) -> None:
+    """Drives by chance and at the ends whose parameters lie in one of two cells."""
+    generator, tightest = np.random.default_rng(7), np.zeros(5)
+    for box in map(change, BOXES[:4]):
+        drives = drives_inside(box, generator, 40_000)
+        drives[:, 4] = np.abs(drives[:, 4])
+        root, g = root_cell(box), drives[:, 3]
+        points = np.column_stack(
+            [
+                g * box.decoupling[0] / drives[:, 1],
+                g * box.decoupling[1] / drives[:, 2],
+                drives[:, 0] / g,
+                drives[:, 4] * box.t_s,
+            ]
+        )
+        low = root.low + np.array([[0.1, 0.2, 0.1, 0.3], [0.3, 0.3, 0.2, 0.1]]) * root.width
+        cells = [Cell(one, one + 0.45 * root.width) for one in low]
+        inside = [np.all((points >= c.low) & (points <= c.high), axis=1) for c in cells]
+        there = drives[np.logical_or(*inside)]
+        found = confirmation._ranges(box, cells)
+        ends = np.array([found.r_s, found.l_d, found.l_q, found.gain, found.omega_e])
+        assert np.all(there >= ends[:, 0] * (1.0 - 1e-12) - 1e-12)
+        assert np.all(there <= ends[:, 1] * (1.0 + 1e-12) + 1e-12)
+        tightest = np.maximum(tightest, np.ptp(there, axis=0) / np.ptp(ends, axis=1))
+    assert np.min(tightest) > 0.9
