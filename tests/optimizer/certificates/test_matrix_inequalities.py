@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 
 from dqforge.optimizer.certificates.cell_queue import (
     Remainder,
@@ -12,6 +13,8 @@ from dqforge.optimizer.certificates.cell_queue import (
     lyapunov_frame,
 )
 from dqforge.optimizer.certificates.matrix_inequalities import (
+    Blocks,
+    Budget,
     Inequality,
     Term,
     _best_length,
@@ -19,6 +22,7 @@ from dqforge.optimizer.certificates.matrix_inequalities import (
     _triangle,
     _vector,
     chained_matrices,
+    climb,
     solve_inequalities,
 )
 
@@ -153,3 +157,51 @@ def test_a_scalar_beside_the_matrices_is_the_largest_or_the_least() -> None:
         assert least is not None
         assert most.scalar == pytest.approx(low / slope, rel=1e-5)
         assert least.scalar == pytest.approx(high / slope, rel=1e-5)
+
+
+def spectral_blocks(seed: int) -> tuple[Blocks, float]:
+    """A - y B - t 1 >= 0 with B of trace zero, and the largest t, by a search over y."""
+    rng = np.random.default_rng(seed)
+    a, b = (part + part.T for part in rng.standard_normal((2, 4, 4)))
+    b -= np.trace(b) / 4.0 * np.eye(4)
+    slopes = np.stack([-b, -np.eye(4)])[None]
+
+    def least(y: float) -> float:
+        return float(np.linalg.eigvalsh(a - y * b)[0])
+
+    best = minimize_scalar(lambda y: -least(y), bracket=(-1.0, 1.0), options={"xtol": 1e-13})
+    return Blocks(a[None], slopes), least(float(best.x))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_climb_ends_within_a_hundred_thousandth_of_the_largest_scalar(seed: int) -> None:
+    """Not nearer than its growth of the weight makes it: order over weight is what is left."""
+    blocks, most = spectral_blocks(seed)
+    start = np.array([0.0, float(np.linalg.eigvalsh(blocks.constant[0])[0]) - 1.0])
+    asked: list[float] = []
+
+    def never(unknowns: np.ndarray) -> bool:
+        asked.append(float(unknowns[-1]))
+        return False
+
+    found = climb(blocks, start, never)
+    assert found is not None
+    assert 0.1e-5 < (most - found[-1]) / abs(most) < 1.1e-5
+    assert len(asked) < 40
+    assert climb(blocks, start, never, hopeless=most + 1e-3 * abs(most)) is None
+    assert climb(blocks, start, never, hopeless=most - 1e-3 * abs(most)) is not None
+    budget = Budget(5)
+    assert climb(blocks, start, never, budget=budget) is None
+    assert budget.left == 0
+    middle = 0.5 * (start[-1] + most)
+    taken = climb(blocks, start, lambda unknowns: bool(unknowns[-1] > middle))
+    assert taken is not None
+    assert taken[-1] == next(value for value in asked if value > middle)
+
+
+def test_a_climb_to_zero_ends_by_its_weight() -> None:
+    """A share of nothing is never reached: order over the heaviest weight is what is left."""
+    blocks = Blocks(np.diag([0.0, 1.0])[None], -np.eye(2)[None, None])
+    found = climb(blocks, np.array([-1.0]), lambda _: False)
+    assert found is not None
+    assert 1e-12 < -found[-1] < 2e-11
