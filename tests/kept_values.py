@@ -82,9 +82,22 @@ def _of_one(thing: object) -> tuple[float, ...]:
             found = _of_array(np.array(thing))
         case np.ndarray() if thing.dtype.kind in "biufc":
             found = _of_array(thing)
+        case _ if type(thing).__module__.startswith("flint"):
+            found = tuple(_of_exact(thing))
         case str() if thing.isidentifier():
             found = (float(zlib.crc32(thing.encode()) % 997),)
     return found
+
+
+def _of_exact(thing: Any) -> Iterator[float]:
+    """Numbers for a rational number, a ball with its radius, or a matrix of them."""
+    if hasattr(thing, "entries"):
+        for entry in thing.entries():
+            yield from _of_exact(entry)
+    elif hasattr(thing, "rad"):
+        yield from (_by_logarithm(float(part)) for part in (thing.mid(), thing.rad()))
+    elif hasattr(thing, "denom"):
+        yield _by_logarithm(Fraction(int(thing.numer()), int(thing.denom())))
 
 
 def _within(frame: FrameType) -> Iterator[float]:
