@@ -112,6 +112,11 @@ class Change:
         """The change by the words of its line, wherever that stands in the file."""
         return f"{self.path}: {self.words}: {self.place}: {self.named}"
 
+    @property
+    def listed(self) -> str:
+        """The change as the page lists what is not noticed."""
+        return f"* `{self.path}`: `{self.words}`: `{self.named}`"
+
     def planted(self, source: str) -> str:
         """The file with the change in it."""
         return source[: self.start] + self.text + source[self.end :]
@@ -520,7 +525,7 @@ def tally(planted: list[Change], cases: dict[str, str]) -> dict[str, tuple[int, 
 
 def listed(page: str, every: Iterable[Change]) -> dict[str, Change | None]:
     """Lines of the page that name what was not noticed, with the change where it is still there."""
-    named = {f"* `{one.path}`: `{one.words}`: `{one.named}`": one for one in every}
+    named = {one.listed: one for one in every}
     lines = [line for line in page.splitlines() if line.startswith("* `") and " (seed `" in line]
     return {line: named.get(line.rpartition(" (seed ")[0]) for line in lines}
 
@@ -575,11 +580,7 @@ def lines_of_evidence(
     kept = [
         line for line in page.splitlines() if line.startswith("* `") and not line.endswith(ends)
     ]
-    kept += [
-        f"* `{one.path}`: `{one.words}`: `{one.named}`{ends}"
-        for one in planted
-        if not cases.get(one.key, "tried")
-    ]
+    kept += [f"{one.listed}{ends}" for one in planted if not cases.get(one.key, "tried")]
     survivors = ["", "What no default test noticed, when it was last tried:", "", *kept]
     return "\n".join(lines + (survivors if kept else []))
 
