@@ -25,7 +25,9 @@ from dqforge.optimizer.fixed_reference.fit import (
     weakened_errors,
     weakened_targets,
 )
+from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.operating_points.solve import current_choice
+from dqforge.optimizer.steps.integer_arithmetic import Integers
 
 
 @pytest.mark.slow
@@ -145,3 +147,58 @@ def test_a_way_is_divided_evenly_where_it_goes_on_and_nodes_stay_apart_where_it_
     straight = np.diff(nodes[nodes >= 2.0])
     np.testing.assert_allclose(straight, 2.0 / 12.0 * 1.001 / 1.0005, rtol=1e-9)
     np.testing.assert_allclose(fit._even(0.0 * at, at, 4), [0.0, 1.0, 2.0, 3.0, 4.0], atol=1e-12)
+
+
+def test_squared_voltages_are_those_of_the_nodes_rounded_upwards() -> None:
+    """At the last node of each row and speeds of both signs, per unit, within the codes that flux,
+    speed and drop are rounded by.
+    """
+    design, region = weakened_design("small ipm"), domain("small ipm").flux
+    nodes = mesh_nodes(region, row_ways(region, region.torque_max), (8, 4))
+    for width in (16, 32):
+        mesh = in_integers(design, nodes, width, dc_link(design, width))
+        assert mesh.voltage is not None
+        bases, machine, one = design.control.bases, design.machine, 2 ** (width - 1)
+        row, along = (
+            part.ravel()
+            for part in np.meshgrid(
+                np.arange(9), np.rint(np.linspace(-0.9, 0.9, 7) * one).astype(int)
+            )
+        )
+        square = -(-(along**2) // one)
+        found = (
+            mesh.reference_end(Integers(), row, square, along) / one**2 * 2.0**mesh.voltage.shift
+        )
+        place = row * mesh.columns + mesh.columns - 1
+        i_d, i_q = (np.array(part)[place] * bases.current / one for part in (mesh.d, mesh.q))
+        omega_m, torque = along * bases.speed / one, np.array(mesh.torque)[row] * bases.torque / one
+        psi = np.hypot(*machine.flux(i_d, i_q))
+        parts = (
+            (machine.pole_pairs * omega_m * psi) ** 2,
+            (machine.r_s * np.hypot(i_d, i_q)) ** 2,
+            2.0 * machine.r_s * omega_m * torque / 1.5,
+        )
+        away = found - sum(parts) / bases.voltage**2
+        code = 2.0**mesh.voltage.shift / one
+        assert np.min(away) > -0.1 * code
+        assert np.max(away) < 3.0 * code
+
+
+def test_squared_voltages_are_shifted_as_little_as_their_sums_permit() -> None:
+    """Twice the induced one, four times the heat and twice the drop stay below full scale."""
+    for parts in ((0.3, 0.01, 0.02), (0.5, 0.2, 0.1), (0.51, 0.0, 0.0), (3.0, 0.6, 40.0)):
+        shift = fit._shift(*parts)
+        most = max(2.0 * parts[0], 4.0 * parts[1], 2.0 * parts[2])
+        assert most <= 2.0**shift
+        assert shift == 0 or most > 2.0 ** (shift - 1)
+    assert fit._shift(0.0, 0.26, 0.0) == 1
+    assert fit._shift(0.0, 0.0, 2.0**19) == 20
+    with pytest.raises(NoSolutionError, match="more than a thousand times"):
+        fit._shift(0.0, 0.0, 1.01 * 2.0**19)
+
+
+def test_a_drop_that_is_too_small_to_count_is_none_and_one_too_large_is_refused() -> None:
+    assert fit._drop_gain(0.7, 16).realised == pytest.approx(0.7, rel=1e-4)
+    assert fit._drop_gain(1e-12, 16) == FixedGain(0, 0, 1e-12)
+    with pytest.raises(NoSolutionError):
+        fit._drop_gain(1e9, 16)
