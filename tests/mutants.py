@@ -171,7 +171,8 @@ def _of_node(node: ast.AST, where: Span, source: str) -> Iterator[tuple[int, int
         ):
             yield _operator(source, where(left)[1], where(right)[0], COMPARISONS)
         case ast.UnaryOp(op=ast.USub(), operand=operand):
-            yield where(node)[0], where(operand)[0], ""
+            first, last = where(node)[0], where(operand)[0]
+            yield first, last, source[first + 1 : last]  # brackets stay
         case ast.Constant(value=float() as value):
             yield *where(node), repr(1.25 * value if value else 1.0)
         case ast.Call(args=[first, second]) if not (
