@@ -94,3 +94,18 @@ def test_the_torque_of_a_magnet_is_just_held() -> None:
     low, high = box_of(Tolerances(psi_pm=0.1)).torque
     assert 0.9 - 1e-11 < low < 0.9
     assert 1.1 < high < 1.1 + 1e-11
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_drive_is_named_by_deviations_that_have_its_parameters(seed: int) -> None:
+    """Dead time in the middle of its range; gain and inductance within theirs."""
+    for b, c, j, _ in NARROW.samples(20, np.random.default_rng(seed)):
+        named = {
+            name: 1.0 + value for name, value in NARROW.named(np.array([b, c, j, 0.01])).items()
+        }
+        g, inductance = named["v_dc"], named["l_q"]
+        assert g / inductance == pytest.approx(b)
+        assert named["r_s"] / inductance == pytest.approx(c)  # -0.1 to 0.1 are about nothing
+        assert named["torque over inertia"] == pytest.approx(j)
+        assert 0.8 - 1e-9 <= g <= 1.2 + 1e-9
+        assert 0.7 - 1e-9 <= inductance <= 1.3 + 1e-9

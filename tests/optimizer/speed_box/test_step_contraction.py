@@ -42,3 +42,12 @@ def test_no_step_within_the_errors_grows_where_it_is_claimed() -> None:
                 other[:2, :3] += sign * errors
                 assert np.linalg.eigvalsh(before - other.T @ after @ other).min() > 0.0
     assert 5 < claimed < 60
+
+
+@pytest.mark.parametrize(("away", "whole"), [(-2e-5, True), (-5e-6, False), (5e-6, False)])
+def test_a_claim_keeps_a_reserve_for_rounding(away: float, whole: bool) -> None:
+    """(0.7 + e)^2 - 0.49 over what the step falls by, against one."""
+    one, gain = np.ones((1, 1)), 0.7
+    error = np.sqrt(gain**2 + (1.0 - gain**2) * (1.0 + away)) - gain
+    found = step_contracts(one, one, gain * np.ones((1, 1, 1)), error * one)
+    assert found.whole == whole
