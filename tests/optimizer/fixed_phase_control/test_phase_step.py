@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 from types import SimpleNamespace
@@ -28,7 +29,7 @@ from dqforge.optimizer.fixed_phase_control.integers import (
     phase_gains,
 )
 from dqforge.optimizer.fixed_phase_control.leg_steps import LegSteps
-from dqforge.optimizer.fixed_phase_control.phase_step import HarmonicSteps, PhaseSteps
+from dqforge.optimizer.fixed_phase_control.phase_step import FrameSteps, HarmonicSteps, PhaseSteps
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 from dqforge.optimizer.steps.code_vectors import Abc, Dq, Rotation
 from dqforge.optimizer.steps.integer_arithmetic import Integers, Range, Ranges
@@ -231,3 +232,38 @@ def test_gain_that_no_word_holds_is_named() -> None:
     large = replace(control, inductances=(8e-3, 8e-3, 5e3))
     with pytest.raises(NoSolutionError, match="L / t_s of 0"):
         fit_phase_control(design(), large)
+
+
+@pytest.mark.parametrize("frame", ["dqx", "dqy"])
+def test_errors_on_the_axes_of_a_frame_make_the_voltage_again(frame: CurrentFrame) -> None:
+    """Axes are as long as the flux and at right angles, where the zero sequence counts twice: the
+    sum of <b, v> b / |f|^2 is v. In dqx there is no zero sequence, and a plane's length.
+    """
+    control, generator, code = integers(P, "four-leg", frame=frame), np.random.default_rng(6), 2**15
+    steps, count = FrameSteps(control), 400
+    size, angle = generator.uniform(0.4, 0.6, count), generator.uniform(-np.pi, np.pi, count)
+    f = np.stack(
+        [size * np.cos(angle), size * np.sin(angle), generator.uniform(-0.25, 0.25, count)]
+    )
+    flux, wanted = (
+        np.rint(x * code).astype(int) for x in (f, generator.uniform(-0.2, 0.2, f.shape))
+    )
+    axes = np.array(
+        [[np.broadcast_to(x, count) for x in one] for one in steps.frame(Integers(), Vector(*flux))]
+    )
+    weight = np.array([1.0, 1.0, 2.0 if frame == "dqy" else 0.0])
+    inner = np.einsum("ikn,jkn,k->ijn", axes, axes, weight) / code**2
+    length = np.einsum("kn,k->n", (flux / code) ** 2, weight)
+    count_of = 3 if frame == "dqy" else 2
+    for i, j in itertools.product(range(count_of), repeat=2):
+        assert np.max(np.abs(inner[i, j] - (i == j) * length)) < 3e-4
+    assert np.all(axes[1, :2] == flux[:2])
+    held = steps.frame_errors(Integers(), Vector(*flux), Vector(*wanted))
+    exact = np.einsum("kn,kn,k->n", flux, wanted, weight) / code
+    assert np.max(np.abs(held[1] - exact)) < 2.0
+    made = np.array(
+        [np.broadcast_to(x, count) for x in steps.frame_voltage(Integers(), Vector(*flux), held)]
+    )
+    if frame == "dqx":
+        wanted[2] = 0
+    assert np.max(np.abs(made - wanted)) < 8.0
