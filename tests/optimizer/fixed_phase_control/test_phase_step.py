@@ -241,7 +241,7 @@ def test_errors_on_the_axes_of_a_frame_make_the_voltage_again(frame: CurrentFram
     """
     control, generator, code = integers(P, "four-leg", frame=frame), np.random.default_rng(6), 2**15
     steps, count = FrameSteps(control), 400
-    size, angle = generator.uniform(0.4, 0.6, count), generator.uniform(-np.pi, np.pi, count)
+    size, angle = generator.uniform(0.45, 0.65, count), generator.uniform(-np.pi, np.pi, count)
     f = np.stack(
         [size * np.cos(angle), size * np.sin(angle), generator.uniform(-0.25, 0.25, count)]
     )
