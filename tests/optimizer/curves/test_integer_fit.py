@@ -25,13 +25,17 @@ from dqforge.optimizer.curves.integer_polynomial import (
     FixedPolynomial,
     FixedSegment,
     _changes,
+    _rounded,
+    _safe_scales,
     _Segment,
     _with_pairs,
     fit_fixed,
+    in_code_segments,
     overflows,
 )
 from dqforge.optimizer.curves.single_precision import PiecewisePolynomial
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
+from dqforge.optimizer.steps.integer_arithmetic import Integers
 
 SCALES = (215.0, 283.0)
 
@@ -319,3 +323,58 @@ def test_a_broken_seam_weighs_by_how_far_it_is_broken(
     segment = FixedSegment(100, 1, (7,), (0,))
     np.testing.assert_array_equal(segment.evaluate(local), 7 + local)
     assert task.error(segment) == pytest.approx(3.0 + _BROKEN * raised)
+
+
+def test_results_beyond_full_scale_are_held_at_either_end() -> None:
+    """Two segments, each beyond an end, beside a polynomial that holds."""
+    steep = FixedPolynomial(
+        (FixedSegment(0, 3, (-40_000,), (0,)), FixedSegment(20_000, -7, (30_000,), (0,))),
+        16,
+        32_000,
+    )
+    flat = FixedPolynomial(
+        (FixedSegment(0, 1, (-9,), (0,)), FixedSegment(20_000, -1, (30_000,), (0,))), 16, 32_000
+    )
+    assert steep.saturates()
+    assert not flat.saturates()
+    x = np.arange(32_001)
+    for made, slopes, starts in (
+        (steep, (3, -7), (-40_000, 30_000)),
+        (flat, (1, -1), (-9, 30_000)),
+    ):
+        line = np.where(x < 20_000, starts[0] + slopes[0] * x, starts[1] + slopes[1] * (x - 20_000))
+        np.testing.assert_array_equal(made.evaluate(x), np.clip(line, -32_767, 32_767))
+    both = in_code_segments(Integers(), {"a": steep, "b": flat}, x)
+    np.testing.assert_array_equal(both[0], steep.evaluate(x))
+    np.testing.assert_array_equal(both[1], flat.evaluate(x))
+
+
+@pytest.mark.parametrize("width", [16, 32])
+def test_scales_are_as_large_as_words_and_products_permit(width: int) -> None:
+    """No scale overflows, and no scale could be two larger: one more, and a quarter less room."""
+    rng = np.random.default_rng(width)
+    for degree in (1, 2, 4):
+        length = int(rng.integers(300, 2**15))
+        row = (
+            rng.normal(size=degree + 1)
+            * 0.3
+            * 2.0 ** (width - 1)
+            / float(length) ** np.arange(degree + 1)
+        )
+        scales = _safe_scales(row, length, width)
+        assert not overflows(_rounded(row, scales, 0), length, width)
+        assert scales == sorted(scales)
+        top = [*scales[:-1], scales[-1] + 2]
+        shift = top[-1] - (top[-2] if degree > 1 else 0)
+        assert overflows(_rounded(row, top, 0), length, width) or shift > 2 * width - 2
+
+
+def test_integers_of_a_polynomial_are_its_scaled_coefficients_with_half_of_what_is_dropped() -> (
+    None
+):
+    """Read back, the coefficients are the real ones within half an integer of their scale."""
+    row = np.array([1234.56, -7.89, 0.0321])
+    segment = _rounded(row, [5, 9], 40)
+    assert (segment.start, segment.shifts) == (40, (4, 5))
+    assert segment.leading == round(0.0321 * 2**9)
+    assert segment.constants == (round(-7.89 * 2**9) + 2**3, round(1234.56 * 2**5) + 2**4)
