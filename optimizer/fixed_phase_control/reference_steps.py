@@ -118,7 +118,7 @@ class ReferenceSteps:
         """Flux of the phases, between the nodes by straight lines."""
         width, nodes = self.control.width, self.control.nodes
         place = o.let("place", o.product("shape: place", theta, o.const(nodes)))
-        index = o.known(o.let("index", o.shifted(place, width)), 0, nodes - 1)
+        index = o.let("index", o.shifted(place, width))
         share = o.let("share", o.shifted(o.wrapped(place, width), 1))
         found = []
         for phase, name in enumerate("abc"):

@@ -78,6 +78,19 @@ def test_torque_is_smooth_and_right(
     assert 100.0 * np.ptp(torque) < ripple
 
 
+@pytest.mark.parametrize(
+    ("name", "topology", "frame"),
+    [("P", "four-leg", "table"), ("Z", "four-leg", "dqy"), ("P", "split-capacitor", "dqx")],
+)
+def test_torque_is_there_within_five_samples(
+    name: str, topology: Topology, frame: CurrentFrame
+) -> None:
+    machine = {"P": P, "Z": Z}[name]
+    loop = Loop(machine, integers(machine, topology, frame=frame), 750.0 * RPM)
+    torque = loop.torque(1.0, 0.0, 22)[5:]
+    assert np.all((torque > 0.98) & (torque < 1.15))
+
+
 @pytest.mark.slow
 def test_sinusoidal_currents_leave_the_ripple_of_the_back_emf() -> None:
     control = integers(P, "four-leg", frame="dq")
