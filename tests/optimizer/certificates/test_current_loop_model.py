@@ -18,13 +18,17 @@ from dqforge.optimizer.certificates.cell_queue import (
     BoxDrive,
     Cell,
     CurrentLoopBox,
+    Remainder,
+    contracts,
     corner_points,
     drive_at,
     largest_moduli,
     loop_matrices,
+    lyapunov_frame,
     parameters_of,
     remainder,
     root_cell,
+    rounded,
     shrunk,
 )
 
@@ -218,3 +222,38 @@ def test_what_is_still_open_holds_the_drives_of_its_cells_and_little_else(change
         assert np.all(there <= ends[:, 1] * (1.0 + 1e-12) + 1e-12)
         tightest = np.maximum(tightest, np.ptp(there, axis=0) / np.ptp(ends, axis=1))
     assert np.min(tightest) > 0.9
+
+
+def border(falls: Callable[[float], bool]) -> float:
+    """The largest size with which it falls."""
+    low, high = 1e-9, 10.0
+    assert falls(low)
+    assert not falls(high)
+    while high > 1.000001 * low:
+        middle = float(np.sqrt(low * high))
+        low, high = (middle, high) if falls(middle) else (low, middle)
+    return low
+
+
+@pytest.mark.parametrize(("phi", "gamma"), [(1.0, 0.0), (0.0, 1.0), (0.3, 1.0)])
+def test_the_checker_bears_as_much_remainder_as_the_finder(phi: float, gamma: float) -> None:
+    """Where a matrix no longer serves as what corners leave out grows: in balls and in doubles, of
+    which these keep a reserve of 1e-5; blocks of Phi and of Gam alone, and both.
+    """
+    from flint import arb, arb_mat
+
+    box = BOXES[0]
+    closed = loop_matrices(box, root_cell(box).middle[None])
+    frame = lyapunov_frame(closed[0])
+    assert frame is not None
+    matrix = rounded(frame.T @ frame)
+    held, loop = arb_mat(matrix.tolist()), arb_mat(closed[0].tolist())
+
+    def doubles(size: float) -> bool:
+        groups = ((0, 1), size * phi), ((2, 3), size * gamma)
+        return contracts(matrix, matrix, closed, Remainder((0, 1), groups)).whole
+
+    def balls(size: float) -> bool:
+        return confirmation._falls(held, held, loop, (arb(size * phi), arb(size * gamma)))
+
+    assert border(doubles) == pytest.approx(border(balls), rel=3e-5)
