@@ -3,10 +3,11 @@ number for each, in short.
 
 A function is followed through its first calls. Every number in what it returns counts with a weight
 of its own place and by its logarithm, so that a share of a small number is seen beside a large one;
-arrays count by their largest entry and two weighted sums. So do numbers and arrays among arguments,
-variables and, as an object is made, its attributes: a start or a step that a search, a limit or a
-sum over both signs hides from those who call is seen within. What differs between two sets of
-kernels of the linear algebra, as what is left of a residual, is not kept.
+arrays count by their largest entry and two weighted sums, balls by their radius too. So do numbers
+and arrays among arguments, variables and, as an object is made, its attributes: a start or a step
+that a search, a limit or a sum over both signs hides from those who call is seen within. What
+differs between two sets of kernels of the linear algebra, as what is left of a residual, is not
+kept.
 """
 
 from __future__ import annotations

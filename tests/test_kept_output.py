@@ -14,6 +14,7 @@ import kept_output
 import kept_values
 import numpy as np
 import pytest
+from flint import arb, arb_mat, fmpq
 
 SHOWN = 12
 TEXT = """/* A table. */
@@ -81,6 +82,7 @@ def test_what_is_said_to_be_made_by_is_there() -> None:
 def record_of(words: str) -> kept_values.Record:
     """What is recorded of a function of physics with these words."""
     names: dict[str, Any] = {"np": np, "Fraction": Fraction}
+    names |= {"fmpq": fmpq, "arb": arb, "arb_mat": arb_mat}
     source = f"def found():\n    {words}\n\ndef run():\n    found()\n"
     exec(compile(source, f"{kept_values.ROOT}optimizer/curves/fitting.py", "exec"), names)
     record = kept_values.Record()
@@ -94,6 +96,7 @@ def kept_of(record: kept_values.Record, **changed: float) -> dict[str, str]:
 
 
 VALUE = "return {'a': (1.5e6, None, True), 'b': [np.array([1e-3, 2.0, -3e-9]), 2j, Fraction(1, 3)]}"
+EXACT = "return fmpq(2, 3), [arb_mat([[arb(0.5, 1e-3), 2]])]"
 
 
 @pytest.mark.parametrize(
@@ -110,6 +113,15 @@ def test_a_function_that_returns_something_else_is_named(was: str, now: str) -> 
     assert not list(kept_values.differences(record_of(VALUE), kept))
     (line,) = kept_values.differences(record_of(VALUE.replace(was, now)), kept)
     assert line.startswith("optimizer/curves/fitting.py: found finds something else: ")
+
+
+@pytest.mark.parametrize(
+    ("was", "now"), [("(2, 3)", "(2, 5)"), ("0.5", "0.6"), ("1e-3", "2e-3"), (", 2]", ", 3]")]
+)
+def test_rational_numbers_and_balls_count_with_their_radii(was: str, now: str) -> None:
+    kept = kept_of(record_of(EXACT))
+    assert not list(kept_values.differences(record_of(EXACT), kept))
+    assert list(kept_values.differences(record_of(EXACT.replace(was, now)), kept))
 
 
 @pytest.mark.parametrize(
