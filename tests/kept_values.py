@@ -165,7 +165,7 @@ class Record:
         if event == "return":
             key = frame.f_code.co_filename.removeprefix(ROOT), frame.f_code.co_qualname
             total, number = self.sums.get(key, 0.0), self._leaves[key]
-            leaves = itertools.islice(_leaves(value), LEAVES)
+            leaves: Iterator[float] = itertools.islice(_leaves(value), LEAVES)
             if self._calls[frame.f_code] >= CALLS - CALLS_WITHIN:
                 leaves = itertools.chain(leaves, _within(frame))
             for leaf in leaves:
