@@ -98,7 +98,10 @@ def test_places_of_arrays_are_numbers_without_what_is_behind_the_point() -> None
     ]
     assert EXACT.converted(np.array([70_000, -1]), "uint16").tolist() == [4464, 65535]
     assert EXACT.masked(np.array([0b1101]), 0b0110).tolist() == [0b0100]
-    assert EXACT.at([np.array([1.0, 2.0]), np.array([3.0, 4.0])], np.array([1, 0])).tolist() == [3.0, 2.0]
+    assert EXACT.at([np.array([1.0, 2.0]), np.array([3.0, 4.0])], np.array([1, 0])).tolist() == [
+        3.0,
+        2.0,
+    ]
     assert EXACT.with_item((1.0, 2.0, 3.0), 1, 5.0) == (1.0, 5.0, 3.0)
     drives = EXACT.with_item((np.zeros(2), np.zeros(2)), np.array([0, 1]), np.array([5.0, 6.0]))
     assert [part.tolist() for part in drives] == [[5.0, 0.0], [0.0, 6.0]]
