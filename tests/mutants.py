@@ -171,8 +171,8 @@ def _of_node(node: ast.AST, where: Span, source: str) -> Iterator[tuple[int, int
         ):
             yield _operator(source, where(left)[1], where(right)[0], COMPARISONS)
         case ast.UnaryOp(op=ast.USub(), operand=operand):
-            first, last = where(node)[0], where(operand)[0]
-            yield first, last, source[first + 1 : last]  # brackets stay
+            minus, at = where(node)[0], where(operand)[0]
+            yield minus, at, source[minus + 1 : at]  # brackets stay
         case ast.Constant(value=float() as value):
             yield *where(node), repr(1.25 * value if value else 1.0)
         case ast.Call(args=[first, second]) if not (

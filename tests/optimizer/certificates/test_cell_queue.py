@@ -242,5 +242,10 @@ def test_a_common_matrix_falls_most_of_all_with_its_trace() -> None:
     least = min(float(np.linalg.eigvalsh(found - loop.T @ found @ loop)[0]) for loop in corners)
     assert least == pytest.approx(best.scalar, rel=1e-4)
     asked: list[np.ndarray] = []
-    common_lyapunov(corners, frame, lambda matrix: bool(asked.append(matrix)))
+
+    def never(matrix: np.ndarray) -> bool:
+        asked.append(matrix)
+        return False
+
+    common_lyapunov(corners, frame, never)
     assert len(asked) > 3

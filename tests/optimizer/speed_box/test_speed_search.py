@@ -130,7 +130,9 @@ def test_matrices_of_the_middle_fall_by_one_at_every_step(ratio: int) -> None:
     matrices = [frame.T @ frame for frame in frames]
     for before, after, one in zip(matrices, [*matrices[1:], matrices[0]], closed, strict=True):
         fall = before - one.T @ after @ one
-        np.testing.assert_allclose(fall, np.eye(len(fall)), atol=1e-8 * np.linalg.norm(before))
+        np.testing.assert_allclose(
+            fall, np.eye(len(fall)), atol=1e-8 * float(np.linalg.norm(before))
+        )
     weight = np.diag([1.0, 2.0, 0.5])
     a = np.array([[0.5, 0.4, 0.0], [-0.2, 0.8, 0.1], [0.0, 0.3, -0.6]])
     np.testing.assert_allclose(_summed(a, weight), solve_discrete_lyapunov(a.T, weight))
