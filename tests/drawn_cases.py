@@ -34,8 +34,8 @@ COSTLY_S = 0.4
 ALWAYS = tuple(
     f"tests/{name}.py"
     for name in (
-        "reports/test_printing_computes_nothing", "site/test_reference", "test_docstrings",
-        "test_formulas", "test_house", "test_wording",
+        "checker/test_programs", "reports/test_printing_computes_nothing", "site/test_reference",
+        "test_docstrings", "test_formulas", "test_house", "test_wording",
     )
 )  # fmt: skip
 # What a case of the campaign is taken to cost before it was first measured.

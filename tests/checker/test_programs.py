@@ -16,8 +16,8 @@ FOLDER = Path(kit.__file__).parent
 FILES = sorted(FOLDER.glob("[a-z]*.py"))
 PROGRAMS = [path for path in FILES if path.name.startswith("check_")]
 LIBRARY = {
-    "__future__", "ast", "collections", "collections.abc", "fractions", "functools", "itertools",
-    "json", "math", "operator", "pathlib", "re", "sys", "typing",
+    "__future__", "ast", "collections", "collections.abc", "contextlib", "fractions", "functools",
+    "itertools", "json", "math", "operator", "pathlib", "re", "sys", "typing",
 }  # fmt: skip
 
 
