@@ -129,6 +129,30 @@ def test_a_method_that_fails_is_followed_by_another_or_named(
         assert np.allclose(x, known, rtol=1e-4, atol=1e-5 * np.max(np.abs(known)))
 
 
+@pytest.mark.parametrize("presolve", [True, False])
+def test_the_last_attempt_has_the_other_choice_of_presolve(
+    presolve: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cost, rows, most, _ = known_programme(5)
+    solver, asked = scipy.optimize.linprog, list[tuple[str, bool]]()
+
+    def failing(slope: FloatArray, *, method: str, options: Any, **given: Any) -> Any:
+        asked.append((method, options["presolve"]))
+        found = solver(slope, method=method, options=options, **given)
+        found.status = 4
+        return found
+
+    monkeypatch.setattr(scipy.optimize, "linprog", failing)
+    with pytest.raises(NoSolutionError, match="could not be solved"):
+        least_cost(cost, rows, most, presolve=presolve)
+    first, second, last = (
+        ("highs-ds", presolve),
+        ("highs-ipm", presolve),
+        ("highs-ds", not presolve),
+    )
+    assert asked == [first, second, last]
+
+
 def test_every_linear_programme_goes_through_the_door() -> None:
     package = Path(dqforge.__file__).parent
     callers = [
