@@ -4,9 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from random_current_loops import corner_drives, drives_inside, limit, radii, random_boxes, times
+from random_current_loops import (
+    corner_drives,
+    drives_inside,
+    limit,
+    radii,
+    radius_of,
+    random_boxes,
+    times,
+)
 from scipy.linalg import expm
 
+from dqforge.optimizer.certificates import cell_queue
 from dqforge.optimizer.certificates.cell_queue import (
     BoxDrive,
     Cell,
@@ -24,6 +33,7 @@ from dqforge.optimizer.certificates.cell_queue import (
     _rest_falls,
     _verdict,
     common_lyapunov,
+    find_certificate,
     largest_moduli,
     loop_matrices,
     lyapunov_frame,
@@ -142,6 +152,17 @@ def test_the_most_unstable_corner_is_named_from_the_border_on() -> None:
             assert own == pytest.approx(worst)
             met.append(float(moduli.max()))
     assert 1.0 < met[0] < 1.2
+
+
+def test_a_drive_that_the_search_alone_meets_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gains beyond the limit of the corners, of which none is looked at first."""
+    box = times(random_boxes(1, 3, fast=True)[0], 12.0)
+    assert unstable_corner(box) is not None
+    monkeypatch.setattr(cell_queue, "unstable_corner", lambda _: None)
+    found = find_certificate(box)
+    assert found.counterexample is not None
+    assert radius_of(box, found.counterexample) >= 1.0
+    assert found.tree.counterexample == pytest.approx(parameters_of(box, found.counterexample))
 
 
 def unproven() -> tuple[CurrentLoopBox, Cell]:
