@@ -523,10 +523,18 @@ class Integers(_Unnamed):
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """All integers from ``low`` to ``high``."""
+    """All integers from ``low`` to ``high``.
+
+    Raises:
+        ValueError: There are none: what is proven of them would hold of no number.
+    """
 
     low: int
     high: int
+
+    def __post_init__(self) -> None:
+        if self.low > self.high:
+            raise ValueError(f"no integer lies from {self.low} to {self.high}")
 
     @property
     def largest(self) -> int:

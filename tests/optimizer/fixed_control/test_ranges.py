@@ -266,3 +266,9 @@ def test_no_more_fractional_bits_would_fit() -> None:
                     continue
                 more = replace(finer, fraction=pi.fraction + 1)
                 assert pi_ranges(width, name, more, form).overflowing() is not None
+
+
+def test_a_range_without_an_integer_is_refused() -> None:
+    assert Range(3, 3).largest == 3
+    with pytest.raises(ValueError, match="no integer lies from 3 to 0"):
+        Range(3, 0)
