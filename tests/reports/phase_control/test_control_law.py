@@ -5,18 +5,26 @@ phases and complex numbers written out here.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from phase_drives import T_S, near_sinusoidal, plain_control
+from scipy.interpolate import RegularGridInterpolator
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.topologies import TOPOLOGIES
 from dqforge.optimizer.phase_control.phase_controller import AxisGains, MidpointGains, PhaseControl
-from dqforge.optimizer.phase_control.phase_records import Alphabetazero, Control
+from dqforge.optimizer.phase_control.phase_records import Alphabetazero, Control, TorqueLimit
 from dqforge.optimizer.phase_control.shape_frame import Frame, shape_frame
+from dqforge.optimizer.phase_control.torque_limits import (
+    Limited,
+    LimitedSteps,
+    LimitSteps,
+    TorqueSteps,
+)
 from dqforge.optimizer.steps.step_arithmetic import EXACT, AlphaBeta
 from dqforge.reports.phase_control.float32_model import PhaseControlModel
 from dqforge.reports.phase_control.header import (
@@ -309,3 +317,103 @@ def test_a_midpoint_that_is_off_takes_a_zero_sequence(
     held = [pi.integral for pi in (state.d, state.q, state.zero) if pi is not None]
     assert np.max(np.abs(held)) < 1e-4
     assert np.max(np.abs(voltage(state))) < 1e-3
+
+
+@pytest.mark.parametrize("frame", ["table", "dqx", "dq"])
+@pytest.mark.parametrize("opened", [1, 2, 3])
+def test_an_open_phase_leaves_the_torque_to_the_others(frame: CurrentFrame, opened: int) -> None:
+    """Whole shape, zero sequence and all, of the two that are left, whatever the speed."""
+    control = control_of("four-leg", frame, "none", psi_pm=0.19)
+    model = model_of(control)
+    state = model.structure.at_rest(COUNT)
+    state.open = np.full(COUNT, opened, dtype=np.uint32)
+    f = flux(THETA)
+    f[opened - 1] = 0.0
+    now = transformed(1.7 * f / (2.0 * np.sum(f * f, axis=0)))
+    rows = samples(now, 3400.0)[:, :6]
+    q = np.full(COUNT, 1.7 / (1.5 * 2 * 0.19), dtype=np.float32)
+    model.current_control(state, rows, (0.0 * q, q))
+    assert np.max(np.abs(voltage(state))) < 2e-4
+    state.open[:] = 0
+    model.current_control(state, rows, (0.0 * q, q))
+    assert np.max(np.abs(voltage(state))) > 1.0
+
+
+@pytest.mark.parametrize("nominal", [None, 250.0])
+def test_the_table_of_torques_is_read_by_straight_lines(nominal: float | None) -> None:
+    """At the speed that loads the nominal link as much, or at the speed itself; the last values
+    hold beyond the ends, and a torque is cut to them with its sign."""
+    generator = np.random.default_rng(13)
+    omega_e, v_dc = np.array([10.0, 120.0, 300.0, 700.0]), np.array([0.0, 90.0, 260.0])
+    table = TorqueLimit(omega_e, v_dc, generator.uniform(0.5, 3.0, (4, 3)))
+    speed, link = generator.uniform(0.0, 900.0, 300), generator.uniform(20.0, 320.0, 300)
+    link[:3] = 0.0, -5.0, np.inf
+    limits = LimitSteps(nominal)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = limits.largest_torque(EXACT, table, speed, link)
+        seen = speed if nominal is None else np.where(link > 0.0, speed * nominal / link, 700.0)
+    read = RegularGridInterpolator((omega_e, v_dc), table.torque)
+    inside = np.column_stack([np.clip(seen, 10.0, 700.0), np.clip(link, 0.0, 260.0)])
+    np.testing.assert_allclose(found, read(inside), rtol=1e-12)
+    gains: Any = SimpleNamespace(torque_max=2.0, torque_limit=table)
+    torque = generator.uniform(-4.0, 4.0, 300)
+    torque[5:8] = np.nan, np.inf, -np.inf
+    sign = np.where(generator.uniform(size=300) < 0.5, -1.0, 1.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        held = TorqueSteps(limits).limited_torque(EXACT, gains, torque, sign * speed, link)
+    most = np.minimum(found, 2.0)
+    np.testing.assert_allclose(held, np.nan_to_num(np.clip(torque, -most, most)), rtol=1e-12)
+    assert np.count_nonzero(np.abs(torque) < most) > 50
+
+
+def test_currents_beyond_the_proportional_ones_are_read_between_their_nodes() -> None:
+    """Between speeds, shares of the torque and angles by straight lines, motoring alone; backwards
+    at the opposite angle with b and c exchanged."""
+    generator = np.random.default_rng(17)
+    nodes, omega_e = 12, np.array([200.0, 300.0, 450.0])
+    values = generator.normal(size=(3, 4, nodes + 1))
+    values[..., -1] = values[..., 0]
+    plain, most = np.array([2.0, 1.5, 1.0]), np.array([2.5, 2.2, 1.0])
+    table = Limited(omega_e, plain, most, (values,))
+    count, nominal = 400, 300.0
+    omega = generator.uniform(100.0, 500.0, count) * np.where(np.arange(count) % 2, 1.0, -1.0)
+    link, torque = generator.uniform(250.0, 380.0, count), generator.uniform(-3.0, 3.0, count)
+    place = generator.uniform(-0.5, 1.5, count)
+    opened = (np.arange(count) % 5 == 0) * 1
+    load = np.abs(omega) * nominal / link
+    clipped = np.clip(load, 200.0, 450.0)
+    low, high = np.interp(clipped, omega_e, plain), np.interp(clipped, omega_e, most)
+    for mirrored, neutral in ((True, True), (False, False)):
+        steps = LimitedSteps(table, nominal, mirrored, neutral)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = steps.limited_place(EXACT, torque, omega, link, opened)
+            base = Alphabetazero(*generator.normal(size=(3, count)))
+            found = steps.deviated(EXACT, table, base, at, place)
+            part = np.where(high > low, (np.abs(torque) - low) / (high - low), 0.0)
+        motors = (load >= 200.0) & (torque * omega > 0.0) & (opened == 0)
+        if not mirrored:
+            motors &= omega > 0.0
+        np.testing.assert_array_equal(at.sign, motors * np.sign(omega))
+        read = RegularGridInterpolator(
+            (omega_e, np.linspace(0.0, 1.0, 4), np.linspace(0.0, 1.0, nodes + 1)), values
+        )
+        axes = clipped, np.clip(part, 0.0, 1.0)
+        turned = np.sign(omega) * place
+        added = np.stack(
+            [read(np.column_stack([*axes, np.mod(turned - n / 3.0, 1.0)])) for n in range(3)]
+        )
+        backwards = omega < 0.0
+        added[1:, backwards] = added[:0:-1, backwards]
+        added[:, ~motors] = 0.0
+        expected = transformed(added)
+        np.testing.assert_allclose(found.alpha - base.alpha, expected.alpha, atol=1e-6)
+        np.testing.assert_allclose(found.beta - base.beta, expected.beta, atol=1e-6)
+        zero = expected.zero if neutral else 0.0
+        np.testing.assert_allclose(found.zero - base.zero, zero, atol=1e-6)
+        assert np.count_nonzero(motors) > 40
+        gains: Any = SimpleNamespace(torque_max=1.2, torque_limit=None)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cut = TorqueSteps(None, steps).limited_torque(EXACT, gains, torque, omega, link)
+        helps = (load >= 200.0) & (torque * omega > 0.0) & (mirrored | (omega > 0.0))
+        end = np.where(helps, np.maximum(high, 1.2), 1.2)
+        np.testing.assert_allclose(cut, np.clip(torque, -end, end), rtol=1e-12)
