@@ -154,6 +154,24 @@ def test_points_of_a_box() -> None:
     )
 
 
+def test_points_at_both_loads_are_those_of_the_box_twice() -> None:
+    """Corners without and with the full current, then all others so, the data last of each."""
+    limits = {"l_d": (-0.1, 0.2), "psi_pm": (0.0, 0.05)}
+    plain, both = box_points(limits), box_points(limits, loads=True)
+    rest = len(plain.deviations) - 4
+    assert (plain.corners, both.corners, rest) == (4, 8, SAMPLES + 1)
+    order = [*range(4), *range(4), *range(4, 4 + rest), *range(4, 4 + rest)]
+    np.testing.assert_array_equal(both.deviations, plain.deviations[order])
+    np.testing.assert_array_equal(
+        both.loaded, np.repeat([False, True, False, True], [4, 4, rest, rest])
+    )
+    assert not plain.loaded.any()
+    assert both.text(0) == "l_d -10 %, psi_pm 0 %"
+    assert both.text(7) == "l_d +20 %, psi_pm +5 %, full current"
+    assert both.text(8 + rest - 1) == "l_d 0 %, psi_pm 0 %"
+    assert box_points({}, loads=True).text(1) == "full current"
+
+
 @pytest.mark.parametrize("machine", [IPM, INVERSE_SALIENT, RELUCTANCE, SURFACE])
 def test_torque_factor_is_that_of_the_changed_machine(machine: LinearMachine) -> None:
     """Torque of the other machine at the currents of the nominal MTPA point,
