@@ -15,6 +15,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.curves.single_precision import SinglePolynomial
 from dqforge.optimizer.field_weakening import form
+from dqforge.optimizer.field_weakening.fit import _near_mtpv
 from dqforge.optimizer.field_weakening.form import (
     Aims,
     SingleSurface,
@@ -130,7 +131,7 @@ def test_a_levelled_curve_has_the_least_largest_error(*, rises: bool) -> None:
     one, wanted = np.ones((80, 1)), target / unit
     rows = np.block([[whole, 0.0 * one if rises else -one], [-whole, -one]])
     most = np.append(wanted, -wanted)
-    if rises:
+    if slopes is not None:
         assert np.max(errors) < 1e-9
         least = 1e-4 * target.max()
         assert np.min(slopes @ weights[1:]) >= least * (1.0 - 1e-6)
@@ -217,3 +218,31 @@ def test_errors_are_measured_on_a_grid_that_ends_beyond_the_largest_torque() -> 
     excess = np.hypot(psi_d, psi_q) / samples.flux.astype(float) - 1.0
     np.testing.assert_allclose(found.flux_excess, excess, atol=1e-7)
     np.testing.assert_allclose(found.current_excess, np.hypot(i_d, i_q) / 20.0 - 1.0, atol=1e-9)
+
+
+def test_the_line_above_the_currents_of_mtpv_lies_as_low_as_it_can() -> None:
+    """Over the squared flux linkage, above all currents that are not the limit, a margin included;
+    none where the limit holds everywhere."""
+
+    def region(lowest: float) -> Any:
+        def points(torque: FloatArray, flux: FloatArray) -> Any:
+            used = np.minimum(lowest + (1.05 - lowest) * np.sqrt((flux - 0.02) / 0.06), 1.0)
+            size = 30.0 * np.sqrt(used)
+            assert np.all(torque == 2.0 * 11.0)
+            return SimpleNamespace(i_d=-0.6 * size, i_q=0.8 * size)
+
+        flux = SimpleNamespace(flux_min=0.02, flux_max=0.1, i_max=30.0, torque_max=11.0)
+        return SimpleNamespace(flux=SimpleNamespace(**vars(flux), points=points))
+
+    found = _near_mtpv(region(0.3))
+    assert found is not None
+    constant, slope = found
+    a = np.linspace(0.02, 0.1, 201)
+    used = 0.3 + 0.75 * np.sqrt((a - 0.02) / 0.06)
+    below = used < 1.0
+    room = constant + slope * a[below] ** 2 - 900.0 * (used[below] + 0.003)
+    assert np.min(room) == pytest.approx(0.0, abs=1e-6)
+    rows = -np.column_stack([np.ones(a.size), a**2])[below]
+    best = linprog(-rows.sum(axis=0), rows, -900.0 * (used[below] + 0.003), bounds=(0.0, None))
+    assert found == pytest.approx(tuple(best.x), rel=1e-6)
+    assert _near_mtpv(region(0.98)) is None

@@ -61,7 +61,7 @@ def test_rows_are_at_right_angles_and_as_long_as_the_shape(frame: CurrentFrame) 
     if frame == "dqx":
         zero = np.array([0.0 * flat, 0.0 * flat, np.sqrt(0.5) * PSI / length])
     asked = np.array([X.d, X.q, X.zero])
-    seen = along.to_frame(EXACT, F, Alphabetazero(*asked.copy()), PSI)
+    seen = along.to_frame(EXACT, F, Alphabetazero(*asked.copy()), np.full(THETA.size, PSI))
     asked[2] *= np.sqrt(2.0)
     for row, found in zip((d, q, zero), (seen.d, seen.q, seen.zero), strict=True):
         np.testing.assert_allclose(found, length / PSI * np.sum(row * asked, axis=0), atol=2e-6)
@@ -107,7 +107,7 @@ def test_where_the_shape_vanishes_nothing_comes_back(frame: CurrentFrame, size: 
         more = along.coupling(EXACT, GAINS, none, F, x, np.full(1, OMEGA))
     assert not np.any([back.alpha, back.beta])
     assert not np.any([more.alpha, more.beta])
-    just = along.from_frame(EXACT, Alphabetazero(np.array([1.1e-9]), *none[1:]), x, PSI)
+    just = along.from_frame(EXACT, Alphabetazero(np.array([1.1e-9]), *none[1:]), x, np.full(1, PSI))
     assert just.alpha[0] > 0.1 / 1.1e-9 * 0.9
 
 

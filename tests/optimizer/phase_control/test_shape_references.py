@@ -119,7 +119,7 @@ def test_currents_of_the_header_take_a_d_current_and_a_share_of_their_zero_seque
         return tuple(torque * (cosine + 2.0 * n * sine + 0.3 * n) for n in range(3))
 
     full = np.full(25, 4.0)
-    found = WaveformSteps(phases).waveform_reference(EXACT, TURN, full, -1.5 * full / 4.0, 0.6)
+    found = WaveformSteps(phases).waveform_reference(EXACT, TURN, full, -0.375 * full, 0.15 * full)
     made = np.array(phases(full, TURN.sine, TURN.cosine))
     mean = np.mean(made, axis=0)
     expected = made - mean + 0.6 * mean - 1.5 * np.cos(THETA - PHASE[:, None])
