@@ -14,8 +14,8 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.certificates.current_reference import certify
 from dqforge.optimizer.current_reference.fit import fit_reference
-from dqforge.optimizer.current_reference.solve import data_use
-from dqforge.optimizer.operating_points.characteristics import characteristics
+from dqforge.optimizer.current_reference.solve import _range, data_use
+from dqforge.optimizer.operating_points.characteristics import characteristics, limit_speed
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.operating_points.ends_of_data import _hold, _within_voltage
 from dqforge.optimizer.operating_points.mtpa_locus import (
@@ -260,3 +260,35 @@ def test_edges_give_the_torque_with_least_loss_or_else_the_most_or_the_least() -
         assert (state.reached[at], state.least[at]) == (case == "reached", case == "least")
         seen.add(case)
     assert seen == {"reached", "most", "least", "none"}
+
+
+@pytest.mark.parametrize("kind", ["begins at i_d = 0", "small disc"])
+def test_the_largest_speed_is_that_of_the_best_measured_current(kind: str) -> None:
+    """By a dense walk over what is measured; with data all over it is that of the machine, and the
+    current of no flux is told where it lies inside the data alone."""
+    machine = one_sided(kind, 0.3e-3, 0.8e-3, 1.0)
+    i_d, i_q = measured_currents(machine)
+    figures = characteristics(machine, _V_MAX)
+    best = float(np.max(limit_speed(machine, i_d, i_q, _V_MAX)))
+    assert figures.speed_max == pytest.approx(best, rel=1e-4)
+    assert figures.speed_max >= best * (1.0 - 1e-9)
+    assert figures.characteristic_current is None
+    assert "speed_max" in figures.held
+    free = characteristics(one_sided("everywhere", 0.3e-3, 0.8e-3, 1.0), _V_MAX)
+    assert free.speed_max is None or free.speed_max > 1.02 * best
+    assert "speed_max" not in free.held
+    strong = one_sided("everywhere", 1.6e-3, 0.8e-3, 0.0)
+    assert characteristics(strong, _V_MAX).characteristic_current == pytest.approx(0.05 / 1.6e-3)
+
+
+def test_torques_that_data_hold_are_told_from_the_first_to_the_last() -> None:
+    """Narrowed to rounding where it begins; from none on where it is all of it."""
+    for low, high in ((3.217, 7.9), (0.0, 20.0), (19.99, 20.0)):
+        found = _range(lambda t, a=low, b=high: (t > a) & (t <= b), 10.0 if low < 10.0 else 20.0)
+        assert found is not None
+        assert found[0] == pytest.approx(low, abs=1e-6)
+        end = min(high, 10.0 if low < 10.0 else 20.0)
+        assert found[1] == pytest.approx(end, abs=0.15)
+        assert found[1] <= end
+    assert _range(lambda t: t > 11.0, 10.0) is None
+    assert _range(lambda t: t <= 0.0, 10.0) is None  # at no torque nothing is held
