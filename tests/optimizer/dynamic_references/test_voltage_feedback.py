@@ -370,7 +370,7 @@ def test_the_drive_that_lacks_most_voltage_is_sought_among_all() -> None:
     added = np.linspace(0.0, 12.0, 101)[:, None]
     d = points.i_d - added
     q = np.sign(points.i_q) * np.minimum(np.abs(points.i_q), np.sqrt(np.maximum(1e4 - d * d, 0.0)))
-    most = (-np.inf,)
+    most: tuple[float, ...] = (-np.inf,)
     for l_d, l_q, psi, link in corners():
         flux_d, flux_q = psi * 0.06 + l_d * 0.3e-3 * d, l_q * 0.7e-3 * q
         v = np.hypot(0.05 * d - omega * flux_q, 0.05 * q + omega * flux_d)
