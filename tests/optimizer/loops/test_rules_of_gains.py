@@ -57,7 +57,7 @@ def test_calmer_settings_and_what_is_advised() -> None:
     beyond 1; told on the safe side to three digits."""
     key, speed = "control.current_loop", SpeedLoopSettings
     given = calmer(speed("given", kp=4.0, ki=10.0), 0.3)
-    assert (given.kp, given.ki) == (pytest.approx(1.2), pytest.approx(3.0))
+    assert (given.kp, given.ki) == pytest.approx((1.2, 3.0))
     assert calmer(speed("damping", bandwidth=50.0), 0.3).bandwidth == pytest.approx(15.0)
     for method in ("symmetrical-optimum", "ti"):
         asked: Any = speed(method, spread=3.0)

@@ -16,6 +16,7 @@ from scipy.interpolate import RegularGridInterpolator
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.topologies import TOPOLOGIES
+from dqforge.optimizer.curves.single_precision import SINGLE
 from dqforge.optimizer.phase_control.phase_controller import AxisGains, MidpointGains, PhaseControl
 from dqforge.optimizer.phase_control.phase_records import Alphabetazero, Control, TorqueLimit
 from dqforge.optimizer.phase_control.shape_frame import Frame, shape_frame
@@ -25,7 +26,7 @@ from dqforge.optimizer.phase_control.torque_limits import (
     LimitSteps,
     TorqueSteps,
 )
-from dqforge.optimizer.steps.step_arithmetic import EXACT, AlphaBeta
+from dqforge.optimizer.steps.step_arithmetic import EXACT, AlphaBeta, Dq
 from dqforge.reports.phase_control.float32_model import PhaseControlModel
 from dqforge.reports.phase_control.header import (
     Surroundings,
@@ -66,7 +67,7 @@ def flux(theta: FloatArray) -> FloatArray:
     """The table of the firmware, straight between its nodes, shape (3, N)."""
     nodes = 2.0 * np.pi * np.arange(97) / 96.0
     row = np.append(MACHINE.flux[0], MACHINE.flux[0][0])
-    return np.interp(np.mod(theta - LAGS, 2.0 * np.pi), nodes, row)
+    return np.asarray(np.interp(np.mod(theta - LAGS, 2.0 * np.pi), nodes, row))
 
 
 def transformed(x: FloatArray) -> Alphabetazero:
@@ -76,9 +77,8 @@ def transformed(x: FloatArray) -> Alphabetazero:
 
 
 def in_phases(x: Alphabetazero) -> FloatArray:
-    return np.stack(
-        [x.alpha, -0.5 * x.alpha + ROOT * x.beta, -0.5 * x.alpha - ROOT * x.beta]
-    ) + np.asarray(x.zero)
+    flat = [x.alpha, -0.5 * x.alpha + ROOT * x.beta, -0.5 * x.alpha - ROOT * x.beta]
+    return np.asarray(np.stack(flat) + np.asarray(x.zero))
 
 
 def plane(x: Alphabetazero) -> Any:
@@ -125,7 +125,7 @@ def stepped(
 
 
 def voltage(state: Any) -> Alphabetazero:
-    return Alphabetazero(*state.v, state.v_0)
+    return Alphabetazero(state.v.alpha, state.v.beta, state.v_0)
 
 
 def same(found: Alphabetazero, expected: Alphabetazero, *, neutral: bool, within: float) -> None:
@@ -196,7 +196,7 @@ def test_measured_currents_are_fed_forward_as_if_they_stayed(
         linked = control.inductances[0] * i.real + 1j * L_Q * i.imag
         v, v_0 = 1j * OMEGA_E * linked * np.exp(1j * acting), 0.0 * THETA
     else:
-        psi = control.psi_pm
+        psi: Any = control.psi_pm
         x: Frame = along.to_frame(EXACT, transformed(flux(THETA)), now, psi)
         later, before = (
             along.from_frame(EXACT, transformed(flux(acting + side)), x, psi) for side in (h, -h)
@@ -233,7 +233,7 @@ def test_an_error_makes_what_the_controllers_of_its_axes_say(
         kept = (integrals[0] + 1j * integrals[1]) * np.exp(1j * acting)
         back = Alphabetazero(kept.real, kept.imag, integrals[2])
     else:
-        psi = control.psi_pm
+        psi: Any = control.psi_pm
         seen: Frame = along.to_frame(EXACT, transformed(flux(THETA)), error, psi)
         integrals = [gain * part for gain, part in zip(ki_ts, seen, strict=True)]
         if not neutral:
@@ -277,7 +277,7 @@ def test_harmonics_are_those_of_their_orders() -> None:
              for n in (3, 5, 7, 9)}  # fmt: skip
     assert 0.0 < fades[7] < 1.0 == fades[3]
     added, added_0 = np.zeros(COUNT, dtype=complex), np.zeros(COUNT)
-    rate = control.harmonics.rate * T_S
+    rate = 60.0 * T_S
     for place, n in enumerate((-5, 7)):
         r = drawn[0, place, 0] + 1j * drawn[0, place, 1]
         gain = 0.5 * (GAINS[0].kp + GAINS[1].kp) * np.exp(1j * n * THETA)
@@ -337,6 +337,58 @@ def test_an_open_phase_leaves_the_torque_to_the_others(frame: CurrentFrame, open
     state.open[:] = 0
     model.current_control(state, rows, (0.0 * q, q))
     assert np.max(np.abs(voltage(state))) > 1.0
+
+
+@pytest.mark.parametrize("topology", ["three-wire", "four-leg", "six-leg", "split-capacitor"])
+def test_a_voltage_beyond_the_link_keeps_its_direction(topology: Topology) -> None:
+    """All of it is shortened by one share until a leg is full on or off; the integrals rest."""
+    control = control_of(topology, "table", "none")
+    model = model_of(control)
+    away = Alphabetazero(*np.random.default_rng(3).normal(size=(3, COUNT)))
+    found = []
+    for v_dc in (4000.0, 9.0):
+        state = model.structure.at_rest(COUNT)
+        rows = samples(away, OMEGA_E, 0.5 * v_dc)
+        rows[:, 5] = v_dc
+        rows = rows if model.structure.midpoint else rows[:, :6]
+        asked = np.full(COUNT, 1.7, dtype=np.float32)
+        duty = np.array(model.torque_control(state, rows, asked))
+        found.append((np.array(voltage(state)), state, duty))
+    (whole, free, _), (cut, held, duty) = found
+    share = np.sum(whole * cut, axis=0) / np.sum(whole * whole, axis=0)
+    np.testing.assert_allclose(cut, share * whole, atol=1e-4)
+    assert np.all((share > 0.0) & (share < 0.99))
+    full = np.minimum(np.min(duty, axis=0), 1.0 - np.max(duty, axis=0))
+    np.testing.assert_allclose(full, 0.0, atol=2e-6)
+    assert np.any(free.q.integral)
+    assert not np.any(held.q.integral)
+
+
+def test_currents_of_a_start_are_added_to_those_of_a_torque() -> None:
+    """d beside the torque, q as the torque that it makes along the shape; in rotor coordinates both
+    to the currents of the torque."""
+    asked = np.full(COUNT, 0.6, dtype=np.float32)
+    d, q = np.full(COUNT, -1.2, dtype=np.float32), np.full(COUNT, 0.8, dtype=np.float32)
+    per_ampere = np.float32(1.5 * 2 * MACHINE.psi_pm)
+    for frame in ("table", "dq"):
+        model = model_of(control_of("four-leg", "dq" if frame == "dq" else "table", "none"))
+        holds = replace(model, structure=replace(model.structure, start_up=True))
+        state = holds.structure.at_rest(COUNT)
+        assert state.held is not None
+        state.held = Dq(d, q)
+        rows = samples(Alphabetazero(*np.zeros((3, COUNT))), OMEGA_E)[:, :6]
+        if frame == "dq":
+            steps = replace(holds.steps, currents=lambda torque: (0.5 * torque, 2.0 * torque))
+            numbers, measured = holds.numbers, holds.measured(rows)
+            reference, torque = steps.of_torque(SINGLE, numbers, state, measured, asked)
+            np.testing.assert_allclose(reference.d, 0.5 * asked + d, rtol=1e-6)
+            np.testing.assert_allclose(reference.q, 2.0 * asked + q, rtol=1e-6)
+            np.testing.assert_allclose(torque, asked)
+            continue
+        reference, torque = holds.of_torque(state, rows, asked)
+        np.testing.assert_allclose(torque, asked + per_ampere * q, rtol=1e-6)
+        np.testing.assert_allclose(reference[0], d)
+        np.testing.assert_allclose(reference[1], asked / per_ampere + q, rtol=1e-6)
 
 
 @pytest.mark.parametrize("nominal", [None, 250.0])
