@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from one_sided import INDUCTANCES, KINDS, measured_currents, one_sided
 
-from dqforge.machines.arrays import BoolArray, FloatArray
+from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.certificates.current_reference import certify
 from dqforge.optimizer.current_reference.fit import fit_reference
-from dqforge.optimizer.current_reference.solve import _range, data_use
+from dqforge.optimizer.current_reference.solve import data_use
 from dqforge.optimizer.operating_points.characteristics import characteristics, limit_speed
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.operating_points.ends_of_data import _hold, _within_voltage
@@ -280,18 +280,3 @@ def test_the_largest_speed_is_that_of_the_best_measured_current(kind: str) -> No
     assert "speed_max" not in free.held
     strong = one_sided("everywhere", 1.6e-3, 0.8e-3, 0.0)
     assert characteristics(strong, _V_MAX).characteristic_current == pytest.approx(0.05 / 1.6e-3)
-
-
-def test_torques_that_data_hold_are_told_from_the_first_to_the_last() -> None:
-    """Narrowed to rounding where it begins; from none on where it is all of it."""
-    for low, high, end in ((3.217, 7.9, 10.0), (0.0, 20.0, 10.0), (19.99, 20.0, 20.0)):
-
-        def holds(torque: FloatArray, low: float = low, high: float = high) -> BoolArray:
-            return (torque > low) & (torque <= high)
-
-        found = _range(holds, end)
-        assert found is not None
-        assert found[0] == pytest.approx(low, abs=1e-6)
-        assert min(high, end) - 0.15 < found[1] <= min(high, end)
-    assert _range(lambda t: t > 11.0, 10.0) is None
-    assert _range(lambda t: t <= 0.0, 10.0) is None  # at no torque nothing is held
