@@ -385,10 +385,10 @@ def test_currents_of_a_start_are_added_to_those_of_a_torque() -> None:
             np.testing.assert_allclose(reference.q, 2.0 * asked + q, rtol=1e-6)
             np.testing.assert_allclose(torque, asked)
             continue
-        reference, torque = holds.of_torque(state, rows, asked)
-        np.testing.assert_allclose(torque, asked + per_ampere * q, rtol=1e-6)
-        np.testing.assert_allclose(reference[0], d)
-        np.testing.assert_allclose(reference[1], asked / per_ampere + q, rtol=1e-6)
+        given, limited = holds.of_torque(state, rows, asked)
+        np.testing.assert_allclose(limited, asked + per_ampere * q, rtol=1e-6)
+        np.testing.assert_allclose(given[0], d)
+        np.testing.assert_allclose(given[1], asked / per_ampere + q, rtol=1e-6)
 
 
 @pytest.mark.parametrize("nominal", [None, 250.0])
