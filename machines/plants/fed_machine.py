@@ -587,14 +587,6 @@ class CurrentTrace:
         error = np.abs(self.plant.phase_errors(self.state, self._theta(self.time)))
         return np.asarray(np.max(error, axis=(0, 2)))
 
-    def share_within(self, band: float) -> FloatArray:
-        """Share of the time, mean of the three phases, that the error is at most `band` in A,
-        shape (N,).
-        """
-        weight, theta, states = self._samples()
-        inside = np.mean(np.abs(self.plant.phase_errors(states, theta)) <= band, axis=-1)
-        return np.asarray(np.sum(weight * inside, axis=(0, 1)))
-
     def spectrum(self, orders: ArrayLike) -> ComplexArray:
         """Harmonics of the phase currents in A (peak), shape (H, N, 3); of the order 0 the mean.
 

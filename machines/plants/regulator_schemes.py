@@ -398,11 +398,6 @@ class PulsePattern:
     angles: FloatArray
     sign: int
 
-    @property
-    def pulses(self) -> int:
-        """Turn-ons of a leg in a period."""
-        return 2 * self.angles.size + 1
-
     def edges(self) -> tuple[FloatArray, FloatArray]:
         """Angles in rad of all commutations of a period, ascending from 0, and the leg voltage
         behind each over half the DC link, shape (4 N + 2,) each.

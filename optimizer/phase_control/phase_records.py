@@ -237,11 +237,6 @@ class Structure:
         return self.frame in ("dqx", "dqy")
 
     @property
-    def slopes(self) -> bool:
-        """Whether the slope of the back-EMF is read."""
-        return self.follows and self.feedforward == "measured"
-
-    @property
     def multiples(self) -> tuple[int, ...]:
         """Multiples of the angle that the harmonic integrators need, ascending."""
         return tuple(sorted({abs(order) for order in (*self.plane, *self.zero)}))

@@ -17,9 +17,11 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.flux_map import (
     FluxMap,
     SaturatedMachine,
+    TorqueRipple,
     _spline,
     complete_by_symmetry,
     inductances,
+    swing,
 )
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
@@ -309,3 +311,21 @@ def test_splines_are_those_of_another_library(seed: int, count: int, uneven: flo
     expected = CubicSpline(axis, values, bc_type="not-a-knot").c[::-1]
     scale = np.max(np.abs(expected), axis=(1, 2, 3), keepdims=True)
     assert np.max(np.abs(_spline(axis, values) - expected) / scale) < 1e-9
+
+
+def test_a_ripple_is_the_swing_of_its_orders_together() -> None:
+    """Two orders whose peaks fall together and apart, over a period in which both repeat; of a mean
+    of no torque there is no share."""
+    orders, period = np.array([6.0, 12.0]), np.pi / 3.0
+    series = np.array([[[2.0, 0.0], [0.0, 1.5]], [[0.5, 0.0], [0.0, -0.8]]])
+    angle = np.linspace(0.0, period, 20_001)
+    courses = (
+        2.0 * np.cos(6.0 * angle) + 0.5 * np.cos(12.0 * angle),
+        1.5 * np.sin(6.0 * angle) - 0.8 * np.sin(12.0 * angle),
+    )
+    found = swing(orders, period, series)
+    np.testing.assert_allclose(found, [np.ptp(course) for course in courses], rtol=2e-3)
+    ripple = TorqueRipple((6.0, 12.0), np.hypot(series[:, 0], series[:, 1]), found)
+    share = ripple.over(np.array([-4.0, 0.0]))
+    assert share[0] == pytest.approx(found[0] / 4.0)
+    assert np.isnan(share[1])

@@ -111,3 +111,12 @@ def test_impossible_coefficients_are_refused() -> None:
         replace(RELUCTANCE, a_d0=0.0)
     with pytest.raises(InputError, match="a_dq zero or positive, got -1"):
         replace(RELUCTANCE, a_dq=-1.0)
+    for name in ("a_d0", "a_q0"):
+        assert getattr(replace(RELUCTANCE, **{name: 1e-6}), name) == 1e-6
+        for value in (0.0, -1e-6, np.nan):
+            with pytest.raises(InputError, match="a_d0 and a_q0 above zero"):
+                replace(RELUCTANCE, **{name: value})
+    for name in set(RELUCTANCE.__dataclass_fields__) - {"a_d0", "a_q0"}:
+        assert getattr(replace(MAGNETS, **{name: 0.0}), name) == 0.0
+        with pytest.raises(InputError, match=f"{name} zero or positive"):
+            replace(MAGNETS, **{name: -1e-6})

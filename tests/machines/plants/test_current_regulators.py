@@ -28,10 +28,12 @@ from dqforge.machines.plants.regulator_rules import (
 from dqforge.machines.plants.regulator_schemes import (
     LEAST_WIDTH,
     Circle,
+    PulsePattern,
     Sampled,
     Trajectory,
     TrajectoryController,
     amplitudes,
+    continued_pattern,
     distortion,
     optimal_pattern,
     patterns_of,
@@ -142,6 +144,52 @@ def test_pattern_of_two_angles_is_the_best_of_all() -> None:
     pattern = optimal_pattern(2, index)
     assert distortion(pattern.angles, pattern.sign) == pytest.approx(best, rel=2e-3)
     assert amplitudes(pattern.angles, pattern.sign, np.ones(1))[0] == pytest.approx(index)
+
+
+def test_a_pattern_of_one_angle_is_led_to_where_its_fundamental_is() -> None:
+    """cos x = (1 - sign b_1 pi/4) / 2; of both levels the one that distorts less is taken."""
+    for index in (0.35, 0.7):
+        exact = {
+            sign: np.array([math.acos(0.5 * (1.0 - sign * index * math.pi / 4.0))])
+            for sign in (1, -1)
+        }
+        begin = [PulsePattern(angle + 0.05, sign) for sign, angle in exact.items()]
+        for offered in (begin, begin[:1], begin[1:]):
+            found = continued_pattern(offered, index)
+            assert found is not None
+            signs = [pattern.sign for pattern in offered]
+            best = min(signs, key=lambda sign: distortion(exact[sign], sign))
+            assert found.sign == best
+            np.testing.assert_allclose(found.angles, exact[best], atol=1e-7)
+    assert continued_pattern(begin, 1.5) is None  # beyond 4/pi
+
+
+@pytest.mark.parametrize("per_commutation", [True, False])
+def test_the_circle_is_met_and_never_left(*, per_commutation: bool) -> None:
+    """Each commutation happens on the circle, and leads to the state whose straight line stays
+    within it longest, as it is or over its commutations."""
+    radius, i_q = 1.5, 3.0
+    trace = simulate_currents(DRIVE, Circle(radius, per_commutation), -1.0, i_q, 400.0, settling=0)
+    ends = trace.state[1:, 0]
+    error = np.hypot(-1.0 - ends[:, I_D], i_q - ends[:, I_Q])
+    assert np.max(error) <= radius * (1.0 + 1e-6)
+    legs = trace.legs[:, 0]
+    moved = np.flatnonzero(np.any(legs[1:] != legs[:-1], axis=1))
+    assert moved.size > 10
+    np.testing.assert_allclose(error[moved], radius, rtol=1e-6)
+    for k in moved:
+        theta = 1200.0 * trace.time[k + 1, 0]
+        v = vectors() * 180.0 * np.exp(-1j * theta)
+        d, q = ends[k, [I_D, I_Q]]
+        slope_d = (v.real - 2.35 * d + 1200.0 * 2.4e-3 * q) / 1.2e-3
+        slope_q = (v.imag - 2.35 * q - 1200.0 * (1.2e-3 * d + 0.06)) / 2.4e-3
+        inward = (-1.0 - d) * slope_d + (i_q - q) * slope_q
+        lasts = np.maximum(2.0 * inward / (slope_d**2 + slope_q**2), 0.0)
+        moves = np.sum(legs[k] != LEGS, axis=1)
+        score = lasts / np.maximum(moves, 1) if per_commutation else lasts
+        score[moves == 0] = 0.0
+        chosen = score[int(codes_of(legs[k + 1][None])[0])]
+        assert chosen == pytest.approx(score.max(), rel=1e-6)
 
 
 def tracked_error(offset: tuple[float, float], *, tracking: bool) -> tuple[FloatArray, FloatArray]:

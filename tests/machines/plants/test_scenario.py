@@ -9,7 +9,7 @@ import pytest
 
 from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError
-from dqforge.machines.plants.scenario import Profile, Scenario, constant
+from dqforge.machines.plants.scenario import Drift, Profile, Scenario, constant
 
 BASE = """\
 dqforge: 1
@@ -251,3 +251,14 @@ def test_what_the_rest_of_the_design_lacks(
     with pytest.raises(InputError, match=phrase) as caught:
         read("duration: 1 s", *lines, base=base)
     assert caught.value.line is not None
+
+
+def test_a_drift_is_a_line_between_its_instants() -> None:
+    drift = Drift(0.2, 0.6, r_s=0.3)
+    found = drift.share(np.array([[-1.0, 0.0, 0.2], [0.3, 0.5, 0.6], [0.7, 9.0, 0.4]]))
+    expected = [[0.0, 0.0, 0.0], [0.25, 0.75, 1.0], [1.0, 1.0, 0.5]]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    Drift(0.0, 1e-9)
+    for begin, end in ((0.6, 0.6), (-1e-9, 1.0), (0.1, np.inf), (0.3, 0.2)):
+        with pytest.raises(InputError, match="write a later end"):
+            Drift(begin, end)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Core, FitMethod
 from dqforge.optimizer.current_reference.fit import (
+    _cost,
     constant_bytes,
     estimated_cycles,
     fit_reference,
@@ -25,7 +27,16 @@ from dqforge.optimizer.current_reference.fit import (
     possible_forms,
     reference_bytes,
 )
+from dqforge.optimizer.current_reference.forms import (
+    CurrentReference,
+    FixedReference,
+    Proportional,
+    ReluctanceClosedForm,
+    SignedReference,
+)
 from dqforge.optimizer.current_reference.solve import QuickFits, choose_fit, is_hopeless
+from dqforge.optimizer.curves.fitting import SideConditions, fit_curve
+from dqforge.optimizer.curves.integer_polynomial import FixedPolynomial, FixedSegment
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.solution import solve
 from dqforge.reports.main_header import header_files
@@ -243,3 +254,37 @@ def test_powers_beyond_floats_are_refused_in_words(method: FitMethod) -> None:
         fit_reference(choice, FitSettings(form="polynomial", method=method, degree=6, segments=4))
     found = choose_fit(choice, FitSettings(), FitBudget(torque_error=1e-3, loss_penalty=1e-3))
     assert found.fit.errors.torque_relative <= 1e-3
+
+
+def test_bytes_in_fixed_point_count_what_differs_once() -> None:
+    """Words of 4 bytes for ends, starts and leading numbers, constants as wide as products; nothing
+    for zeros."""
+    first = FixedSegment(0, 3, (5, 9), (1, 2))
+    second = FixedSegment(700, -7, (-40, 9), (3, 0))
+    for width, each in ((16, 4), (32, 8)):
+        d = FixedPolynomial((first,), width, 700)
+        q = FixedPolynomial((first, second), width, 700)
+        for reference in (FixedReference(d, q, 1.0, 1.0), FixedReference(None, q, 1.0, 1.0)):
+            # 700 and 3 and -7; 5, 9 and -40
+            assert reference_bytes(reference) == 4 * 3 + each * 3
+
+
+def test_a_reference_for_each_sign_has_the_bytes_of_both() -> None:
+    first = CurrentReference(Proportional(np.float32(0.5)), np.float32(6.0))
+    other = CurrentReference(ReluctanceClosedForm(np.float32(2.0), 1), np.float32(4.5))
+    both = reference_bytes(SignedReference(first, other))
+    assert both == reference_bytes(first) + reference_bytes(other) == 16
+
+
+def test_edges_cost_the_squared_error_of_all_curves() -> None:
+    curves: list[Any] = [lambda t: -0.3 * t**2 + 0.01 * t**4, np.sinh]
+    settings = FitSettings(form="polynomial", method="lagrange", degree=2, segments=2)
+    edges = np.array([0.0, 0.9, 2.0])
+    found = _cost(curves, settings)(edges)
+    t = np.linspace(0.0, 2.0, 20001)
+    side = SideConditions(settings.exact_at_zero, settings.continuous)
+    total = 0.0
+    for curve in curves:
+        fit = fit_curve(curve, edges, 2, "lagrange", side)
+        total += float(np.trapezoid((curve(t) - fit(t)) ** 2, t))
+    assert found == pytest.approx(total, rel=1e-4)

@@ -19,7 +19,14 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import FitForm
 from dqforge.optimizer.current_reference.fit import ReferenceFit, alternatives, fit_reference
-from dqforge.optimizer.current_reference.forms import FixedReference, error_curves
+from dqforge.optimizer.current_reference.forms import (
+    CurrentReference,
+    FixedReference,
+    Proportional,
+    ReluctanceClosedForm,
+    SignedReference,
+    error_curves,
+)
 from dqforge.optimizer.curves.integer_polynomial import FixedPolynomial, FixedSegment
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
@@ -344,3 +351,50 @@ def test_samples_of_integers_meet_both_sides_of_every_breakpoint(width: int) -> 
         reference.codes(reference.nearest(torque)), reference.currents(torque), strict=True
     ):
         assert current[0] == pytest.approx(float(code[0]) * unit)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_square_root_is_held_at_both_ends_of_its_domain(sign: int) -> None:
+    """i_q = sqrt(2 T) with its sign, i_d against it or along it; not-a-number is no torque."""
+    reference = CurrentReference(ReluctanceClosedForm(np.float32(2.0), sign), np.float32(8.0))
+    torque = np.array([0.0, 2.0, -2.0, 8.0, 9.0, -9.0, np.inf, -np.inf, np.nan], dtype=np.float32)
+    expected = np.array([0.0, 2.0, -2.0, 4.0, 4.0, -4.0, 4.0, -4.0, 0.0])
+    i_d, i_q = reference.currents(torque)
+    np.testing.assert_array_equal(i_q, expected)
+    np.testing.assert_array_equal(i_d, -sign * np.abs(expected))
+
+
+def test_a_machine_whose_halves_differ_has_a_reference_for_each() -> None:
+    """Each with its own end; not-a-number is no negative torque; the torques that both know end at
+    the smaller one, and samples are those of both."""
+    first = CurrentReference(Proportional(np.float32(0.5)), np.float32(6.0))
+    other = CurrentReference(ReluctanceClosedForm(np.float32(2.0), 1), np.float32(4.5))
+    for positive, negative in ((first, other), (other, first)):
+        both = SignedReference(positive, negative)
+        assert both.torque_max == np.float32(4.5)
+        torque = np.array([2.0, -2.0, 5.0, -5.0, 9.0, -9.0, 0.0, np.nan], dtype=np.float32)
+        found = np.array(both.currents(torque))
+        for k, value in enumerate(torque):
+            own = negative if value < 0.0 else positive
+            np.testing.assert_array_equal(
+                found[:, k], np.array(own.currents(torque[k : k + 1]))[:, 0]
+            )
+        samples = both.samples(40)
+        assert (np.diff(samples) > 0.0).all()
+        assert set(samples) == {*first.samples(40), *other.samples(40)}
+        assert {float(samples[-1]), 4.5, 0.0} <= {*map(float, samples)}
+
+
+def test_samples_meet_both_sides_of_every_breakpoint() -> None:
+    """Evenly spaced, evenly over the decades, and the floats on either side of a breakpoint."""
+    fit = fitted(IPM, form="polynomial", degree=2, breakpoints=(70.0,), method="lagrange")
+    reference = in_floats(fit)
+    samples, end = reference.samples(41), float(reference.torque_max)
+    edge = np.float32(70.0)
+    expected = np.concatenate(
+        [np.linspace(0.0, end, 41), end * 10.0 ** np.linspace(-6.0, 0.0, 10)]
+    ).astype(np.float32)
+    beside = [edge, np.nextafter(edge, np.float32(0.0))]
+    np.testing.assert_allclose(samples, np.unique(np.append(expected, beside)), rtol=1e-6)
+    assert {float(x) for x in beside} <= {float(x) for x in samples}
+    assert samples.max() == reference.torque_max

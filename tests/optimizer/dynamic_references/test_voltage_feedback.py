@@ -4,6 +4,7 @@ needs of a drive that is off its map.
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from dataclasses import replace
@@ -27,6 +28,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.dynamic_references import (
     VoltageFeedback,
+    current_of_no_flux,
     dynamic_references,
     feedback_matrices,
     limit_points,
@@ -285,3 +287,122 @@ def test_the_numbers_of_moving_references_are_those_of_their_slopes(
         assert found.speed_step >= 0.8 * lost[0]
     else:
         assert found.speed_step == pytest.approx(800.0)
+
+
+WIDE = Tolerances(l_d=0.1, l_q=0.2, psi_pm=0.05, v_dc=0.04)
+
+
+def simply_judged(design: Design) -> VoltageFeedback:
+    """With the gains of the data, whatever the tolerances do to their margins."""
+    gains = solve_gains(designed(100.0))
+    box = drive_box(design, (0.3e-3, 0.7e-3), (0.3e-3, 0.7e-3))
+    return voltage_feedback(design, box, (gains.i_d, gains.i_q), design.v_max)
+
+
+def corners() -> list[tuple[float, ...]]:
+    """Factors of l_d, l_q, psi_pm and v_dc, and the data themselves."""
+    sides = [(1.0 - x, 1.0 + x) for x in (0.1, 0.2, 0.05, 0.04)]
+    return [*itertools.product(*sides), (1.0,) * 4]
+
+
+def test_the_feedback_is_judged_at_every_point_and_corner() -> None:
+    """Bandwidths from the slope of the voltage over i_d, poles of every drive at every operating
+    point, one by one."""
+    bandwidth = 2.0 * math.pi * 30.0
+    design = designed(bandwidth, WIDE)
+    found = simply_judged(design)
+    points = limit_points(MACHINE, 100.0, design.v_max, 800.0)
+    omega = 4.0 * points.omega_m
+    assert found.gain == pytest.approx(bandwidth * T_S / (3200.0 * 0.3e-3))
+    assert (found.i_max, found.voltage) == (100.0, design.v_max)
+    v = np.column_stack(
+        [
+            0.05 * points.i_d - omega * 0.7e-3 * points.i_q,
+            0.05 * points.i_q + omega * (0.06 + 0.3e-3 * points.i_d),
+        ]
+    )
+    h = 1e-6
+    further = np.hypot(
+        v[:, 0] - 0.05 * h, v[:, 1] - omega * 0.3e-3 * h
+    )  # of the reactance alone below
+    size = np.hypot(*v.T)
+    slope = np.abs(omega * 0.3e-3 * v[:, 1] / size)
+    assert np.allclose((size - further) / h, slope, rtol=0.2)
+    rates = found.gain * slope / T_S
+    assert found.bandwidth == pytest.approx((rates.min(), rates.max()), rel=1e-9)
+    loops = solve_gains(designed(100.0))
+    control = CurrentControl(
+        (loops.i_d.kp, loops.i_q.kp), (loops.i_d.ki_ts, loops.i_q.ki_ts), 0.3e-3, 0.7e-3,
+        1.5 * T_S, T_S,
+    )  # fmt: skip
+    one = np.ones(omega.size)
+    matrices = [
+        TurningMachines(0.05 * one, 0.3e-3 * d * one, 0.7e-3 * q * one, link * one, omega)
+        for d, q, psi, link in corners()
+        if psi <= 1.0
+    ]
+
+    def largest(gain: float) -> float:
+        return max(
+            float(
+                np.max(
+                    np.abs(
+                        np.linalg.eigvals(feedback_matrices(m, control, v / size[:, None], gain))
+                    )
+                )
+            )
+            for m in matrices
+        )
+
+    assert found.largest_pole == pytest.approx(largest(found.gain), abs=1e-9)
+    assert largest(found.gain * found.gain_margin / 1.011) < 1.0
+    assert largest(found.gain * found.gain_margin * 1.011) > 1.0
+
+
+def test_the_drive_that_lacks_most_voltage_is_sought_among_all() -> None:
+    """Every corner and operating point; more d current until the voltage is enough, the q current
+    on the circle, and what is left of the torque."""
+    design = designed(100.0, WIDE, current=12.0)
+    found = simply_judged(design)
+    assert found.current == 12.0
+    points = limit_points(MACHINE, 100.0, design.v_max, 800.0)
+    omega = 4.0 * points.omega_m
+    added = np.linspace(0.0, 12.0, 101)[:, None]
+    d = points.i_d - added
+    q = np.sign(points.i_q) * np.minimum(np.abs(points.i_q), np.sqrt(np.maximum(1e4 - d * d, 0.0)))
+    most: tuple[float, ...] = (-np.inf,)
+    for l_d, l_q, psi, link in corners():
+        flux_d, flux_q = psi * 0.06 + l_d * 0.3e-3 * d, l_q * 0.7e-3 * q
+        v = np.hypot(0.05 * d - omega * flux_q, 0.05 * q + omega * flux_d)
+        lacks = v - link * design.v_max
+        place = int(np.argmax(lacks[0]))
+        if lacks[0, place] > most[0]:
+            torque = 6.0 * (flux_d * q - flux_q * d)[:, place]
+            enough = np.flatnonzero(lacks[:, place] <= 0.0)
+            k = int(enough[0]) if enough.size else -1
+            most = (
+                float(lacks[0, place]),
+                float(points.torque[place]),
+                float(points.omega_m[place]),
+                float(added[k, 0]) if enough.size else math.nan,
+                float(torque[k] / torque[0]) if torque[0] else 1.0,
+            )
+    worst = found.worst
+    assert worst is not None
+    got = worst.missing, worst.torque, worst.omega_m, worst.current, worst.kept
+    assert got == pytest.approx(most, rel=1e-9, nan_ok=True)
+    assert simply_judged(designed(100.0)).worst is None
+
+
+def test_the_current_leaves_the_weakest_magnet_some_flux() -> None:
+    """All that the limit leaves where the flux stays, else nine tenths of the way to none."""
+    assert simply_judged(designed(100.0)).current == pytest.approx(
+        100.0 + float(np.min(limit_points(MACHINE, 100.0, designed(100.0).v_max, 800.0).i_d))
+    )
+    machine = replace(MACHINE, i_max=250.0, omega_m_max=300.0)
+    design = replace(designed(100.0, Tolerances(psi_pm=0.05)), machine=machine)
+    least = float(np.min(limit_points(machine, 250.0, design.v_max, 300.0).i_d))
+    assert simply_judged(design).current == pytest.approx(
+        0.9 * (least + 0.95 * 0.06 / 0.3e-3), rel=1e-6
+    )
+    assert current_of_no_flux(MACHINE, 0.95) == pytest.approx(-190.0)

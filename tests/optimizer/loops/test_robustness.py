@@ -21,7 +21,15 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.loops.integer_gains import inductance_range
 from dqforge.optimizer.loops.loop_gains import analyse_current_loop, tune_current_loop
-from dqforge.optimizer.loops.robustness import SAMPLES, RobustSet, box_points, drive_box
+from dqforge.optimizer.loops.pi_methods import BatchMargins, current_plants
+from dqforge.optimizer.loops.robustness import (
+    SAMPLES,
+    RobustSet,
+    box_points,
+    drive_box,
+    first_fault,
+    summarise,
+)
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_at_current
 
 BENCH = LinearMachine(
@@ -144,6 +152,24 @@ def test_points_of_a_box() -> None:
     np.testing.assert_array_equal(
         points.deviations, box_points({"r_s": (-0.1, 0.1), "dead_time": (-2e-7, 2e-7)}).deviations
     )
+
+
+def test_points_at_both_loads_are_those_of_the_box_twice() -> None:
+    """Corners without and with the full current, then all others so, the data last of each."""
+    limits = {"l_d": (-0.1, 0.2), "psi_pm": (0.0, 0.05)}
+    plain, both = box_points(limits), box_points(limits, loads=True)
+    rest = len(plain.deviations) - 4
+    assert (plain.corners, both.corners, rest) == (4, 8, SAMPLES + 1)
+    order = [*range(4), *range(4), *range(4, 4 + rest), *range(4, 4 + rest)]
+    np.testing.assert_array_equal(both.deviations, plain.deviations[order])
+    np.testing.assert_array_equal(
+        both.loaded, np.repeat([False, True, False, True], [4, 4, rest, rest])
+    )
+    assert not plain.loaded.any()
+    assert both.text(0) == "l_d -10 %, psi_pm 0 %"
+    assert both.text(7) == "l_d +20 %, psi_pm +5 %, full current"
+    assert both.text(8 + rest - 1) == "l_d 0 %, psi_pm 0 %"
+    assert box_points({}, loads=True).text(1) == "full current"
 
 
 @pytest.mark.parametrize("machine", [IPM, INVERSE_SALIENT, RELUCTANCE, SURFACE])
@@ -303,3 +329,84 @@ def test_optimised_loops_keep_their_bound_in_the_whole_box() -> None:
     assert kept.speed is not None
     assert kept.speed.max_sensitivity.value == pytest.approx(1.7, rel=1e-5)
     assert [loop.inside_worse for loop in (kept.i_d, kept.i_q, kept.speed)] == [False] * 3
+
+
+def margins_of(rows: list[list[float]]) -> BatchMargins:
+    """Radius, phase, gain and delay margin, and largest sensitivity, point by point."""
+    radius, phase, gain, delay, sensitivity = np.array(rows).T
+    known = dict.fromkeys(BatchMargins.__dataclass_fields__, np.zeros(radius.size))
+    return BatchMargins(
+        **known
+        | {
+            "radius": radius,
+            "phase_margin": phase,
+            "gain_margin": gain,
+            "delay_margin": delay,
+            "max_sensitivity": sensitivity,
+        }
+    )
+
+
+def test_the_worst_of_each_margin_is_named_and_an_unstable_point_is_worse_than_any() -> None:
+    points = box_points({"r_s": (-0.1, 0.2), "dead_time": (-1e-6, 2e-6)})
+    fine = [0.9, 1.0, 3.0, 2e-3, 1.3]
+    rows = [fine] * len(points.deviations)
+    rows[0] = [0.9, -0.8, 3.0, 2e-3, 1.3]
+    rows[1] = [0.9, 1.0, 2.5, 2e-3, 1.3]
+    rows[2] = [0.9, 1.0, 3.0, 1e-3, 1.3]
+    rows[3] = [0.95, 1.0, 3.0, 2e-3, 1.7]
+    found = summarise(margins_of(rows), points)
+    at = [points.text(k) for k in range(4)]
+    assert at[1] == "r_s -10 %, dead_time +2 us"
+    assert (found.corners, found.samples, found.inside_worse) == (4, SAMPLES + 1, False)
+    assert (found.phase_margin.value, found.phase_margin.at) == (0.8, at[0])
+    assert (found.gain_margin.value, found.gain_margin.at) == (2.5, at[1])
+    assert (found.delay_margin.value, found.delay_margin.at) == (1e-3, at[2])
+    assert (found.max_sensitivity.value, found.max_sensitivity.at) == (1.7, at[3])
+    assert (found.radius.value, found.radius.at) == (0.95, at[3])
+    assert first_fault(margins_of(rows), points, 0.8) is None
+    said = first_fault(margins_of(rows), points, 0.81)
+    assert said == f"has a phase margin of 45.8 deg at {at[0]}"
+    rows[7] = [0.9, 0.7, 3.0, 2e-3, 1.3]
+    inside = summarise(margins_of(rows), points)
+    assert (inside.inside_worse, inside.phase_margin.at) == (True, points.text(7))
+    rows[7], rows[2] = fine, [1.0, 2.0, 9.0, 9e-3, 1.0]
+    unstable = summarise(margins_of(rows), points)
+    for name in ("phase_margin", "gain_margin", "delay_margin", "max_sensitivity", "radius"):
+        assert getattr(unstable, name).at == at[2]
+    said = first_fault(margins_of(rows), points, 0.1)
+    assert said == f"is unstable (largest pole modulus 1) at {at[2]}"
+
+
+def test_the_zero_sequence_moves_as_far_as_the_further_axis() -> None:
+    """And every plant and winding is that of its point."""
+    tolerances = Tolerances(r_s=0.1, l_d=0.3, l_q=0.2, v_dc=0.05)
+    box = drive_box(design(tolerances), (1.61e-3, 1.74e-3), (1.61e-3, 1.74e-3))
+    assert box.zero_limits()["l_0"] == pytest.approx((-0.3, 0.3))
+    other = drive_box(design(replace(tolerances, l_q=0.4)), (1.6e-3, 1.7e-3), (1.6e-3, 1.7e-3))
+    assert other.zero_limits()["l_0"] == pytest.approx((-0.4, 0.4))
+    assert set(box.zero_limits()) == {"r_s", "v_dc", "dead_time", "l_0"}
+    points = box.zero_points()
+    assert points.names == ("r_s", "v_dc", "l_0")
+    plants = box.zero_plants(points, 0.9e-3)
+    known = current_plants(
+        2.35 * (1.0 + points.of("r_s")), 0.9e-3 * (1.0 + points.of("l_0")), 2e-4,
+        1.0 + points.of("v_dc"),
+    )  # fmt: skip
+    np.testing.assert_allclose(plants.a, known.a, rtol=1e-12)
+    np.testing.assert_allclose(plants.b, known.b, rtol=1e-12)
+    assert box.phase_points(zero=True).names == ("r_s", "l_d", "v_dc", "l_q", "l_0")
+    assert box.phase_points(zero=False).names == ("r_s", "l_d", "v_dc", "l_q")
+    turning = box.turning_points()
+    omega = np.array([-50.0, 0.0, 200.0])
+    drives = box.turning_machines(turning, omega)
+    for row in (0, 3, 8, 200):
+        for place, speed in enumerate(omega):
+            k = 3 * row + place
+            r, d, q, v = (float(turning.of(name)[row]) for name in ("r_s", "l_d", "l_q", "v_dc"))
+            found = [
+                float(getattr(drives, name)[k]) for name in ("r_s", "l_d", "l_q", "gain", "omega_e")
+            ]
+            assert found == pytest.approx(
+                [2.35 * (1 + r), 1.61e-3 * (1 + d), 1.74e-3 * (1 + q), 1 + v, speed]
+            )

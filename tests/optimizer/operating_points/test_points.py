@@ -440,3 +440,26 @@ def test_every_random_point_of_a_measured_map_is_an_optimum(
     )
     least = np.min(np.hypot(plane.i_d, plane.i_q)[allowed])
     assert np.hypot(points.i_d[chosen], points.i_q[chosen]) <= least + 0.01
+
+
+def test_where_only_braking_keeps_the_voltage_the_least_of_it_is_given() -> None:
+    """Next to the end of the speed range a resistance leaves braking currents alone: by a fine scan
+    of the currents, for either direction."""
+    machine = LinearMachine(3, 1.5, 4e-3, 6e-3, 0.1, 10.0)
+    angle, size = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 721), np.linspace(0.0, 10.0, 201))
+    i_d, i_q = size * np.cos(angle), size * np.sin(angle)
+    torque, speeds = machine.torque(i_d, i_q), np.linspace(180.0, 230.0, 12)
+    most = []
+    for speed in speeds:
+        volts = np.hypot(*machine.voltage(i_d, i_q, np.full_like(i_d, 3.0 * speed)))
+        most.append(np.max(torque, initial=-np.inf, where=volts <= 40.0))
+    brakes = np.isfinite(most) & (np.array(most) < -0.1)
+    assert np.count_nonzero(brakes) > 2
+    for sign in (1.0, -1.0):
+        omega = sign * speeds[brakes]
+        found = optimal_points(machine, -0.02 * sign, omega, v_max=40.0)
+        np.testing.assert_allclose(sign * found.torque, np.array(most)[brakes], atol=0.05)
+        np.testing.assert_allclose(machine.torque(found.i_d, found.i_q), found.torque, rtol=1e-9)
+        assert not found.reached.any()
+        v = np.hypot(*machine.voltage(found.i_d, found.i_q, 3.0 * omega))
+        assert np.max(v) <= 40.0 * (1.0 + 1e-6)
