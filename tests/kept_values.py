@@ -1,8 +1,11 @@
-"""What the functions of physics return while a case runs: a number for each, in short.
+"""What the functions of physics return while a case runs, and what their variables then hold: a
+number for each, in short.
 
 A function is followed through its first calls. Every number in what it returns counts with a weight
 of its own place and by its logarithm, so that a share of a small number is seen beside a large one;
-arrays count by their largest entry and two weighted sums. What differs between two sets of kernels
+arrays count by their largest entry and two weighted sums. So do numbers and arrays among arguments,
+variables and, as an object is made, its attributes: a start or a step that a search, a limit or a
+sum over both signs hides from those who call is seen within. What differs between two sets of kernels
 of the linear algebra, as what is left of a residual, is not kept.
 """
 
@@ -31,6 +34,8 @@ import numpy as np
 PHYSICS = r"optimizer/|machines/(\w+_machines|losses|modulation|plants|transforms|back_emf)"
 ROOT = f"{house.ROOT}/"
 CALLS, LEAVES, LETTERS = 40, 5000, 4
+# Of variables: through so many calls, so many numbers each.
+CALLS_WITHIN, LEAVES_WITHIN = 12, 200
 # Below the first, a number counts as nothing; within the second, sums are the same, and those that
 # are kept are so with other kernels within a tenth of it.
 NOTHING, WITHIN = 1e-12, 2e-4
@@ -82,6 +87,21 @@ def _of_one(thing: object) -> tuple[float, ...]:
     return found
 
 
+def _within(frame: FrameType) -> Iterator[float]:
+    """Numbers that the variables of a function hold, alone or in a sequence, and the attributes of
+    what it makes.
+    """
+    held = frame.f_locals
+    if frame.f_code.co_name == "__init__":
+        held = held | getattr(held.get("self"), "__dict__", {})
+    for name, thing in held.items():
+        if name in ("self", "cls") or isinstance(thing, str):
+            continue
+        things = thing if isinstance(thing, (tuple, list)) else (thing,)
+        for one in things[:LEAVES_WITHIN]:
+            yield from _of_one(one)
+
+
 def _leaves(value: object) -> Iterator[float]:
     """Numbers within a value, those of arrays in short."""
     stack = [value]
@@ -101,7 +121,7 @@ def _leaves(value: object) -> Iterator[float]:
 
 
 class Record:
-    """Sums over what functions of physics return, in the order of their first return."""
+    """Sums over what functions of physics find, in the order of their first return."""
 
     def __init__(self) -> None:
         self.sums: dict[tuple[str, str], float] = {}
@@ -131,7 +151,10 @@ class Record:
         if event == "return":
             key = frame.f_code.co_filename.removeprefix(ROOT), frame.f_code.co_qualname
             total, number = self.sums.get(key, 0.0), self._leaves[key]
-            for leaf in itertools.islice(_leaves(value), LEAVES):
+            leaves = itertools.islice(_leaves(value), LEAVES)
+            if self._calls[frame.f_code] >= CALLS - CALLS_WITHIN:
+                leaves = itertools.chain(leaves, _within(frame))
+            for leaf in leaves:
                 number += 1
                 total += leaf * WEIGHTS[number % WEIGHTS.size]
             self.sums[key], self._leaves[key] = float(total), number
@@ -230,14 +253,14 @@ def around(path: str, line: int) -> list[str]:
 
 
 def differences(record: Record, kept: Mapping[str, str]) -> Iterator[str]:
-    """Functions that return something else than what was kept, in the order of their first return,
+    """Functions that find something else than what was kept, in the order of their first return,
     and those that do not run any more; not those that are new or gone.
     """
     was = {(path, one): float(x) for path, line in kept.items() for one, x in _pairs(line)}
     for (path, name), total in record.sums.items():
         before = was.pop((path, in_short(name)), None)
         if before is not None and abs(total - before) > WITHIN:
-            yield f"{path}: {name} returns something else: {before:.4f} is now {total:.4f}"
+            yield f"{path}: {name} finds something else: {before:.4f} is now {total:.4f}"
     for path, letters in was:
         gone = functions(path).get(letters) if (house.ROOT / path).is_file() else None
         if gone is not None:

@@ -109,7 +109,7 @@ def test_a_function_that_returns_something_else_is_named(was: str, now: str) -> 
     kept = kept_of(record_of(VALUE))
     assert not list(kept_values.differences(record_of(VALUE), kept))
     (line,) = kept_values.differences(record_of(VALUE.replace(was, now)), kept)
-    assert line.startswith("optimizer/curves/fitting.py: found returns something else: ")
+    assert line.startswith("optimizer/curves/fitting.py: found finds something else: ")
 
 
 @pytest.mark.parametrize(
