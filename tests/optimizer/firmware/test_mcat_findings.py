@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import replace
 
 import nxp_published as published
 import pytest
+from firmware_asked import numbers_of
 
 from dqforge.optimizer.firmware.configuration import Configuration
 from dqforge.optimizer.firmware.mcat_numbers import EDITIONS
@@ -200,7 +200,7 @@ def test_inputs_that_are_said_to_be_meant_make_the_constants() -> None:
     scales = {"parametersLd": 1e-3, "parametersLq": 1e-3, "parametersRs": 1.0}
     meant: dict[str, float] = {}
     for text in _found(data).contradictions:
-        numbers = [float(part) for part in re.findall(r"(?<![\w.])\d[\d.]*(?:e-?\d+)?", text)]
+        numbers = numbers_of([text], "")
         key = text.split()[0]
         if key in scales:
             assert numbers[0] == pytest.approx(data.inputs[key] / scales[key], rel=1e-5)

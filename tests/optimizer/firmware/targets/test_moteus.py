@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from drives import IPM, RELUCTANCE
-from firmware_asked import SCOOTER, TWO_PI, asked_of, random_asked, scooter
+from firmware_asked import SCOOTER, TWO_PI, asked_of, numbers_of, random_asked, scooter
 from firmware_loops import assert_current_loops_hold
 from saturated import ArctanMachine
 
@@ -214,8 +213,7 @@ def test_the_slope_of_the_inductance_has_the_least_largest_error_up_to_i_max() -
 
 def numbers_in(found: tuple[Shortfall, ...], words: str) -> list[float]:
     """The numbers of the sentence that has these words."""
-    (text,) = [entry.words for entry in found if words in entry.words]
-    return [float(number) for number in re.findall(r"(?<![\w.])\d[\d.]*(?:e[-+]\d+)?", text)]
+    return numbers_of((entry.words for entry in found), words)
 
 
 def test_what_no_d_current_costs_is_found_along_the_circle() -> None:
