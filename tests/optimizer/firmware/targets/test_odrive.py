@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 from drives import RELUCTANCE
-from firmware_asked import SCOOTER, TWO_PI, asked_of, random_asked, scooter
+from firmware_asked import SCOOTER, TWO_PI, asked_of, numbers_of, random_asked, scooter
 from firmware_loops import assert_current_loops_hold
 
 from dqforge.machines.errors import InputError
@@ -214,6 +214,30 @@ def test_every_value_of_an_axis_is_that_of_its_rule(pll: PiGains | None, speed: 
         down = 1e-3 if "margin" in name or "range" in name or "bandwidth" in name else 1e-5
         assert own[name] == pytest.approx(value, rel=down), name
         assert float(own[name]) <= value * (1.0 + 1e-6), name
+
+
+def test_numbers_of_what_does_not_fit_are_those_of_the_axis() -> None:
+    found = configuration(
+        "drive",
+        {
+            "motor.config.torque_constant": 0.138,
+            "motor.config.pole_pairs": 15,
+            "motor.config.current_lim": 70.0,
+            "motor.config.requested_current_range": 60.0,
+            "motor.config.current_control_bandwidth": 5000.0,
+            "sensorless_estimator.config.pm_flux_linkage": 0.00306,
+            "encoder.config.bandwidth": 4200.0,
+            "encoder.config.mode": 1,
+            "encoder.config.cpr": 8192,
+        },
+    ).contradictions
+    assert numbers_of(found, "pm_flux_linkage") == [0.138, 1.5, pytest.approx(1.5 * 15 * 0.00306)]
+    assert numbers_of(found, "kp T") == pytest.approx([4200.0, 2.0 * 4200.0 * 125e-6, 1.0])
+    assert numbers_of(found, "cpr") == [8192.0, 6.0, 90.0]
+    assert numbers_of(found, "current_lim") == [70.0, 60.0]
+    assert numbers_of(found, "ring") == pytest.approx([5000.0, 125.0, 0.625, 0.5], abs=0.006)
+    within = configuration("drive", {"motor.config.current_control_bandwidth": 3990.0})
+    assert within.contradictions == ()
 
 
 @pytest.mark.parametrize(
