@@ -18,7 +18,7 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, Shortfall, judge
 from dqforge.optimizer.firmware.moteus_format import configuration, pwm_rate
-from dqforge.optimizer.firmware.targets.moteus import MOTEUS, _inductance_slope
+from dqforge.optimizer.firmware.targets.moteus import MOTEUS, _inductance_slope, _inductances_words
 
 configure, profile, shortfalls = MOTEUS.configure, MOTEUS.profile, MOTEUS.shortfalls
 
@@ -120,6 +120,7 @@ def test_the_slope_of_the_d_inductance_is_that_of_the_chord() -> None:
 
     held = configure(asked_of(Straight(), v_dc=500.0))
     assert held.own["motor.inductance_d_scale"] == pytest.approx(slope, rel=1e-6)
+    assert "along -d a slope of -2 uH/A" in _inductances_words(held)
 
 
 def test_a_machine_without_saturation_has_no_slope() -> None:
@@ -138,6 +139,14 @@ def test_saturation_is_fitted_and_its_error_told() -> None:
     assert prices["phase margin (q) at i_max"].unit == "rad"
     assert prices["phase margin (q) at i_max"].value >= 0.5235
     assert prices["copper loss"].value > 0.0
+    # Inductances at i_max in q by differences of the flux; the slope in uH/A.
+    step, limit = 1e-3, machine.i_max
+    d = [machine.flux(np.array([x]), np.array([limit]))[0][0] for x in (-step, step)]
+    q = [machine.flux(np.zeros(1), np.array([limit + x]))[1][0] for x in (-step, step)]
+    micro = [1e6 * float(pair[1] - pair[0]) / (2.0 * step) for pair in (d, q)]
+    numbers = numbers_in(found, "one q inductance for all currents")
+    own = [1e6 * machine.l_d, 1e6 * machine.l_q]
+    assert numbers[:5] == pytest.approx([limit, *micro, *own], rel=2e-3)
 
 
 @pytest.mark.parametrize("asked", list(random_asked(6, seed=3)))
