@@ -49,10 +49,10 @@ def test_own_gains_have_the_margins_that_they_were_made_with(tmp_path: Path) -> 
     gains, _ = gains_or_reason(design)
     assert gains is not None
     assert gains.speed is not None
-    pairs = [PiGains(loop.kp, loop.ki) for loop in (gains.i_d, gains.i_q, gains.speed)]
+    d, q, speed = (PiGains(loop.kp, loop.ki) for loop in (gains.i_d, gains.i_q, gains.speed))
     drive = drive_values(design)
     drive = replace(drive, t_s=gains.i_q.t_s, t_speed=gains.speed.t_s)
-    found = explain_own(OwnGains(drive, *pairs))
+    found = explain_own(OwnGains(drive, d, q, speed))
     loops = (found.current_d, found.current_q, found.speed)
     for judged, made in zip(loops, (gains.i_d, gains.i_q, gains.speed), strict=True):
         assert judged is not None
@@ -60,16 +60,16 @@ def test_own_gains_have_the_margins_that_they_were_made_with(tmp_path: Path) -> 
         assert judged.crossover == pytest.approx(made.margins.crossover, rel=1e-6)
         assert judged.max_sensitivity == pytest.approx(made.margins.max_sensitivity, rel=1e-4)
     assert found.remarks == ()
-    heavier = explain_own(OwnGains(drive, *pairs), replace(drive, inertia=0.04)).speed
+    heavier = explain_own(OwnGains(drive, d, q, speed), replace(drive, inertia=0.04)).speed
     assert heavier is not None
     assert found.speed is not None
     assert heavier.crossover == pytest.approx(0.5 * found.speed.crossover, rel=0.1)
-    observed = explain_own(OwnGains(drive, *pairs, observed=True))
+    observed = explain_own(OwnGains(drive, d, q, speed, observed=True))
     assert "runs on an observer" in observed.remarks[0]
-    without = explain_own(OwnGains(replace(drive, inertia=None), *pairs))
+    without = explain_own(OwnGains(replace(drive, inertia=None), d, q, speed))
     assert without.speed is None
     assert "a header lacks the inertia" in without.remarks[0]
-    (missing,) = explain_own(OwnGains(replace(drive, r_s=None), *pairs)).remarks
+    (missing,) = explain_own(OwnGains(replace(drive, r_s=None), d, q, speed)).remarks
     assert "without the phase resistance" in missing
-    (missing,) = explain_own(OwnGains(replace(drive, t_s=None), *pairs)).remarks
+    (missing,) = explain_own(OwnGains(replace(drive, t_s=None), d, q, speed)).remarks
     assert "without the sampling period" in missing
