@@ -74,7 +74,6 @@ def test_files_that_do_not_belong_together_are_refused(other: bytes, words: str)
 def test_a_packed_file_that_is_cut_off_is_refused() -> None:
     packed = gzip.compress(text(0.0, 0, 1, 2))
     for content, words in ((packed[:-5], "cut off or damaged"), (b"time", "no gzip file")):
+        files = {"a.csv.gz": content}
         with pytest.raises(InputError, match=words):
-            read_captures(
-                ["a.csv.gz"], lambda _, whole=content: whole, lambda _: False, CaptureOptions()
-            )
+            read_captures(list(files), files.__getitem__, lambda _: False, CaptureOptions())
