@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -103,3 +104,10 @@ def random_asked(count: int, seed: int = 20) -> Iterator[Asked]:
             ratio=int(rng.integers(1, 40)),
             name=f"drive {index}",
         )
+
+
+def numbers_of(sentences: Iterable[str], words: str) -> list[float]:
+    """The numbers of the one sentence that has these words."""
+    (text,) = [sentence for sentence in sentences if words in sentence]
+    found = re.findall(r"(?<![\w.])-?\d[\d.]*(?:e[-+]?\d+)?", text)
+    return [float(number.rstrip(".")) for number in found]

@@ -405,7 +405,8 @@ _INTERVAL = re.compile(
 )
 
 _RATE = re.compile(r"\W*(?:sampl(?:e|ing) ?(?:rate|frequency))\b(.*)", re.IGNORECASE | re.DOTALL)
-_STATED = re.compile(rf"(?<![\w.+-])({_NUMBER})\s*(\w*)(?=$|[\s,;:\"'])")
+# The whole word behind the number is its unit: of "500 kSa/s" nothing counts without it.
+_STATED = re.compile(rf"(?<![\w.+-])({_NUMBER})(?>\s*(\w*(?:/\w+)?))(?=$|[\s,;:\"'])")
 
 _RATE_UNITS = {
     "": 1.0,
@@ -413,11 +414,13 @@ _RATE_UNITS = {
     "kHz": 1e3,
     "MHz": 1e6,
     "GHz": 1e9,
-    "S": 1.0,
-    "Sa": 1.0,
-    "kSa": 1e3,
-    "MSa": 1e6,
+    "samples": 1.0,
+} | {
+    f"{prefix}{sample}": size
+    for prefix, size in (("", 1.0), ("k", 1e3), ("M", 1e6), ("G", 1e9))
+    for sample in ("S", "Sa")
 }
+_PER_SECOND = ("", "s", "sec", "second")
 
 # Share of falling steps from which on a column is no time: a voltage falls in half of its steps.
 _FALLS = 0.25
@@ -578,8 +581,12 @@ def _stated_in(line: str, pattern: re.Pattern[str], is_rate: bool) -> float | No
         text = text.replace(",", ".")
     found = set()
     for match in _STATED.finditer(text):
-        number, unit = float(match[1]), match[2]
-        scale = _RATE_UNITS.get(unit) if is_rate else _time_scale(unit)
+        number = float(match[1])
+        unit, _, per = match[2].partition("/")
+        if is_rate:
+            scale = _RATE_UNITS.get(unit) if per in _PER_SECOND else None
+        else:
+            scale = _time_scale(match[2])
         if scale is not None and number > 0.0:
             found.add(1.0 / (number * scale) if is_rate else number * scale)
     return found.pop() if len(found) == 1 else None

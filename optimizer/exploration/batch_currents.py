@@ -270,7 +270,8 @@ def _edges(
         return dict.fromkeys(axes, np.stack([zero, zero + settings.breakpoints[0], end]))
     size = np.where(straight, 1.0, np.abs(batch.saliency))
     base_torque = 0.75 * batch.pole_pairs * batch.psi_pm * (batch.psi_pm / (2.0 * size))
-    bent = np.where(base_torque > 0.0, end / np.where(base_torque > 0.0, base_torque, 1.0), np.inf)
+    bent = np.full_like(end, np.inf)
+    np.divide(end, base_torque, out=bent, where=base_torque > 0.0)
     tau = np.where(straight, 0.0, bent)
     side = SideConditions(settings.exact_at_zero, settings.continuous)
     groups = [(axis,) for axis in axes] if settings.breakpoint_mode == "own" else [axes]

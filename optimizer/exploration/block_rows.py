@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.arrays import BoolArray, FloatArray, IndexArray
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.numerical import located
+from dqforge.machines.design.numerical import located, numerical_errors
 from dqforge.machines.design.settings import FitSettings, LossSettings, WaveformSettings
 from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError
 from dqforge.machines.exploration.row_designs import design_of
@@ -561,7 +561,7 @@ class ExactSteps:
 
     def _limit(self, choice: CurrentChoice) -> Numbers:
         self.work.limits += 1
-        with located(None, "operation"):
+        with numerical_errors():
             return _largest(choice)
 
     def fit(self, design: Design) -> Numbers:
@@ -633,7 +633,7 @@ class ExactSteps:
     def _points(self, drive: LossDrive, design: Design) -> LossComparison:
         self.work.budget_calls += 1
         assert design.losses is not None
-        with located(None, "losses"):
+        with numerical_errors():
             return compare_points(
                 drive.machine,
                 drive.inverter,
@@ -659,7 +659,7 @@ class ExactSteps:
     def _table(self, drive: LossDrive, losses: LossSettings) -> LossTable | None:
         self.work.budget_calls += 1
         try:
-            with located(None, "losses"):
+            with numerical_errors():
                 return drive_table(drive, losses, self.grid)
         except DqforgeError:  # each row then says for itself what is wrong with it
             return None

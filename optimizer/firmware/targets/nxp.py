@@ -500,8 +500,10 @@ def _integers(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
         ("q axis", asked.current_q, held.current_q),
         ("speed loop", asked.speed, held.speed),
     ):
-        worst = 0.0 if wished is None or has is None else _largest_error(wished, has)
-        if wished is not None and has is not None and worst > NOTICED:
+        if wished is None or has is None:
+            continue
+        worst = _largest_error(wished, has)
+        if worst > NOTICED:
             yield Shortfall(
                 f"gains of the {of}: {has.kp:.5g} and {has.ki:.5g} run for {wished.kp:.5g} and "
                 f"{wished.ki:.5g} that were requested, the closest in this format",

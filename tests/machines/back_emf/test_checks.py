@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from contextlib import AbstractContextManager, nullcontext
 
@@ -11,7 +12,17 @@ import pytest
 from dqforge.machines.arrays import ComplexArray
 from dqforge.machines.back_emf import checks
 from dqforge.machines.back_emf.checks import Origin
+from dqforge.machines.back_emf.columns import BemfSymmetry, remarks
+from dqforge.machines.back_emf.harmonics import (
+    HarmonicFit,
+    Motion,
+    fit_linear,
+    quantisation_error,
+    resolution,
+    uncertainty,
+)
 from dqforge.machines.errors import InputError
+from dqforge.machines.files.text_table import TextTable
 
 ORIGIN = Origin("scope.csv", np.arange(5, 105))
 TURN = np.exp(-2j * np.pi / 3.0)
@@ -150,3 +161,118 @@ def test_a_flat_top_without_noise_is_told_and_not_refused() -> None:
     (told,) = checks.check_clipping(flat[None], samples, wide)
     stands = np.count_nonzero(flat == flat.max())
     assert f"{stands} samples ({stands / flat.size:.1%}) of channel 1 stand at 9 V" in told
+
+
+@pytest.mark.parametrize(
+    ("line", "interval"),
+    [
+        ("Sampling rate: 500 kSa/s", 2e-6),
+        ("Sample Rate,2.5 MS/s", 4e-7),
+        ("Sampling Rate 1GSa/s", 1e-9),
+        ("Sample rate,400000 Sa/s", 2.5e-6),
+        ("sampling frequency = 8 kHz", 1.25e-4),
+        ("Sampling rate 500 samples/s", 2e-3),
+        ("Sample rate;250;Hz", 4e-3),
+        ("Sample Rate 5 turns/s", None),
+        ("Sample rate 5 Sa/div", None),
+        ("Sample Interval,2.0E-6", 2e-6),
+        ("XINCREMENT;4,0e-7;s", 4e-7),
+        ("HResolution: 2 us", 2e-6),
+        ("dt 5 ns/div", None),
+        ("Increment,0.0002 , s", 2e-4),
+        ("Sampling period = 3 ms", 3e-3),
+        ("Time interval: 1 ms, 2 ms", None),
+        ("Delta t=3 V", None),
+        ("Sample Interval,0", None),
+        ("Model,5 us", None),
+    ],
+)
+def test_an_interval_is_read_with_the_whole_of_its_unit(line: str, interval: float | None) -> None:
+    values = np.arange(12.0).reshape(3, 4) % 5.0
+    table = TextTable(
+        "scope.csv", ("CH1", "CH2", "CH3", "CH4"), ("V",) * 4, values, np.arange(3), (line,)
+    )
+    with refused("" if interval else "states no interval"):
+        axis = checks.find_axis(table, None, None, None, ORIGIN)
+        np.testing.assert_allclose(axis.values, np.arange(3) * (interval or 0.0))
+    if interval:
+        checks.find_axis(table, None, None, 1.0009 * interval, ORIGIN)
+        with refused("but the file states"):
+            checks.find_axis(table, None, None, 1.0011 * interval, ORIGIN)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("share", [0.99, 1.02])
+def test_remarks_begin_at_their_limits_and_say_the_numbers(share: float, sign: float) -> None:
+    """Of 3 % of asymmetry and offset, 2 degrees, 1 % of even harmonics, 5 % of noise and drift."""
+    sizes = np.array([10.0, 20.0, 40.0])
+    told = remarks(
+        BemfSymmetry(0.03 * share, np.radians(2.0 * share), 0.01 * share, 0.0),
+        sign * 0.03 * share * sizes * [1.0, 0.0, 0.5],
+        0.05 * share * sizes * [0.9, 1.0, 0.1],
+        sizes,
+        sign * 0.05 * share,
+        "V",
+    )
+    expected = [
+        f"Phase a has an offset of {sign * 0.306:.3g} V ({sign * 3.1:+.1f}% of its",
+        "Phase b has 1.02 V r.m.s. (5.1% of its",
+        "by up to 3.1%.",
+        "up to 2.0 degrees off",
+        "Even harmonics make 1.0% of",
+        f"changes by {sign * 5.1:+.1f}% over",
+    ]
+    assert len(told) == (len(expected) if share > 1.0 else 0)
+    for text, words in zip(told, expected, strict=False):
+        assert words in text
+
+
+@pytest.mark.parametrize(("step", "noise"), [(0.02, 0.0), (0.02, 0.004), (0.02, 0.5)])
+def test_rounding_errs_by_the_first_term_of_its_series(step: float, noise: float) -> None:
+    """Mean of the rounding error against the mean of what is rounded: its fundamental."""
+    total = math.hypot(noise, step / math.sqrt(12.0))
+    found = float(quantisation_error(np.array([step]), np.array([total]))[0])
+    before = noise / step
+    assert found == pytest.approx(step / math.pi * math.exp(-2.0 * (math.pi * before) ** 2))
+    if 0.0 < noise < step:
+        drawn = noise * np.random.default_rng(4).standard_normal(200_000)
+        level = np.linspace(0.0, step, 32, endpoint=False)
+        error = [np.mean(np.round((x + drawn) / step) * step - x - drawn) for x in level]
+        line = 2.0 * abs(np.mean(error * np.exp(-2j * np.pi * level / step)))
+        assert line == pytest.approx(found, rel=0.01)
+    assert quantisation_error(np.zeros(1), np.ones(1))[0] == 0.0
+
+
+def test_a_converter_is_seen_where_few_values_occur() -> None:
+    rng = np.random.default_rng(3)
+    wave = np.sin(np.linspace(0.0, 30.0, 4000)) + 0.01 * rng.standard_normal(4000)
+    assert resolution(np.round(wave / 0.04) * 0.04) == pytest.approx(0.04)
+    assert resolution(wave) == 0.0
+    assert resolution(np.sign(wave)) == 0.0
+
+
+def drawn_fit(count: int, sigma: float, rng: np.random.Generator) -> HarmonicFit:
+    angle = 2.0 * np.pi * np.arange(count) / count * 20.0
+    motion = Motion(np.zeros(count), 1.0, 1.0, np.zeros(0), angle)
+    shape = np.stack([3.0 * np.cos(angle), 2.0 * np.sin(2.0 * angle)])
+    return fit_linear(motion, shape + sigma * rng.standard_normal(shape.shape), 4)
+
+
+def test_the_disc_of_white_noise_is_that_of_its_chi_square() -> None:
+    """Real and imaginary part err by s sqrt(2/N); of 2 N lines the 95 % disc is sqrt(2 ln 20)
+    of that, but for the F distribution's 1/N.
+    """
+    rng, count, sigma = np.random.default_rng(6), 1000, 0.3
+    inside, widths = [], []
+    for _ in range(60):
+        fit = drawn_fit(count, sigma, rng)
+        radius, known = uncertainty(fit, 20.0)
+        assert known
+        apart = np.abs(fit.coefficients - [[3.0, 0.0, 0.0, 0.0], [0.0, -2j, 0.0, 0.0]])
+        inside.append(apart < radius)
+        widths.append(radius)
+        np.testing.assert_allclose(fit.explained, [1.0 - 2.0 * 0.02 / 2.0, 1.0 - 0.045], atol=0.02)
+    assert np.mean(widths) == pytest.approx(
+        sigma * math.sqrt(4.0 * math.log(20.0) / count), rel=0.01
+    )
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.04)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,25 @@ def test_fundamentals_within_the_pole_pairs_are_those_of_the_waveform() -> None:
     np.testing.assert_allclose(found.fundamentals, exact, rtol=3e-3)
     means = np.mean(exact, axis=1, keepdims=True)
     assert abs(found.spread - np.max(np.abs(exact - means) / means)) < found.doubt
+
+
+@pytest.mark.parametrize(
+    ("spread", "common", "differ", "words"),
+    [
+        (0.0099, 0.9, True, ""),
+        (0.0101, 0.74, True, "by up to 1.0% (+- 0.4%)"),
+        (0.052, 0.76, True, "rise and fall together (76% of it)"),
+        (0.052, 0.76, False, ""),
+    ],
+)
+def test_differences_are_told_from_one_percent_on(
+    spread: float, common: float, differ: bool, words: str
+) -> None:
+    found = replace(pairs_of(capture(17.5)), spread=spread, doubt=0.004, common=common)
+    told = replace(found, differ=differ).finding
+    assert words in told
+    assert bool(told) == bool(words)
+    assert ("rise and fall together" in told) == (bool(words) and common > 0.75)
 
 
 def test_equal_pole_pairs_do_not_differ() -> None:

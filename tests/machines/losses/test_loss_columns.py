@@ -111,6 +111,15 @@ def test_a_fit_that_misses_and_a_part_below_zero_are_named() -> None:
     assert "counts as zero there" in told
     assert "iron loss by f and f^2 leaves" in told
     assert "i_d = -100 A" in told
+    # By hand: P/f falls at i_d = -100 A alone, where it counts as constant.
+    f = np.array([100.0, 200.0, 400.0])
+    made = np.array([[falling(np.array(-100.0), q, float(x)) for x in f] for q in I_Q])
+    left = made - np.mean(made / f, axis=1, keepdims=True) * f
+    worst = np.unravel_index(np.argmax(np.abs(left)), left.shape)
+    rms = np.sqrt(np.sum(left**2) / (48 * f.size))
+    numbers = [float(x) for x in re.findall(r"(?<![\w^.-])-?\d[\d.]*", told.split("leaves")[1])]
+    expected = [rms, abs(left[worst]), -100.0, I_Q[worst[0]], f[worst[1]]]
+    assert numbers == pytest.approx(expected, rel=1e-2)
     assert float(np.min(found.loss_map.iron.psi_q)) >= 0.0
 
 

@@ -47,7 +47,11 @@ def test_without_units_the_numbers_are_si_and_that_is_said() -> None:
 @pytest.mark.parametrize(
     ("text", "line", "message"),
     [
-        ("time [s],speed [rpm],torque [N m]\n0,1,1\n2,1,1\n1,1,1\n", 4, "does not lie after"),
+        (
+            "time [s],speed [rpm],torque [N m]\n0,1,1\n2,1,1\n1,1,1\n",
+            4,
+            "1 s does not lie after the 2 s",
+        ),
         ("time [s],speed [rpm],torque [N m]\n0,1,1\n1,1,1\n1,1,1\n", 4, "keep each time once"),
         ("time [s],speed [rpm],torque [N m]\n0,1,1\n1,,1\n2,1,1\n", 3, "no number for the speed"),
         ("time [s],speed [km/h],torque [N m]\n0,1,1\n1,1,1\n2,1,1\n", 1, "is none of a speed"),
@@ -60,8 +64,10 @@ def test_without_units_the_numbers_are_si_and_that_is_said() -> None:
         (
             "time [s],speed [rpm],torque [N m]\n0,1,1\n1,5000,1\n2,1,1\n",
             3,
-            "above machine.max_speed 3000 rpm",
+            "speed 5000 rpm is above machine.max_speed 3000 rpm; correct one of them",
         ),
+        ("time [s],speed,torque [N m]\n0,1,1\n1,950,1\n2,1,1\n", 3, r"write speed \[rpm\]"),
+        ("time [s],speed,torque [N m]\n0,1,1\n1,935,1\n2,1,1\n", 3, "correct one of them"),
         ("time [s],speed [rpm],torque [N m]\n0,1,1\n1,fast,1\n2,1,1\n", 3, "not a number"),
     ],
 )

@@ -64,6 +64,21 @@ def test_errors_and_penalties_are_those_of_each_machine_alone(form: str) -> None
         assert penalties[row] == pytest.approx(penalty, rel=1e-9, abs=1e-13)
 
 
+@pytest.mark.parametrize("form", ["torque-exact", "polynomial", "reluctance"])
+def test_far_below_a_newton_metre_the_penalty_is_that_of_each_machine_too(form: str) -> None:
+    machine, header = header_of(form)
+    drawn = drawn_machines(machine, 5, 3)
+    points = reference_points(header, np.array([0.02, 0.3]))
+    penalties = loss_penalties(points, drawn, produced_torque(points, drawn))
+    for row in range(drawn.count):
+        single = drawn.machine(row)
+        least = copper_loss(
+            single.r_s, *mtpa_currents(single, single.torque(points.i_d, points.i_q))
+        )
+        penalty = np.max(copper_loss(single.r_s, points.i_d, points.i_q) / least - 1.0)
+        assert penalties[row] == pytest.approx(penalty, rel=1e-9, abs=1e-12)
+
+
 @pytest.mark.parametrize("form", FORMS)
 def test_on_its_own_machine_a_header_is_as_good_as_its_fit(form: str) -> None:
     machine, header = header_of(form)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -84,6 +86,21 @@ def test_currents_make_their_torque_and_turn_with_its_sign(name: str) -> None:
     assert other_q.tobytes() == (-i_q).tobytes()
     beyond = currents_on_loci(machines, loci, 1.01 * loci.torque_max[np.newaxis])
     assert np.all(np.isnan(beyond))
+
+
+@pytest.mark.parametrize(("share", "kept"), [(0.5, True), (2.0, False)])
+def test_a_torque_that_is_missed_by_more_than_rounding_is_none(share: float, *, kept: bool) -> None:
+    """By 1e-10 of the limit torque; a machine that makes a little more than its jet says."""
+    machines, loci = found(DRIVES[0])
+    more = share * 1e-10 * loci.torque[-1]
+    beside: Any = SimpleNamespace(
+        count=machines.count,
+        pole_pairs=machines.pole_pairs,
+        jet=machines.jet,
+        torque=lambda i_d, i_q: machines.torque(i_d, i_q) + more,
+    )
+    currents = currents_on_loci(beside, loci, 0.3 * loci.torque_max[np.newaxis])
+    assert np.all(np.isfinite(currents) == kept)
 
 
 def test_a_machine_has_the_same_bytes_in_any_batch() -> None:

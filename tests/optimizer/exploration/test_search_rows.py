@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import pickle
 import sys
 
 import numpy as np
 import pytest
 from search_problems import opened, ranges
+from searched_rows import FRONT, ONE_GOAL, searched, study_of
 
+from dqforge.machines.design import catalogue
+from dqforge.machines.design.catalogue import load_text
 from dqforge.machines.errors import InputError
 from dqforge.machines.exploration.study import Search
+from dqforge.optimizer.control_design.gain_set import solve_current_loops
 from dqforge.optimizer.exploration.acceptance import AcceptedRange, GoalColumn
 from dqforge.optimizer.exploration.row_block import STATES
+from dqforge.optimizer.exploration.study_plan import StudyPlan
 from dqforge.optimizer.exploration.study_search import SearchVariable, generation_batch, outcomes_of
 
 
@@ -74,3 +80,47 @@ def test_without_pymoo_it_is_told_what_to_install(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(sys.modules, "pymoo.algorithms.moo.nsga2", None)
     with pytest.raises(InputError, match=r"needs pymoo; install it with: pip install 'dqforge\["):
         opened(Search("nsga2", 4, 10, 1), ranges(2))
+
+
+@pytest.mark.parametrize("text", [FRONT, ONE_GOAL], ids=["front", "one-goal"])
+def test_rows_of_a_search_are_the_designs_at_its_points(text: str) -> None:
+    """Two generations, row by row by the single path; what is told has the sign of its goal."""
+    study = searched(StudyPlan(study_of(text)))
+    run = study.begun()
+    size = study.search.population
+    for number in range(2):
+        points = run.ask()
+        rows = study.generation(number, points)
+        assert (rows.start, rows.size) == (number * size, size)
+        assert rows.count == size * study.search.generations
+        block = rows.rows(rows.start, rows.start + size)
+        travelled = pickle.loads(pickle.dumps(rows)).rows(rows.start + 1, rows.start + 3)
+        assert np.array_equal(rows.keys(rows.start, rows.start + size), block.keys)
+        assert np.array_equal(travelled.keys, block.keys[1:3])
+        columns = {name: block.columns[name] for name in study.judged_columns}
+        told = study.outcomes(columns, block.states)
+        frequencies = (
+            points[:, 2]
+            if text == ONE_GOAL
+            else np.array([5e3, 8e3, 10e3])[points[:, 2].astype(int)]
+        )
+        assert np.all((points[:, 0] >= 2.0) & (points[:, 0] <= 3.0))
+        for place in (0, size - 1):
+            settings = [
+                f"machine.resistance={float(points[place, 0])!r} Ohm",
+                f"machine.inductance_q={float(points[place, 1])!r} H",
+                f"control.sampling_frequency={float(frequencies[place])!r} Hz",
+            ]
+            name = "paper001-pmsm-bench"
+            design = load_text(catalogue.read_text(name), name, settings=settings)
+            gains = solve_current_loops(design)[1].margins
+            margin, crossover = gains.phase_margin, gains.crossover
+            if text == ONE_GOAL:
+                goals, excess = [-crossover], 1.0 - margin / np.radians(60.0)
+            else:
+                goals, excess = [-margin, -crossover], 1.0 - crossover / (2.0 * np.pi * 100.0)
+            assert told.goals[place] == pytest.approx(goals, rel=1e-9)
+            assert told.excess[place] == pytest.approx([excess], rel=1e-9, abs=1e-12)
+            assert (block.states[place] == STATES.index("limit")) == (excess > 0.0)
+        run.tell(told)
+    assert run.generation == 2

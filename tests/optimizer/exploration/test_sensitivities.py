@@ -12,6 +12,7 @@ from dqforge.optimizer.exploration.acceptance import SaltelliSums, sobol_indices
 from dqforge.optimizer.exploration.row_block import saltelli_inputs, saltelli_places
 from dqforge.optimizer.exploration.sensitivities import (
     BINS,
+    BinnedOutput,
     Sensitivities,
     binned_output,
     sensitivities,
@@ -152,3 +153,24 @@ def test_rows_of_the_design_are_the_same_from_any_batch() -> None:
         mixed = sample[:, :4].copy()
         mixed[:, place] = sample[:, 4 + place]
         assert np.array_equal(rows[:, 2 + place], mixed)
+
+
+@pytest.mark.parametrize("centre", [1e3, -1e3])
+@pytest.mark.parametrize(("share", "flat"), [(0.9, True), (1.1, False)])
+def test_an_output_that_changes_by_its_rounding_alone_depends_on_nothing(
+    centre: float, share: float, *, flat: bool
+) -> None:
+    """Below a variance of 1e-28 of the square of its size, by bins and by the design."""
+    variance, rows = share * 1e-28 * centre**2, 100
+    size = np.sqrt(variance)
+    binned = BinnedOutput(
+        edges=np.zeros((1, 1)),
+        centre=np.array([centre, 0.0]),
+        counts=np.array([[50.0, 50.0]]),
+        sums=np.array([[-50.0 * size, 50.0 * size]]),
+        moments=np.array([[rows * variance, 0.0], [0.0, rows], [0.0, 0.0]]),
+    )
+    assert np.isnan(sensitivities("y", ("x",), binned).first[0]) == flat
+    one = np.ones(1)
+    sums = SaltelliSums(1, centre, 10, (0.0, 20.0 * variance), one, variance * one, variance * one)
+    assert np.isnan(sums.indices().first[0]) == flat

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from phase_shapes import paper_machine, trapezoid_machine
 
@@ -13,7 +14,12 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.devices.inverter import SwitchDevice
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.flashing_choice import DEVIATIONS, advise, compare_flashing
+from dqforge.optimizer.flashing_choice import (
+    DEVIATIONS,
+    advise,
+    compare_flashing,
+    pointwise_dq,
+)
 
 P = catalogue.load("paper002-phase-waveforms")
 
@@ -146,3 +152,25 @@ def test_a_salient_machine_has_dq_and_the_table() -> None:
     assert plain.ripple is not None
     assert table.ripple is not None
     assert table.ripple.plain < plain.ripple.plain
+
+
+@pytest.mark.parametrize("torque", [0.6, -0.9])
+def test_sinusoids_of_a_salient_machine_are_its_mtpa(torque: float) -> None:
+    """Constant in dq, of that torque with the sign of i_q, and no neighbour on it is smaller."""
+    drive = catalogue.load("salient-phase-waveforms")
+    machine = drive.phase_machine
+    assert machine is not None
+    currents = pointwise_dq(drive, torque, machine)
+    angle = 2.0 * np.pi * np.arange(machine.angles) / machine.angles
+    shifted = angle - 2.0 * np.pi / 3.0 * np.arange(3)[:, None]
+    i_d = 2.0 / 3.0 * np.sum(currents * np.cos(shifted), axis=0)
+    i_q = -2.0 / 3.0 * np.sum(currents * np.sin(shifted), axis=0)
+    np.testing.assert_allclose(i_d, i_d[0], atol=1e-9)
+    np.testing.assert_allclose(i_q, i_q[0], rtol=1e-9)
+    assert np.all(np.abs(np.sum(currents, axis=0)) < 1e-9)
+    linear = drive.machine
+    assert float(linear.torque(i_d[:1], i_q[:1])[0]) == pytest.approx(torque, rel=1e-9)
+    beside = i_d[0] + np.array([-1e-2, 1e-2])
+    per_ampere = linear.torque(beside, np.ones(2))
+    assert np.all(np.hypot(beside, torque / per_ampere) > np.hypot(i_d[0], i_q[0]))
+    assert abs(i_d[0]) > 1e-3

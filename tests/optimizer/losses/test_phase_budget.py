@@ -430,6 +430,13 @@ def test_marks_and_largest_values_are_those_of_the_legs(v_dc: float) -> None:
         machine, replace(inverter, device=device), currents, omega, options=options
     )
     np.testing.assert_array_equal(cooler.budget.cool_enough, [[True, True, False]])
+    # A channel whose diode drops more: the dead time costs what it carries the longer.
+    diode = replace(IGBT.device, kind="mosfet", on_voltage=0.0, diode_voltage=1.5)
+    legs = phase_budget(machine, replace(inverter, device=diode), currents, omega, options=options)
+    part = legs.budget
+    assert np.all(part.dead_time > 0.0)
+    bridge = part.conduction + part.switching + part.dead_time
+    np.testing.assert_allclose(legs.leg_loss.sum(axis=-1), bridge)
     np.testing.assert_array_equal(budget.cool_enough, hottest <= 175.0)
     # Slow enough for no power at all but what is lost.
     shaft = budget.shaft_power[0]

@@ -100,5 +100,7 @@ def test_calibration_refuses_a_point_beyond_the_linear_range() -> None:
 
 
 def test_calibration_refuses_thermal_runaway() -> None:
-    with pytest.raises(NoSolutionError, match="thermal runaway"):
+    torque, size = MACHINE.torque_per_ampere * ID0[1], math.hypot(*ID0)
+    said = rf"{torque:.4g} N m and {OMEGA_M:.4g} rad/s \({size:.4g} A\): .* \(1 of 1 points\)"
+    with pytest.raises(NoSolutionError, match="thermal runaway at " + said):
         calibrate_switching(1064.0, MACHINE, hot_inverter(5e-2), *ID0, OMEGA_M, "spwm")

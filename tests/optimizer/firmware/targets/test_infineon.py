@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from firmware_asked import SCOOTER, asked_of, random_asked, scooter
+from firmware_asked import SCOOTER, asked_of, numbers_of, random_asked, scooter
 from saturated import ArctanMachine
 
 from dqforge.machines.devices.inverter import CurrentSensing
@@ -328,3 +328,82 @@ def test_what_just_holds_is_no_contradiction(changed: dict[str, float], words: s
     told = [text for text in more if text not in plain]
     assert bool(told) == bool(words)
     assert not words or any(words in text for text in told)
+
+
+def test_numbers_of_what_does_not_fit_are_those_of_physics() -> None:
+    """Voltage of the magnets, phases and filter, each worked out by hand."""
+    most, v_max = DEFAULTS["params.motor.w_max.elec"], 32.0 / math.sqrt(3.0)
+    found = configuration(
+        "x",
+        DEFAULTS
+        | {
+            "params.motor.v_nom": 20.0,
+            "params.motor.w_nom.elec": 15000.0,
+            "params.ctrl.curr.kp.q": 0.5,
+            "params.sys.analog.filt.w0_i_ph": 150e3,
+        },
+    ).contradictions
+    expected = [most, 1.9e-3, most * 1.9e-3, 32.0, v_max, v_max / 1.9e-3]
+    assert numbers_of(found, "without field weakening") == pytest.approx(expected, rel=1e-3)
+    assert numbers_of(found, "v_nom 20 V")[:1] == [20.0]
+    assert numbers_of(found, "v_nom 20 V")[-1] == pytest.approx(v_max, rel=1e-3)
+    assert numbers_of(found, "w_nom") == pytest.approx([15000.0, most], rel=1e-3)
+    by_hand = [0.5, 0.5 / 28e-6, 2.0 * math.pi * 1500.0]
+    assert numbers_of(found, "edited by hand") == pytest.approx(by_hand, rel=1e-3)
+    assert numbers_of(found, "overshooting") == pytest.approx([150e3, 100e3, 1.5])
+    lag = 1.0 / (20.0 * math.pi) - 1.0 / (6e3 * math.pi)
+    degrees = round(math.degrees(math.atan(20.0 * math.pi * lag)))
+    expected = [1.0 / lag, 20.0 * math.pi, degrees]
+    assert numbers_of(found, "spd_ar_en") == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"params.sys.analog.filt.w0_i_ph": 100.9e3}, ""),
+        ({"params.sys.analog.filt.w0_i_ph": 101.1e3}, "overshooting"),
+        ({"params.sys.analog.filt.w0_i_ph": 199e3}, "overshooting"),
+        ({"params.sys.analog.filt.w0_i_ph": 200e3}, "unstable"),
+        ({"params.filt.spd_ar_wp[0]": 5.05 * 20.0 * math.pi}, ""),
+        ({"params.filt.spd_ar_wp[0]": 4.8 * 20.0 * math.pi}, "takes 12 deg"),
+    ],
+)
+def test_filters_are_told_from_their_limits_on(changed: dict[str, float], words: str) -> None:
+    """A filter of the currents above fs0, and from twice fs0; one of the speed below 5 bw."""
+    quick = {"params.filt.spd_ar_wz[0]": 1e9, "params.filt.spd_ar_wp[0]": 1e9}
+    told = configuration("x", DEFAULTS | quick | changed).contradictions
+    told = tuple(text for text in told if "w0_i_ph" in text or "spd_ar" in text)
+    assert len(told) == bool(words)
+    assert not words or words in told[0]
+
+
+@pytest.mark.parametrize("viscous", [0.0, 2e-3])
+def test_the_librarys_own_gains_are_priced_beside_those_asked_for(viscous: float) -> None:
+    """bw r for the currents; bw B over the torque constant for the speed, which then sinks by
+    1/kp per ampere.
+    """
+    machine = replace(SCOOTER, friction=viscous)
+    asked = asked_of(machine, speed=PiGains(0.7, 9.0))
+    asked = replace(asked, current_q=replace(asked.current_q, ki=2.0 * asked.current_q.ki))
+    found = shortfalls(asked, configure(asked))
+    prices = {price.of: price.value for entry in found for price in entry.prices}
+    words = [entry.words for entry in found]
+    assert prices["q integral gain of the library's own rule"] == pytest.approx(-0.5, rel=1e-6)
+    ki = asked.current_q.ki
+    assert numbers_of(words, "bw r") == pytest.approx([0.5 * ki, ki], rel=1e-3)
+    bandwidth = 0.7 * 1.5 * 15 * machine.psi_pm / 0.02
+    own = bandwidth * viscous / (1.5 * 15 * machine.psi_pm)
+    price = prices["integral gain of the speed by the library's own rule"]
+    assert price == pytest.approx(own / 9.0 - 1.0, rel=1e-6)
+    expected = [own, 9.0, 1.0 / 0.7]
+    assert numbers_of(words, "the speed sinks by") == pytest.approx(expected, rel=5e-3)
+
+
+def test_what_the_table_misses_is_said_as_shares_of_the_largest_flux() -> None:
+    asked = asked_of(ArctanMachine(inertia=0.01), v_dc=300.0)
+    table = flux_table(asked.design)
+    found = numbers_of(
+        (entry.words for entry in shortfalls(asked, configure(asked))), "joined by lines"
+    )
+    shares = [100.0 * part / table.flux[-1] for part in (table.error, table.of_constants)]
+    assert found == pytest.approx([table.flux.size, table.error, *shares], rel=0.05)

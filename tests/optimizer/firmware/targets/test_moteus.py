@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 from drives import IPM, RELUCTANCE
-from firmware_asked import SCOOTER, TWO_PI, asked_of, random_asked, scooter
+from firmware_asked import SCOOTER, TWO_PI, asked_of, numbers_of, random_asked, scooter
 from firmware_loops import assert_current_loops_hold
 from saturated import ArctanMachine
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
-from dqforge.optimizer.firmware.firmware_method import Asked, judge
+from dqforge.optimizer.firmware.firmware_method import Asked, Shortfall, judge
 from dqforge.optimizer.firmware.moteus_format import configuration, pwm_rate
-from dqforge.optimizer.firmware.targets.moteus import MOTEUS, _inductance_slope
+from dqforge.optimizer.firmware.targets.moteus import MOTEUS, _inductance_slope, _inductances_words
 
 configure, profile, shortfalls = MOTEUS.configure, MOTEUS.profile, MOTEUS.shortfalls
 
@@ -120,6 +120,7 @@ def test_the_slope_of_the_d_inductance_is_that_of_the_chord() -> None:
 
     held = configure(asked_of(Straight(), v_dc=500.0))
     assert held.own["motor.inductance_d_scale"] == pytest.approx(slope, rel=1e-6)
+    assert "along -d a slope of -2 uH/A" in _inductances_words(held)
 
 
 def test_a_machine_without_saturation_has_no_slope() -> None:
@@ -138,6 +139,14 @@ def test_saturation_is_fitted_and_its_error_told() -> None:
     assert prices["phase margin (q) at i_max"].unit == "rad"
     assert prices["phase margin (q) at i_max"].value >= 0.5235
     assert prices["copper loss"].value > 0.0
+    # Inductances at i_max in q by differences of the flux; the slope in uH/A.
+    step, limit = 1e-3, machine.i_max
+    d = [machine.flux(np.array([x]), np.array([limit]))[0][0] for x in (-step, step)]
+    q = [machine.flux(np.zeros(1), np.array([limit + x]))[1][0] for x in (-step, step)]
+    micro = [1e6 * float(pair[1] - pair[0]) / (2.0 * step) for pair in (d, q)]
+    numbers = numbers_in(found, "one q inductance for all currents")
+    own = [1e6 * machine.l_d, 1e6 * machine.l_q]
+    assert numbers[:5] == pytest.approx([limit, *micro, *own], rel=2e-3)
 
 
 @pytest.mark.parametrize("asked", list(random_asked(6, seed=3)))
@@ -209,3 +218,125 @@ def test_the_slope_of_the_inductance_has_the_least_largest_error_up_to_i_max() -
     drive: Any = SimpleNamespace(i_max=most)
     slope = _inductance_slope(machine, drive)
     assert slope == pytest.approx(-2.0 * (math.sqrt(2.0) - 1.0) * bend * most, rel=2e-3)
+
+
+def numbers_in(found: tuple[Shortfall, ...], words: str) -> list[float]:
+    """The numbers of the sentence that has these words."""
+    return numbers_of((entry.words for entry in found), words)
+
+
+def test_what_no_d_current_costs_is_found_along_the_circle() -> None:
+    """Torque at i_max and copper for the same torque, against scans of angle and size."""
+    machine = replace(SCOOTER, l_q=4.1e-4)
+    asked = asked_of(machine)
+    found = shortfalls(asked, configure(asked))
+    i_max = machine.i_max
+    size, angle = np.linspace(0.5, 1.0, 1001)[:, None] * i_max, np.linspace(0.0, 1.2, 1201)
+    most = np.max(machine.torque(-size * np.sin(angle), size * np.cos(angle)), axis=1)
+    plain = 1.5 * 15 * machine.psi_pm * i_max
+    least = 1.5 * 0.05 * float(np.interp(plain, most, size[:, 0])) ** 2
+    loss, best = 1.5 * 0.05 * i_max**2, float(most[-1])
+    less = 100.0 * (1.0 - plain / best)
+    assert less > 1.0
+    expected = [plain, i_max, best, less, plain, loss, least]
+    assert numbers_in(found, "no d current below") == pytest.approx(expected, rel=5e-3)
+    prices = {price.of: price.value for entry in found for price in entry.prices}
+    assert prices["torque"] == pytest.approx(best - plain, rel=1e-2)
+    assert prices["copper loss"] == pytest.approx(loss - least, rel=1e-2)
+    operation = replace(asked.design.operation, strategy="id0")
+    still = replace(asked, design=replace(asked.design, operation=operation))
+    assert not any("no d current" in one.words for one in shortfalls(still, configure(still)))
+
+
+def test_margins_and_gains_in_words_are_those_of_the_loops_that_run() -> None:
+    """Too fast a wish for two inductances: four gains, two margins, two crossovers."""
+    asked = asked_of(replace(SCOOTER, l_q=1.7e-4), crossover=TWO_PI * 6000.0)
+    held = configure(asked)
+    judged = judge(profile(held), asked.drive)
+    found = shortfalls(asked, held)
+    hertz = float(held.own["servo.pid_dq_hz"])
+    assert hertz < 5900.0
+    expected = [hertz]
+    for inductance in (1e-4, 1.7e-4):
+        expected += [TWO_PI * hertz * inductance, TWO_PI * hertz * 0.05]
+        expected += [TWO_PI * 6000.0 * inductance, TWO_PI * 6000.0 * 0.05]
+    loops = judged.current_d, judged.current_q
+    for loop in loops:
+        assert loop is not None
+        expected += [math.degrees(loop.phase_margin), loop.crossover / TWO_PI]
+    assert numbers_in(found, "is the only setting") == pytest.approx(expected, rel=2e-3)
+    prices = [price.value for entry in found for price in entry.prices if "margin" in price.of]
+    assert prices == [loop.phase_margin for loop in loops if loop is not None]
+    same = asked_of(replace(SCOOTER, l_q=1.7e-4), crossover=TWO_PI * hertz)
+    assert not any("is the only setting" in one.words for one in shortfalls(same, configure(same)))
+
+
+@pytest.mark.parametrize(("which", "share"), [("kp", 1.002), ("kp", 0.998), ("ki", 1.002)])
+def test_gains_a_thousandth_apart_are_told(which: str, share: float) -> None:
+    asked = scooter()
+    held = configure(asked)
+    assert held.current_q is not None
+    own = getattr(held.current_q, which)
+    near, far = (
+        replace(held.current_q, **{which: own * (1.0 + part * (share - 1.0))})
+        for part in (0.4, 1.0)
+    )
+    told = [
+        any("is the only" in one.words for one in shortfalls(replace(asked, current_q=wish), held))
+        for wish in (near, far)
+    ]
+    assert told == [False, True]
+
+
+@pytest.mark.parametrize("wished", [32e3, 40e3])
+def test_every_rate_that_is_not_that_of_the_design_is_told(wished: float) -> None:
+    """Above 30 kHz every second period has a control step: periods in us before and after."""
+    asked = asked_of(SCOOTER, f_sw=wished, speed=PiGains(0.05, 0.3), ratio=6)
+    drive = replace(asked.drive, f_sw=1.01 * wished, t_s=1.0 / wished, t_speed=6.0 / wished)
+    asked = replace(asked, drive=drive)
+    own = pwm_rate(1.01 * wished)
+    found = numbers_in(shortfalls(asked, configure(asked)), "runs at its own rates")
+    assert found == pytest.approx([1e6 / wished, 2e6 / own, 6e6 / wished, 2e6 / own], rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"motor_position.sources.0.pll_filter_hz": 2003.0}, "the control's 20000 Hz"),
+        ({"motor_position.sources.0.pll_filter_hz": 2001.0}, ""),
+        ({"servo.voltage_mode_control": 1}, "currents become voltages"),
+        ({"servo.pid_position.ki": 2.0, "servo.pid_position.ilimit": 3.0}, "ki 2 with ilimit 3"),
+        ({"servo.pid_position.ki": 2.0, "servo.pid_position.ilimit": 0.0}, ""),
+        ({"servo.pid_position.ki": 0.0, "servo.pid_position.ilimit": 3.0}, ""),
+        ({"servo.pid_dq.kp": 0.5}, "pid_dq.kp 0.5 stands beside servo.pid_dq_hz 1000"),
+    ],
+)
+def test_what_does_not_fit_together_is_told(changes: dict[str, float], words: str) -> None:
+    numbers = {key: float(value) for key, value in configure(scooter()).own.items()}
+    held = configuration("drive", numbers | changes)
+    assert [words in text for text in held.contradictions] == [True] * bool(words)
+
+
+@pytest.mark.parametrize(("ki", "told"), [(50.9, False), (49.1, False), (51.1, True), (48.9, True)])
+def test_an_integral_two_percent_beside_resistance_and_inductance_is_told(
+    ki: float, *, told: bool
+) -> None:
+    held = configuration(
+        "drive",
+        {
+            "servo.pid_dq.kp": 0.1,
+            "servo.pid_dq.ki": ki,
+            "motor.resistance_ohm": 0.05,
+            "motor.inductance_d_H": 1e-4,
+        },
+    )
+    assert bool(held.contradictions) == told
+
+
+@pytest.mark.parametrize(("hertz", "told"), [(667.0, False), (669.0, True)])
+def test_a_bandwidth_up_to_a_thirtieth_of_the_control_is_not_remarked_upon(
+    hertz: float, *, told: bool
+) -> None:
+    numbers = {key: float(value) for key, value in configure(scooter()).own.items()}
+    held = configuration("drive", numbers | {"servo.pid_dq_hz": hertz})
+    assert any("above 1/30" in words for words in held.conventions) == told

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import nxp_published as published
 import pytest
+from firmware_asked import numbers_of
 from nxp_designs import asked_for, design_of
 
 from dqforge.machines.errors import InputError
@@ -298,3 +299,84 @@ def test_every_input_is_that_of_its_rule(tmp_path: Path, version: str, *, slow: 
     assert set(found) == set(expected)
     for name, value in expected.items():
         assert found[name] == pytest.approx(value, rel=1e-9), name
+
+
+@pytest.mark.parametrize("fastest", [200.0, 261.8, 900.0])
+def test_what_the_file_lacks_is_said_in_numbers(tmp_path: Path, fastest: float) -> None:
+    """Voltage at 90 %, the speed at which the back-EMF meets it, volts between the axes."""
+    asked = asked_for(design_of(tmp_path, inductance_q="300 uH"))
+    asked = replace(asked, drive=replace(asked.drive, omega_m_max=fastest))
+    falls = NXP.shortfalls(asked, NXP.configure(asked))
+    words = [fall.words for fall in falls]
+    price = {price.of: price.value for fall in falls for price in fall.prices}
+    psi, i_max, l_q = asked.drive.psi_pm, 40.0 * math.sqrt(2.0), 1.5e-4
+    assert psi is not None
+    counted = asked.design.v_max
+    limit = min(0.9 * 48.0 / math.sqrt(3.0), counted)
+    if limit < 0.999 * counted:
+        assert numbers_of(words, "M1_CLOOP_LIMIT") == pytest.approx([limit, counted], rel=1e-3)
+        assert price["voltage"] == pytest.approx(1.0 - limit / counted, rel=1e-6)
+    reached = limit / (15 * psi)
+    assert ("speed" in price) == (reached < fastest)
+    if reached < fastest:
+        assert numbers_of(words, "no field weakening") == pytest.approx(
+            [limit, reached, fastest], rel=1e-3
+        )
+        assert price["speed"] == pytest.approx(1.0 - reached / fastest, rel=1e-6)
+    volts = fastest * 15 * l_q * i_max
+    rate = min(x.ki / x.kp for x in (asked.current_d, asked.current_q))
+    assert price["voltage between the axes"] == pytest.approx(volts, rel=1e-6)
+    expected = [i_max, volts, rate]
+    assert numbers_of(words, "not decoupled") == pytest.approx(expected, rel=1e-3)
+
+
+def test_what_mcat_makes_of_the_d_axis_is_that_of_one_frequency(tmp_path: Path) -> None:
+    """ki = w^2 L_d and kp = 2 ksi w L_d - R at F0 and ksi of the q axis."""
+    asked = asked_for(design_of(tmp_path, inductance_q="300 uH"))
+    falls = NXP.shortfalls(asked, NXP.configure(asked))
+    q, d, l_d, l_q, r_s = asked.current_q, asked.current_d, 1e-4, 1.5e-4, 0.05
+    made = {"M1_D_KP_GAIN": (q.kp + r_s) * l_d / l_q - r_s, "M1_D_KI_GAIN": q.ki * l_d / l_q}
+    wished = {"M1_D_KP_GAIN": d.kp, "M1_D_KI_GAIN": d.ki}
+    price = {price.of: price.value for fall in falls for price in fall.prices}
+    for name, value in made.items():
+        if abs(value / wished[name] - 1.0) > 1e-3:
+            assert price[name] == pytest.approx(value / wished[name] - 1.0, rel=1e-3)
+        else:
+            assert name not in price
+    assert "M1_D_KI_GAIN" in price
+
+
+def test_gains_that_integers_coarsen_are_said_with_what_runs(tmp_path: Path) -> None:
+    asked = asked_for(design_of(tmp_path, loop="q_formats: auto"))
+    assert asked.speed is not None
+    asked = replace(asked, speed=replace(asked.speed, ki=1.3e-4 * asked.speed.ki))
+    held = NXP.configure(asked)
+    falls = NXP.shortfalls(asked, held)
+    price = {price.of: price.value for fall in falls for price in fall.prices}
+    for name, wish, has in (
+        ("d axis", asked.current_d, held.current_d),
+        ("q axis", asked.current_q, held.current_q),
+        ("speed loop", asked.speed, held.speed),
+    ):
+        assert has is not None
+        assert wish is not None
+        worst = max(abs(has.kp / wish.kp - 1.0), abs(has.ki / wish.ki - 1.0))
+        assert (f"gain of the {name}" in price) == (worst > 1e-3)
+        if worst > 1e-3:
+            assert price[f"gain of the {name}"] == pytest.approx(worst, rel=1e-6)
+            found = numbers_of((fall.words for fall in falls), f"gains of the {name}")
+            assert found == pytest.approx([has.kp, has.ki, wish.kp, wish.ki], rel=1e-4)
+    assert price["gain of the speed loop"] > 1e-3
+
+
+def test_without_inertia_the_speed_is_reached_in_a_second(tmp_path: Path) -> None:
+    """No rate of the speed loop is known then: 5 Hz stands for it."""
+    asked = asked_for(design_of(tmp_path))
+    asked = replace(asked, speed=None, drive=replace(asked.drive, inertia=None, t_speed=None))
+    own = NXP.configure(asked).own
+    assert own["speedLoopIncUp"] == pytest.approx(2500.0)
+    assert own["speedLoopCutOffFreq"] == pytest.approx(100.0)
+    assert asked.drive.t_s is not None
+    assert own["speedLoopSampleTime"] == pytest.approx(10.0 * asked.drive.t_s)
+    assert own["sensorlessTrackObsrvF0"] == pytest.approx(40.0)
+    assert "parametersJ" not in own

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
 from drives import RELUCTANCE
-from firmware_asked import SCOOTER, TWO_PI, asked_of, random_asked, scooter
+from firmware_asked import SCOOTER, TWO_PI, asked_of, numbers_of, random_asked, scooter
 from firmware_loops import assert_current_loops_hold
 
 from dqforge.machines.errors import InputError
@@ -83,6 +84,16 @@ def test_one_inductance_for_two_axes_is_told_with_both_crossovers() -> None:
     prices = {price.of: price.value for entry in found for price in entry.prices}
     assert prices["crossover (d)"] > 1.5 * prices["crossover (q)"]
     assert prices["torque"] > 0.0
+    judged = judge(profile(held), asked.drive)
+    assert judged.current_d is not None
+    assert judged.current_q is not None
+    rates = judged.current_d.crossover, judged.current_q.crossover
+    assert (prices["crossover (d)"], prices["crossover (q)"]) == rates
+    assert any(f"crossovers {rates[0]:.4g} rad/s (d) and {rates[1]:.4g}" in x.words for x in found)
+    # Four fifths of the voltage is what it makes.
+    assert prices["voltage"] == pytest.approx(0.2)
+    near = asked_of(replace(SCOOTER, l_q=1.0008e-4))
+    assert not any("one inductance, 100" in x.words for x in shortfalls(near, configure(near)))
 
 
 def test_rates_that_are_not_those_of_the_design_are_told() -> None:
@@ -92,10 +103,35 @@ def test_rates_that_are_not_those_of_the_design_are_told() -> None:
     assert "current control every 50 us becomes 125 us" in words
 
 
-def test_inductances_that_its_calibration_refuses_are_told() -> None:
-    asked = asked_of(replace(SCOOTER, l_d=5e-3, l_q=5e-3, r_s=1.0))
+@pytest.mark.parametrize(
+    ("micro", "told"), [(5000.0, True), (3900.0, False), (2.1, False), (1.9, True)]
+)
+def test_inductances_that_its_calibration_refuses_are_told(micro: float, *, told: bool) -> None:
+    size = 1e-6 * micro
+    asked = asked_of(replace(SCOOTER, l_d=size, l_q=size, r_s=2e3 * size))
     words = " ".join(entry.words for entry in shortfalls(asked, configure(asked)))
-    assert "5000 uH is outside 2 to 4000 uH" in words
+    assert (f"{micro:g} uH is outside 2 to 4000 uH" in words) == told
+
+
+def test_conventions_say_kv_and_what_the_feedforward_does() -> None:
+    """KV = 60/(2 pi) 1.5 sqrt(3)/constant; of R times the reference at a = omega L/R the excess is
+    a^(-(a + 1)/(a - 1)).
+    """
+    values = {
+        "motor.config.torque_constant": 0.138,
+        "motor.config.phase_resistance": 0.05,
+        "motor.config.phase_inductance": 1e-4,
+        "motor.config.current_control_bandwidth": 2000.0,
+        "motor.config.R_wL_FF_enable": True,
+        "controller.config.vel_gain": 0.1,
+    }
+    words = " ".join(configuration("drive", values).conventions)
+    assert f"KV {30.0 / math.pi * 0.5 * math.sqrt(3.0) / 0.138:.3g}" in words
+    assert f"overshoots by {4.0 ** (-5.0 / 3.0):.1%}" in words
+    assert "stands for both axes" in words
+    assert "N m per turn/s" in words
+    without = configuration("drive", {"controller.config.vel_limit": 3.0}).conventions
+    assert any("no torque_constant" in text for text in without)
 
 
 @pytest.mark.parametrize("asked", list(random_asked(6, seed=3)))
@@ -178,6 +214,30 @@ def test_every_value_of_an_axis_is_that_of_its_rule(pll: PiGains | None, speed: 
         down = 1e-3 if "margin" in name or "range" in name or "bandwidth" in name else 1e-5
         assert own[name] == pytest.approx(value, rel=down), name
         assert float(own[name]) <= value * (1.0 + 1e-6), name
+
+
+def test_numbers_of_what_does_not_fit_are_those_of_the_axis() -> None:
+    found = configuration(
+        "drive",
+        {
+            "motor.config.torque_constant": 0.138,
+            "motor.config.pole_pairs": 15,
+            "motor.config.current_lim": 70.0,
+            "motor.config.requested_current_range": 60.0,
+            "motor.config.current_control_bandwidth": 5000.0,
+            "sensorless_estimator.config.pm_flux_linkage": 0.00306,
+            "encoder.config.bandwidth": 4200.0,
+            "encoder.config.mode": 1,
+            "encoder.config.cpr": 8192,
+        },
+    ).contradictions
+    assert numbers_of(found, "pm_flux_linkage") == [0.138, 1.5, pytest.approx(1.5 * 15 * 0.00306)]
+    assert numbers_of(found, "kp T") == pytest.approx([4200.0, 2.0 * 4200.0 * 125e-6, 1.0])
+    assert numbers_of(found, "cpr") == [8192.0, 6.0, 90.0]
+    assert numbers_of(found, "current_lim") == [70.0, 60.0]
+    assert numbers_of(found, "ring") == pytest.approx([5000.0, 125.0, 0.625, 0.5], abs=0.006)
+    within = configuration("drive", {"motor.config.current_control_bandwidth": 3990.0})
+    assert within.contradictions == ()
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from firmware_asked import SCOOTER, asked_of, random_asked, scooter
+from firmware_asked import SCOOTER, asked_of, numbers_of, random_asked, scooter
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
@@ -139,7 +139,16 @@ def test_the_librarys_defaults_are_named_where_a_sketch_leaves_them() -> None:
     said = "\n".join(found.contradictions)
     assert "LPF_current_q.Tf 0.005 s takes 90 deg" in said
     assert "half of the loop's 1e+04 Hz" in said
-    assert any("period of loopFOC()" in one for one in found.conventions)
+    assert any("period of loopFOC() is not in the file: 100 us" in one for one in found.conventions)
+    coarse = numbers_of(found.contradictions, "PID_current_q.P 3")
+    assert coarse == pytest.approx([3.0, 3.0 / 5e-5 / (2.0 * math.pi), 1e4], rel=1e-3)
+    # Half of the loop's frequency is pi/T L.
+    for share, told in ((0.99, False), (1.01, True)):
+        kp = share * math.pi * 1e4 * 5e-5
+        more = configuration("sketch", own | {"torque_controller": 2, "PID_current_q.P": kp})
+        assert (
+            any("PID_current_q.P" in one and "half" in one for one in more.contradictions) == told
+        )
 
 
 @pytest.mark.parametrize("kind", [0, 1, 3])
@@ -163,6 +172,12 @@ def test_the_speed_filter_leaves_the_speed_loop_its_margin() -> None:
     assert math.degrees(ours.phase_margin - theirs.phase_margin) > 15.0
     (lag,) = [one for one in shortfalls(asked, held) if "LPF_velocity.Tf" in one.words]
     assert lag.prices[0].value == pytest.approx(math.atan(0.1), rel=1e-3)
+    expected = [1.0, math.degrees(math.atan(0.1)), 100.0]
+    assert numbers_of([lag.words], "") == pytest.approx(expected, rel=1e-2)
+    words = [one.words for one in shortfalls(asked, held)]
+    assert numbers_of(words, "from a timer") == [50.0]
+    volts = 250.0 * 15 * SCOOTER.psi_pm
+    assert numbers_of(words, "whole back-EMF") == pytest.approx([volts], rel=1e-3)
 
 
 def test_the_ratio_of_the_loops_is_what_move_leaves_out() -> None:
@@ -193,8 +208,10 @@ def test_no_d_current_is_priced() -> None:
 def test_what_the_library_cannot_hold_is_refused(
     machine: LinearMachine, crossover: float, words: str
 ) -> None:
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=words) as refused:
         configure(asked_of(machine, crossover=crossover))
+    if machine.psi_pm:
+        assert numbers_of([str(refused.value)], "") == [10100.0, 20000.0, 10000.0]
 
 
 def test_the_method_offers_both_axes() -> None:

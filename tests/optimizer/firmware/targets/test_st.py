@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from firmware_asked import numbers_of
 from random_st_drives import base_design, random_asked, value
 
 from dqforge.machines.design.design import Design
@@ -112,6 +113,12 @@ def test_contradictions_are_named(change: dict[str, OwnValue], words: str) -> No
     found = st_configuration("motor", PROJECT | change)
     assert any(words in sentence for sentence in found.contradictions), found.contradictions
     assert not any("\n" in sentence for sentence in found.contradictions)
+    if "C5" in words:
+        *_, whole, factor, _, wraps = numbers_of(found.contradictions, words)
+        assert factor == PROJECT["F1"]
+        assert abs(whole) > 32767
+        assert -32768 <= wraps < 32768
+        assert (whole - wraps) % 65536 == 0.0
 
 
 def test_rounded_inputs_are_no_contradiction() -> None:
@@ -135,6 +142,10 @@ def test_a_table_with_steps_is_named_and_ours_is_not() -> None:
     (words,) = st_configuration("", published).contradictions
     assert "step by up to 25 counts" in words
     assert "off by 261 counts" in words
+    # Of 1.65 V over 1 mOhm times 10 a count is 5 mA.
+    scaled = published | {"RSHUNT": 0.001, "AMPLIFICATION_GAIN": 10.0}
+    (words,) = [text for text in st_configuration("", scaled).contradictions if "ANGC" in text]
+    assert numbers_of([words], "")[-1] == pytest.approx(261 * 165.0 / 32768, rel=6e-3)
     for wish in random_asked(3, 5, tables=3):
         found = ST.configure(wish)
         assert "ANGC" in found.own
@@ -188,6 +199,10 @@ def test_the_table_is_as_good_as_it_says() -> None:
     assert prices["d current"] == pytest.approx(worst, rel=2e-2)
     assert prices["copper loss"] == pytest.approx(loss, rel=5e-2, abs=1e-5)
     assert prices["d current"] * 32768 / full < 3.0
+    counts, amperes, percent = numbers_of([table.words], "")
+    assert counts == pytest.approx(worst * 32768 / full, rel=3e-2, abs=0.06)
+    assert amperes == pytest.approx(worst, rel=2e-2, abs=6e-4)
+    assert percent == pytest.approx(100.0 * prices["copper loss"], rel=1e-2)
     loops = ST.profile(found)
     assert loops.reference == "table"
     assert loops.table[-1][0] == pytest.approx(found.own["IQMAX_A"], rel=1e-3)
@@ -235,8 +250,41 @@ def test_a_dead_time_is_in_nanoseconds_and_none_is_nothing(
 
 
 def test_shortfalls_have_prices_in_numbers() -> None:
+    """Of each kind that occurs the numbers of the sentence are those of wish and configuration."""
+    met = set()
     for wish in random_asked(20, 7):
-        for short in ST.shortfalls(wish, ST.configure(wish)):
+        found = ST.configure(wish)
+        for short in ST.shortfalls(wish, found):
             assert short.prices
             assert all(math.isfinite(price.value) for price in short.prices)
             assert "\n" not in short.words
+            numbers, (price, *_) = numbers_of([short.words], ""), short.prices
+            made, wanted = found.drive.t_speed, wish.drive.t_speed
+            if "one inductance" in short.words:
+                met.add("inductance")
+                l_d, l_q = wish.drive.l_d, wish.drive.l_q
+                assert l_d is not None
+                assert l_q is not None
+                assert numbers == pytest.approx([l_q, l_d], rel=1e-3)
+                assert price.value == pytest.approx(l_q / l_d - 1.0)
+            elif "in steps of" in short.words:
+                met.add("steps")
+                assert numbers == [0.1, 6.0]
+                assert price.value == pytest.approx(0.2 * math.pi)
+            elif "a part of its timer" in short.words:
+                met.add("timer")
+                assert made is not None
+                assert wanted is not None
+                assert numbers == pytest.approx([1.0 / made, 2000.0, 1.0 / wanted], rel=1e-4)
+                assert price.value == pytest.approx(made - wanted)
+            elif "as noisy" in short.words:
+                met.add("noise")
+                assert numbers[0] == value(found, "PLL_KP_GAIN")
+                assert numbers[2] == pytest.approx(numbers[0] / numbers[1], rel=0.05)
+                assert price.value == pytest.approx(numbers[0] / numbers[1] - 1.0)
+                assert price.value > 0.01
+            elif "rounded to integers" in short.words:
+                met.add("rounding")
+                assert price.value == pytest.approx(numbers[0] / numbers[1] - 1.0, abs=2e-3)
+                assert abs(price.value) > 1e-3
+    assert met == {"inductance", "steps", "timer", "noise", "rounding"}

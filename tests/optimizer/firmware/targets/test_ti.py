@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from firmware_asked import SCOOTER, TWO_PI, asked_of, random_asked, scooter
+from firmware_asked import SCOOTER, TWO_PI, asked_of, numbers_of, random_asked, scooter
 from saturated import ArctanMachine
 
 from dqforge.machines.devices.inverter import CurrentSensing
@@ -346,3 +346,74 @@ def test_the_speed_at_which_the_voltage_ends_has_its_price(fastest: float) -> No
     for words, price in found:
         assert price == pytest.approx(1.0 - reached / fastest, rel=1e-5)
         assert f"the speed ends at {reached * 15 / TWO_PI:.4g} Hz" in words
+
+
+def test_numbers_of_what_does_not_fit_are_those_of_the_block() -> None:
+    own = TEKNIC | {
+        "USER_MOTOR1_OVER_CURRENT_A": 5.0,
+        "USER_M1_ADC_FULL_SCALE_CURRENT_A": 10.0,
+        "USER_MOTOR1_RATED_SPEED_KRPM": 12.0,
+    }
+    found = configuration("another", own).contradictions
+    flux, v_max = TEKNIC["USER_MOTOR1_RATED_FLUX_VpHz"], 24.0 / math.sqrt(3.0)
+    expected = [600.0, flux, 600.0 * flux, 24.0, v_max, v_max / flux]
+    assert numbers_of(found, "the magnets of") == pytest.approx(expected, rel=1e-3)
+    assert numbers_of(found, "trips below") == [5.0, 6.6]
+    assert numbers_of(found, "47.5 %") == [6.6, 4.75, 47.5, 10.0]
+    assert numbers_of(found, "RATED_SPEED_KRPM") == [12.0, 800.0, 4.0, 600.0]
+    assert numbers_of(found, "Teknic M2310")[0] == pytest.approx(7.06154e-6)
+    assert not any("Teknic" in text for text in configuration("a TEKNIC", own).contradictions)
+
+
+@pytest.mark.parametrize(("scale", "told"), [(13.8, True), (14.0, False)])
+def test_the_limit_lies_below_what_trips_at_the_latest(scale: float, *, told: bool) -> None:
+    """6.6 A over 0.475 is 13.89 A."""
+    own = TEKNIC | {"USER_M1_ADC_FULL_SCALE_CURRENT_A": scale}
+    words = configuration("x", own).contradictions
+    assert any("47.5 %" in text for text in words) == told
+
+
+@pytest.mark.parametrize("speed", [None, PiGains(0.7, 9.0)])
+def test_what_the_rule_runs_is_said_in_numbers(speed: PiGains | None) -> None:
+    """BWc = 2 pi 200 Hz, a quarter of R/L; of the speed, times p/(2 pi)."""
+    asked = asked_of(replace(SCOOTER, l_q=1.7e-4), speed=speed)
+    words = [entry.words for entry in shortfalls(asked, configure(asked))]
+    bandwidth = TWO_PI * 200.0
+    rule = [bandwidth * 1.7e-4, bandwidth * 0.25 * 0.05]
+    kp = bandwidth / (20.0 * 1.5 * 15 * SCOOTER.psi_pm / 0.02) * 15 / TWO_PI
+    found = numbers_of(words, "MOTOR1_PI_TUNE")
+    expected = [200.0, 4.0, asked.current_q.kp, asked.current_q.ki, *rule]
+    expected += [] if speed is None else [kp, 0.7]
+    assert [x for x in found if x != 1.0] == pytest.approx(expected, rel=1e-3)
+    prices = {
+        price.of: price.value
+        for entry in shortfalls(asked, configure(asked))
+        for price in entry.prices
+    }
+    if speed is not None:
+        name = "speed gain of the firmware's own rule"
+        assert prices[name] == pytest.approx(kp / 0.7 - 1.0, rel=1e-5)
+    own = asked_of(replace(SCOOTER, l_q=1.7e-4), crossover=bandwidth, speed=speed)
+    gains = [replace(x, ki=0.25 * x.ki) for x in (own.current_d, own.current_q)]
+    own = replace(own, current_d=gains[0], current_q=gains[1])
+    assert not any("PI_TUNE" in entry.words for entry in shortfalls(own, configure(own)))
+
+
+@pytest.mark.parametrize(
+    ("crossover", "told"), [(1990.0, False), (2010.0, True), (20.2, False), (19.8, True)]
+)
+def test_factors_are_advised_between_a_tenth_and_ten(crossover: float, *, told: bool) -> None:
+    """Of the gain at 200 Hz."""
+    asked = asked_of(SCOOTER, crossover=TWO_PI * crossover)
+    words = [entry.words for entry in shortfalls(asked, configure(asked))]
+    assert any("USER_MOTOR1_KP_IQ_HIGH_SF" in text for text in words) == told
+    assert not any("KP_IQ_LOW_SF" in text for text in words if "outside" in text)
+
+
+@pytest.mark.parametrize(("share", "told"), [(99.0, False), (101.0, True)])
+def test_the_factor_of_the_speed_may_be_a_hundred(share: float, *, told: bool) -> None:
+    bandwidth = TWO_PI * 200.0
+    kp = bandwidth / (20.0 * 1.5 * 15 * SCOOTER.psi_pm / 0.02) * 15 / TWO_PI
+    asked = asked_of(SCOOTER, speed=PiGains(share * kp, share * kp * bandwidth / 400.0))
+    words = [entry.words for entry in shortfalls(asked, configure(asked))]
+    assert any("USER_MOTOR1_KP_SPD_HIGH_SF" in text for text in words) == told

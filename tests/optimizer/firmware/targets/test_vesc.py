@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from firmware_asked import SCOOTER, asked_of, random_asked, scooter
+from firmware_asked import SCOOTER, asked_of, numbers_of, random_asked, scooter
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
@@ -339,3 +339,62 @@ def test_every_value_is_that_of_its_rule(steps: int, ratio: int, pll: PiGains | 
     assert set(own) == set(expected)
     for name, value in expected.items():
         assert own[name] == pytest.approx(value, rel=1e-4, abs=1e-12), name
+
+
+def test_numbers_of_what_does_not_fit_are_those_of_the_configuration() -> None:
+    """Gains of two rules, an observer of another version and of none, poles and an encoder."""
+    own = {
+        "foc_motor_r": 0.05,
+        "foc_motor_l": 1e-4,
+        "foc_motor_flux_linkage": 5e-3,
+        "foc_current_kp": 0.1,
+        "foc_current_ki": 70.0,
+        "foc_observer_gain": 10.0 / (0.05 * 25e-6),
+        "foc_motor_ld_lq_diff": -2.1e-4,
+        "si_motor_poles": 14,
+        "foc_encoder_ratio": 14.0,
+        "foc_sensor_mode": 1,
+        "l_current_max": 60.0,
+        "l_abs_current_max": 55.0,
+        "l_current_min": 3.0,
+    }
+    found = configuration("x", own).contradictions
+    gains = numbers_of(found, "edited by hand")
+    assert gains == pytest.approx([0.1, 1000.0, 70.0, 1400.0, 50.0], rel=1e-3)
+    expected = [8e6, 200.0, 2.0, 1000.0, 2.0, 4e7, 10.0, 2.0, 8e6]
+    assert numbers_of(found, "older versions set") == pytest.approx(expected)
+    assert numbers_of(found, "trips below") == [55.0, 60.0]
+    assert numbers_of(found, "limits braking") == [3.0]
+    assert numbers_of(found, "without inductance") == pytest.approx([-2.1e-4, 1e-4])
+    assert numbers_of(found, "turns the field") == [14.0, 14.0, 7.0]
+    other = configuration("x", own | {"foc_observer_gain": 5e6}).contradictions
+    assert "older" not in next(text for text in other if "foc_observer_gain" in text)
+    fits = {"foc_observer_gain": 4e7, "foc_current_ki": 50.0, "foc_encoder_ratio": 7.0}
+    fits |= {"foc_motor_ld_lq_diff": 1.9e-4, "l_abs_current_max": 60.0, "l_current_min": -3.0}
+    assert configuration("x", own | fits).contradictions == ()
+
+
+@pytest.mark.parametrize("fastest", [100.0, 700.0])
+def test_what_vesc_does_not_hold_is_said_in_numbers(fastest: float) -> None:
+    asked = asked_of(replace(SCOOTER, omega_m_max=fastest, inertia=1e-3), dead_time=900e-9)
+    found = shortfalls(asked, configure(asked))
+    words = [entry.words for entry in found]
+    prices = {price.of: price.value for entry in found for price in entry.prices}
+    counted, psi = asked.design.v_max, SCOOTER.psi_pm
+    limit = 0.95 * 48.0 / math.sqrt(3.0)
+    lost = numbers_of(words, "l_max_duty")
+    assert lost == pytest.approx([95.0, limit, counted], rel=1e-3)
+    assert prices["voltage"] == pytest.approx(1.0 - limit / counted, rel=1e-3)
+    reached = limit / (15 * psi)
+    assert ("speed" in prices) == (fastest > reached)
+    if fastest > reached:
+        expected = [fastest * 15 * psi, limit, reached]
+        assert numbers_of(words, "foc_fw_current_max") == pytest.approx(expected, rel=1e-3)
+        assert prices["speed"] == pytest.approx(1.0 - reached / fastest, rel=1e-3)
+    volts = 0.9e-6 * 20e3 * 48.0 / 3.0
+    assert numbers_of(words, "foc_dt_us")[-2:] == pytest.approx([volts, 0.675], rel=2e-3)
+    assert prices["voltage in the observer"] == pytest.approx(volts, rel=1e-3)
+    acceleration = 1.5 * 15 * psi * SCOOTER.i_max / 1e-3
+    expected = [99 * 0.05, acceleration, 15 * psi * acceleration * 99 * 50e-6]
+    lags = numbers_of(words, "forward by a speed")
+    assert [x for x in lags if x != 2.0] == pytest.approx(expected, rel=1e-2)
