@@ -73,7 +73,7 @@ def test_a_timer_that_runs_over_tells_edges_and_what_they_took(seed: int, mixed:
     edges, offset = drawn(seed), 60_000
     asked = list(range(65_000, edges[-1][0] + 8 * PERIOD, PERIOD))
     scale = 0.37
-    gains = timed.SpeedMeasurementGains(np.float64(scale), MASK, PATIENCE)
+    gains = timed.SpeedMeasurementGains(np.array(scale), MASK, PATIENCE)
     state, left = timed.at_rest(), list(edges)
     state.time = state.stamp = state.count = 5
     timed.start(EXACT, state)
@@ -113,7 +113,7 @@ def test_counts_are_the_way_from_sample_to_sample_of_a_counter_that_runs_over() 
     state.count = state.known = 3
     counted.start(EXACT, state)
     assert state == counted.at_rest()
-    gains, at = counted.SpeedMeasurementGains(np.float64(0.5)), (1 << 32) - 20
+    gains, at = counted.SpeedMeasurementGains(np.array(0.5)), (1 << 32) - 20
     for n, move in enumerate([0, 17, 100, -130, -5, 0, (1 << 31) - 1, -(1 << 31), 1 << 20]):
         at += move
         with np.errstate(over="ignore"):
