@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
-from dqforge.machines.plants.scenario import plants, steady_voltage
+from dqforge.machines.plants.scenario import ComplexArray, plants, steady_voltage
 from dqforge.optimizer.control_design.drive_model import (
     OWN,
     DriveData,
@@ -37,10 +37,14 @@ def known(machine: LinearMachine) -> LinearMachine:
     return replace(machine, inertia=2e-3, friction=1e-3)
 
 
+def turned(torque: FloatArray, per: complex) -> ComplexArray:
+    return np.asarray(torque * per, dtype=np.complex128)
+
+
 @pytest.mark.parametrize("lost", [0.0, 6.0])
 def test_winding_and_shaft_move_as_their_equations_say(lost: float) -> None:
     machine: LinearMachine = known(INVERSE_SALIENT)
-    data = DriveData(machine, T_S, ((1.0, 0.1),) * 2, lambda x: x * 1j, 5.0, 1.0)
+    data = DriveData(machine, T_S, ((1.0, 0.1),) * 2, lambda x: turned(x, 1j), 5.0, 1.0)
     drive = ObservedDrive(data, None)  # type: ignore[arg-type]
     omega, i = np.array([500.0, -700.0]), np.array([-3.0 + 8.0j, 2.0 - 0.05j])
     held = np.array([30.0 - 60.0j, -25.0 + 14.0j])
@@ -118,7 +122,7 @@ def test_a_steady_drive_stands_still_on_its_observer() -> None:
     method = METHODS["flux"]
     gains = method.design(machine, method.usual(machine, T_S, 1000.0), T_S, 1200.0)
     data = DriveData(
-        machine, T_S, ((3.0, 0.2), (5.0, 0.3)), lambda x: x * (-0.3 + 0.8j), 5.0, 0.4
+        machine, T_S, ((3.0, 0.2), (5.0, 0.3)), lambda x: turned(x, -0.3 + 0.8j), 5.0, 0.4
     )  # fmt: skip
     drive = ObservedDrive(data, PositionEstimator(method, gains, T_S, machine))
     i = 3.0 * (-0.3 + 0.8j)

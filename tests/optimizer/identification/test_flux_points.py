@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -253,7 +254,8 @@ def made_rows(*, reference: bool = True) -> FluxRows:
 def test_flux_linkages_are_the_slopes_of_a_co_energy_that_is_even_in_i_q() -> None:
     energy = _Energy(made_rows().current)
     c = np.random.default_rng(1).normal(0.0, 1.0, energy.size)
-    at, h = np.array([-7.3 + 2.2j, 0.4 - 5.1j, -2.0 + 0.3j, 2.8 + 7.7j]), 1e-5
+    at: Any = np.array([-7.3 + 2.2j, 0.4 - 5.1j, -2.0 + 0.3j, 2.8 + 7.7j])
+    h = 1e-5
 
     def value(i: ComplexArray) -> FloatArray:
         return np.asarray(energy.columns(i, 0, 0) @ c)

@@ -362,9 +362,9 @@ def test_rows_at_a_limit_are_those_from_its_share_on() -> None:
     run = run_of(u_q=3.0 * ones, u_d=-4.0 * ones, i_q=ones, speed=ones, v_dc=8.72 * ones)
     assert at_limit(run, 1.0)[1] == ""
     assert at_limit(replace_column(run, "v_dc", 8.69 * ones), 99.0)[1].startswith("u_d and u_q")
-    for duty, said in ((0.951, True), (-0.951, True), (0.949, False), (1.001, False)):
+    for duty, full in ((0.951, True), (-0.951, True), (0.949, False), (1.001, False)):
         run = run_of(u_q=ones, i_q=ones, i_d=ones, speed=ones, duty=duty * ones)
-        assert bool(at_limit(run, None)[1]) == said
+        assert bool(at_limit(run, None)[1]) == full
     for top, below, found in (
         (13, 0, True), (12, 0, False), (20, 9, True), (20, 10, False), (21, 10, True),
     ):  # fmt: skip
