@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from observed_runs import random_design, tuned
 
+from dqforge.optimizer.control_design import speed_range as module
 from dqforge.optimizer.control_design.design_drive import (
     observed_drive,
     position_estimator,
@@ -85,3 +88,48 @@ def test_dip_peak_and_effort_are_those_of_the_moving_drive(
     assert np.max(np.abs(torques[:, idle])) <= made.data.torque_max
     assert rise == pytest.approx(found.load, rel=0.25)  # what 2 L leaves beside L
     assert found.overshoot >= float(np.max(speeds - faster.omega)) / found.speed - 0.1
+
+
+@pytest.mark.parametrize(
+    ("torque_max", "peak", "fall", "share"),
+    [(5.0, 1.5, 0.0, 1.0), (5.0, 1.5, 10.0, 0.75), (8.6, 3.0, 7.0, 0.5), (0.7, 1.5, 0.0, 0.0)],
+)
+def test_the_load_is_that_of_torque_and_speeds_that_are_left(
+    torque_max: float, peak: float, fall: float, share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With stand-ins for what corners answer at three speeds, and for the speed that a torque
+    reaches.
+    """
+    answers = iter(
+        [
+            module._Answers(4.0, 0.1, 0.2, 0.3, 0.1),
+            module._Answers(1.0, peak, 0.7, 0.1, 0.2),
+            module._Answers(2.0, 1.0, 0.5, 0.2, 0.8),
+        ]
+    )
+    tried: list[float] = []
+
+    def reached(_: object, at: object, torque: float, ends: tuple[float, float], v: float) -> float:
+        assert (at, ends, v) == (pytest.approx(60.0), (10.0, 60.0), 40.0)
+        tried.append(torque)
+        return 60.0 - fall * torque
+
+    monkeypatch.setattr(module, "_answers", lambda *_: next(answers))
+    monkeypatch.setattr(module, "_reached", reached)
+    monkeypatch.setattr(module, "cases_of", lambda _, __, omega: omega)
+    made: Any = SimpleNamespace(data=SimpleNamespace(torque_max=torque_max))
+    machine: Any = SimpleNamespace(pole_pairs=3)
+    box = CornerBox(True, {"psi_pm": (-0.1, 0.1)}, (0.0, 3.0), (), v_max=40.0)
+    found = steps_borne(made, machine, SpeedPi(1.0, 1.0, 10), box, SpeedRange(10.0, 60.0, None, 2))
+    rise = max(peak, 2.0)
+    most = min(3.0, (torque_max - 0.8) / rise)
+    load = share * most
+    assert found.load == pytest.approx(load)
+    assert found.overshoot == 0.3
+    assert tried[0] == pytest.approx(0.8 + rise * most)
+    if share:
+        assert found.load_low == pytest.approx(10.0 + 4.0 * load)
+        assert found.load_high == pytest.approx(60.0 - fall * (0.8 + rise * load))
+        assert found.speed == pytest.approx(3.0 * (rise - 1.0) * load / 0.7)
+    else:
+        assert (found.load_low, found.load_high, found.speed) == (10.0, 60.0, 0.0)
