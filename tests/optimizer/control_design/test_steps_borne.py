@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from drives import IPM
 from observed_runs import random_design, tuned
 
 from dqforge.optimizer.control_design import speed_range as module
@@ -16,7 +17,7 @@ from dqforge.optimizer.control_design.design_drive import (
     position_estimator,
     top_speed,
 )
-from dqforge.optimizer.control_design.drive_model import DriveCases, ObservedDrive
+from dqforge.optimizer.control_design.drive_model import DriveCases, ObservedDrive, drive_cases
 from dqforge.optimizer.control_design.speed_range import (
     CornerBox,
     SpeedPi,
@@ -133,3 +134,21 @@ def test_the_load_is_that_of_torque_and_speeds_that_are_left(
         assert found.speed == pytest.approx(3.0 * (rise - 1.0) * load / 0.7)
     else:
         assert (found.load_low, found.load_high, found.speed) == (10.0, 60.0, 0.0)
+
+
+@pytest.mark.parametrize(("v_max", "low", "high"), [(60.0, 50.0, 900.0), (60.0, 50.0, 90.0)])
+def test_the_speed_that_a_torque_reaches_is_that_of_the_worst_corner(
+    v_max: float, low: float, high: float
+) -> None:
+    corners = BOX.corners(dead_time=False)
+    errors = {"l_q": 0.2, "r_s": 0.3, "v_dc": -0.1}
+    cases = drive_cases(IPM, np.full(len(corners), 1.0), 0.0, errors)
+    i = -4.0 + 9.0j
+    made: Any = SimpleNamespace(data=SimpleNamespace(reference=lambda x: i * x / 2.0))
+    found = module._reached(made, cases, 2.0, (low, high), v_max)
+    grid = np.linspace(low, high, 40_001)
+    psi = complex(IPM.psi_pm + IPM.l_d * i.real, 1.2 * IPM.l_q * i.imag)
+    volts = np.abs(1.3 * IPM.r_s * i + 1j * grid * psi) / 0.9
+    assert found == pytest.approx(grid[volts <= v_max][-1], rel=1e-3)
+    assert (found == high) == (volts[-1] <= v_max)
+    assert module._reached(made, cases, 2.0, (1e4, 2e4), v_max) == 0.0
