@@ -11,7 +11,7 @@ import numpy as np
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
-from dqforge.machines.units.quantities import format_quantity
+from dqforge.machines.units.quantities import format_quantity, to_digits
 from dqforge.optimizer.control_design.design_drive import (
     largest_stable_factor,
     least_pll_bandwidth,
@@ -160,11 +160,12 @@ def _require_range(edges: Edges) -> None:
     """Refuse a timer that runs over, and a lowest speed that counts as rest."""
     own, longest = edges.settings, edges.longest_period
     if edges.period > longest:
+        clock = longest * own.clock / edges.period
         raise NoSolutionError(
             f"{_WHERE}: a timer of {own.counter_bits} bits overflows after "
             f"{format_quantity(longest, 's', 3)}, the speed is needed every "
             f"{format_quantity(edges.period, 's', 3)}; write a clock of "
-            f"{format_quantity(longest * own.clock / edges.period, 'Hz', 2)} or less, or "
+            f"{format_quantity(to_digits(clock, 3, up=False), 'Hz', 3)} or less, or "
             "counter_bits: 32"
         )
     if own.omega_from < edges.least:
@@ -558,9 +559,10 @@ def _left(
         gains = slower(factor)
         if not min(gains) > 0.0:
             return False
+        # One that is too slow to have a crossover on the grid is no advice.
         return all(
             abs(plant.closed(*gains).closed.poles[0]) < 1.0
-            and abs(found(factor, plant)[0]) >= required
+            and np.inf > abs(found(factor, plant)[0]) >= required
             for plant in plants
         )
 

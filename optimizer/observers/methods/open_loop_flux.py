@@ -83,10 +83,8 @@ def design(
     Raises:
         NoSolutionError: The filter leaves too little of the flux linkage.
     """
-    if (
-        max(tuning.bandwidth / max(tuning.omega_floor, 1e-300), tuning.speed_gain) > 20.0
-        or not omega_max > 0.0
-    ):
+    too_slow = tuning.bandwidth > 20.0 * tuning.omega_floor or tuning.speed_gain > 20.0
+    if too_slow or not omega_max > 0.0:
         raise NoSolutionError(
             "control.observer: bandwidth is more than 20 times the lowest speed, or speed_gain "
             "above 20: the filter would leave too little of the flux linkage; write smaller ones"

@@ -6,14 +6,18 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from measured_speeds import METHODS, design, settings
+from scipy.optimize import brentq
 
 from dqforge.machines.design.settings import SpeedLoopSettings, SpeedMeasurementSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import SpeedMeasurementName
+from dqforge.machines.units.quantities import parse_quantity
+from dqforge.optimizer.control_design import measured_speed_loop as module
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.control_design.measured_speed_loop import measured_speed
 from dqforge.optimizer.loops.plants import SpeedLoop
@@ -111,7 +115,75 @@ def test_a_loop_too_fast_for_the_delay_is_refused_with_what_holds() -> None:
 
 def test_a_timer_that_runs_over_is_refused() -> None:
     fast = replace(settings("mixed"), clock=1e9)
-    with pytest.raises(NoSolutionError, match="overflows"):
+    with pytest.raises(NoSolutionError, match="overflows") as refused:
         tuned(fast)
+    said = re.findall(r"a clock of ([0-9.]+ \w+) or less", refused.value.message)
+    clock = parse_quantity(said[0], "frequency")
+    assert tuned(replace(fast, clock=clock)).measured_speed is not None
+    with pytest.raises(NoSolutionError, match="overflows"):
+        tuned(replace(fast, clock=1.05 * clock))
     with pytest.raises(NoSolutionError, match="counts as at rest"):
         tuned(settings("mixed", lines=4, lowest=1.0))
+
+
+@pytest.mark.parametrize(("required", "found"), [(5.0, 5.0), (0.5, 1.0), (99.9, 99.9)])
+def test_the_lowest_speed_is_where_the_margin_is_the_required_one(
+    required: float, found: float
+) -> None:
+    def judge(omega: float) -> float:
+        return omega
+
+    assert module._lowest(judge, required, 1.0, 100.0) == pytest.approx(found, rel=1e-6)  # type: ignore[arg-type]
+
+
+T_S, KP, KI = 1e-3, 0.4, 30.0
+
+
+def delayed_integrator(gain: float) -> module._Plant:
+    """gain/(z (z - 1)), with a load that does nothing."""
+    a, b = np.array([[1.0, gain], [0.0, 0.0]]), np.array([[0.0, 0.0], [1.0, 0.0]])
+    system = SampledSystem(a, b, np.array([[1.0, 0.0]]), np.zeros((1, 2)), T_S)
+    return module._Plant(1000.0 * gain, system)
+
+
+def margin_of(gain: float, factor: float) -> tuple[float, float]:
+    """Phase margin in rad and crossover in rad/s of the PI around it, by its formula."""
+
+    def loop(omega: float) -> complex:
+        z = np.exp(1j * omega * T_S)
+        pi = KP * factor + KI * factor**2 * T_S * z / (z - 1.0)
+        return complex(pi * gain / (z * (z - 1.0)))
+
+    at = brentq(lambda omega: abs(loop(omega)) - 1.0, 1e-2, 0.99 * np.pi / T_S)
+    return float(np.angle(-loop(at))), at
+
+
+def slower(factor: float) -> tuple[float, float]:
+    return KP * factor, KI * factor**2
+
+
+def test_the_fastest_loop_that_holds_has_the_required_margin_at_the_worst_speed() -> None:
+    plants, required = [delayed_integrator(0.6), delayed_integrator(1.7)], np.radians(50.0)
+    wanted = brentq(lambda factor: margin_of(1.7, factor)[0] - required, 0.05, 0.9)
+    assert margin_of(0.6, wanted)[0] > required
+    crossover, factor = module._left(plants, slower, required)
+    assert factor == pytest.approx(wanted, rel=2e-3)
+    assert factor <= wanted * (1.0 + 1e-4)
+    assert crossover == pytest.approx(margin_of(0.6, wanted)[1], rel=5e-3)
+    assert module._left(plants, slower, np.radians(91.0)) == (None, None)
+
+
+@pytest.mark.parametrize("pole", [1.001, 1.2])
+def test_a_loop_that_is_not_stable_at_one_speed_is_none_whatever_its_margin(pole: float) -> None:
+    class Swings:
+        omega, system = 5.0, delayed_integrator(0.6).system
+
+        def closed(self, kp: float, ki: float) -> SimpleNamespace:
+            assert ki == pytest.approx(KI * (kp / KP) ** 2)
+            poles = [complex(0.0, pole if kp > 0.2 * KP else -0.9), 0.1]
+            return SimpleNamespace(closed=SimpleNamespace(poles=np.array(poles)))
+
+    plants: list[module._Plant] = [delayed_integrator(0.6), Swings()]  # type: ignore[list-item]
+    _, factor = module._left(plants, slower, np.radians(20.0))
+    assert factor == pytest.approx(0.2, rel=2e-3)
+    assert module._left(plants[:1], slower, np.radians(20.0))[1] == pytest.approx(1.0, rel=2e-3)

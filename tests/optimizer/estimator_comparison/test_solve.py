@@ -42,6 +42,7 @@ from dqforge.optimizer.estimator_comparison.solve import (
     compare_estimators,
     estimator_at_speed,
     winners,
+    with_success,
 )
 from dqforge.optimizer.estimators import TRACKERS
 from dqforge.optimizer.observers.methods.registry import METHODS
@@ -275,7 +276,20 @@ def test_the_start_that_succeeds_most_often_then_that_bears_most_is_flashed() ->
     pair = paired(asked, rows, begun)
     assert pair.start == "direct"
     assert pair.gap is None  # the ramp turns the rotor until the estimator has it
-    assert paired(asked, rows, [start("i-f", None, 1.0), start("v-f", None, 2.0)]).start == "v-f"
+    untried = [start("i-f", None, 1.0), start("v-f", None, 2.0), start("direct", None, 1.5)]
+    before = paired(asked, rows, untried)
+    assert before.start == "v-f"
+    loop = ClosedLoop(0.9, 100.0, True, 0.3 * asked.omega_max)
+    before = replace(before, loop=loop, passed=("wide",))
+    bench = EstimatorComparison(asked, tuple(rows), tuple(untried), winners(asked, rows), before)
+    after = with_success(bench, begun)
+    assert after.starts == tuple(begun)
+    assert after.estimator("fast") is rows[0]
+    assert (after.pair.start, after.pair.at_speed) == ("direct", "fast")
+    assert (after.pair.loop, after.pair.passed) == (loop, ("wide",))
+    assert after.pair.up == pytest.approx(0.3 * asked.omega_max)
+    lost = replace(bench, pair=replace(before, at_speed=None))
+    assert with_success(lost, begun).pair.at_speed is None
 
 
 def test_a_start_by_saliency_needs_an_estimator_up_to_the_hand_over() -> None:

@@ -15,6 +15,8 @@ from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.names import ObserverMethodName
 from dqforge.optimizer.estimator_comparison.candidate import (
     LOAD_SHARES,
+    WarmErrors,
+    WarmState,
     observer_evidence,
     warm_errors,
     warm_states,
@@ -41,11 +43,18 @@ def warm_text(temperature: str) -> Design:
     return load_text(made.encode(), "d.yaml")
 
 
+def shown(states: tuple[WarmState, ...]) -> tuple[int, ...]:
+    """The states of a table, of errors that say nothing."""
+    none = np.zeros((len(states), 1, 1))
+    return WarmErrors(states, np.ones(1), np.ones(1), none, none, none, none).shown
+
+
 def test_states_follow_the_coefficients_of_copper_and_neodymium() -> None:
     states = warm_states(catalogue.load(ABB))
     assert [(state.winding, state.magnet) for state in states] == [(0, 0), (40, 20), (80, 40)]
     assert [state.r_s for state in states] == pytest.approx([0.0, 0.1572, 0.3144])
     assert [state.psi_pm for state in states] == pytest.approx([0.0, -0.022, -0.044])
+    assert shown(states) == (2,)
 
 
 def test_a_machine_at_its_operating_temperature_is_cold_when_it_is_switched_on() -> None:
@@ -63,6 +72,10 @@ def test_a_machine_at_its_operating_temperature_is_cold_when_it_is_switched_on()
     assert (same.r_s, same.psi_pm) == (0.0, 0.0)
     assert machine.r_s * (1.0 + hot.r_s) == pytest.approx(2.35 * (1.0 + 0.004 * 160.0))
     assert machine.psi_pm * (1.0 + hot.psi_pm) == pytest.approx(0.06 * (1.0 - 0.002 * 90.0))
+    assert shown(warm_states(design)) == (0, 3)
+    for kept in ("winding", "magnet"):
+        one = warm_text(f"{{{kept}: 70 degC, magnet_coefficient: -0.2 %/K}}")
+        assert shown(warm_states(one)) == (0, 3)
 
 
 @pytest.mark.parametrize("method", ["extended-emf", "open-loop-flux"])

@@ -143,3 +143,22 @@ def test_refusals() -> None:
         third_harmonic(MACHINE, T_S, 60.0, omega_max=4000.0)
     with pytest.raises(InputError, match="pole must lie"):
         third_harmonic(MACHINE, T_S, 6e3, omega_max=OMEGA_MAX)
+    # each limit from both sides
+    pole, speed = 0.5 / T_S, 1.0 / (3.0 * T_S)
+    third_harmonic(MACHINE, T_S, 0.999 * pole, drift=0.999 * pole, omega_max=0.999 * speed)
+    for own, drift in ((1.001 * pole, 60.0), (60.0, 1.001 * pole), (60.0, 0.0), (-1.0, 60.0)):
+        with pytest.raises(InputError, match=f"got {drift if own == 60.0 else own:g}"):
+            third_harmonic(MACHINE, T_S, own, drift=drift, omega_max=OMEGA_MAX)
+    with pytest.raises(NoSolutionError, match="fewer than six"):
+        third_harmonic(MACHINE, T_S, 60.0, omega_max=1.001 * speed)
+
+    def with_third(share: float) -> PhaseMachine:
+        return PhaseMachine.from_harmonics(
+            [1, 3], [0.1, share], [0.0, 0.0], pole_pairs=3, r_s=0.5, l_s=1e-3, m_s=0.0, i_max=9.0
+        )
+
+    unit = third_flux(with_third(0.01))[0] / 0.01
+    least = 0.005 * plain.psi_pm / unit
+    third_harmonic(with_third(1.001 * least), T_S, 60.0, omega_max=OMEGA_MAX)
+    with pytest.raises(NoSolutionError, match=r"is 0\.50 % of the fundamental, 0\.5 % are needed"):
+        third_harmonic(with_third(0.999 * least), T_S, 60.0, omega_max=OMEGA_MAX)

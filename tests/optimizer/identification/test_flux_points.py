@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,10 @@ from dqforge.optimizer.identification.flux_points import (
     FluxFit,
     FluxRows,
     FluxTable,
+    _Energy,
+    _Model,
     _points,
+    _State,
     analyse_points,
     curl_of,
     levels_apart,
@@ -230,3 +234,69 @@ def test_levels_and_mirrored_points() -> None:
     both = np.array([1 + 2j, 1 - 2j, 3 + 1j, 3 - 1j])
     assert mirrored_share(both) == 1.0
     assert mirrored_share(both[[0, 2]]) == 0.0
+
+
+# The model against differences of itself.
+
+
+def made_rows(*, reference: bool = True) -> FluxRows:
+    """Points to both sides and in both directions, of no machine in particular."""
+    rng = np.random.default_rng(4)
+    current = np.add.outer(np.linspace(-9.0, 3.0, 7), 1j * np.linspace(-8.0, 8.0, 9)).ravel()
+    omega = np.where(np.arange(current.size) % 2, 300.0, -420.0)
+    flux = 0.1 + 5e-3 * current.real + 9e-3j * current.imag - 1e-4j * current.imag * current.real
+    voltage = 0.4 * current + 1j * omega * flux + rng.normal(0.0, 0.1, current.size)
+    series = np.zeros(current.size, dtype=np.intp)
+    warm = 20.0 + np.linspace(0.0, 30.0, current.size)
+    return FluxRows(("run",), series, current, voltage, omega, warm, reference)
+
+
+def test_flux_linkages_are_the_slopes_of_a_co_energy_that_is_even_in_i_q() -> None:
+    energy = _Energy(made_rows().current)
+    c = np.random.default_rng(1).normal(0.0, 1.0, energy.size)
+    at: Any = np.array([-7.3 + 2.2j, 0.4 - 5.1j, -2.0 + 0.3j, 2.8 + 7.7j])
+    h = 1e-5
+
+    def value(i: ComplexArray) -> FloatArray:
+        return np.asarray(energy.columns(i, 0, 0) @ c)
+
+    np.testing.assert_allclose(value(at.conj()), value(at), atol=1e-12)
+    flux = energy.flux(at, c)
+    along = (value(at + h) - value(at - h)) / (2.0 * h)
+    across = (value(at + 1j * h) - value(at - 1j * h)) / (2.0 * h)
+    np.testing.assert_allclose(flux, along + 1j * across, atol=1e-7)
+    dd, dq, qq = energy.slopes(at, c)
+    by_d = (energy.flux(at + h, c) - energy.flux(at - h, c)) / (2.0 * h)
+    by_q = (energy.flux(at + 1j * h, c) - energy.flux(at - 1j * h, c)) / (2.0 * h)
+    np.testing.assert_allclose(by_d, dd + 1j * dq, atol=1e-6)
+    np.testing.assert_allclose(by_q, dq + 1j * qq, atol=1e-6)
+    # third differences and the mean: a quadratic co-energy is firm but for that
+    rest = energy.firmness() @ np.ones(energy.size)
+    np.testing.assert_allclose(rest[:-1], 0.0, atol=1e-12)
+    assert rest[-1] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("reference", [True, False])
+def test_what_an_error_changes_is_a_difference_of_the_residual(*, reference: bool) -> None:
+    model = _Model(made_rows(reference=reference))
+    assert ("inverter_voltage" in model.keys) == reference
+    assert {"encoder_angle", "offset_q"} < set(model.keys)
+    values = {
+        "resistance": 0.4, "iron_conductance": 2e-3, "offset_d": 0.2, "offset_q": -0.3,
+        "encoder_angle": 0.02, "inverter_voltage": 0.5 if reference else 0.0,
+    }  # fmt: skip
+    rng = np.random.default_rng(2)
+    state = _State(rng.normal(0.0, 0.1, model.energy.size), values)
+
+    def residual(errors: dict[str, float]) -> ComplexArray:
+        moved = _State(state.energy, errors)
+        _, _, through = model.turned(moved)
+        return model.flux(moved) - model.energy.flux(through, state.energy)
+
+    found = model.error_columns(state)
+    for place, key in enumerate(model.keys):
+        h = 1e-6
+        ahead, back = (residual(values | {key: values[key] + x}) for x in (h, -h))
+        difference = (ahead - back) / (2.0 * h)
+        inner = np.abs(model.rows.current) < 7.0  # where the spline is not held at its end
+        np.testing.assert_allclose(found[inner, place], difference[inner], rtol=1e-4, atol=1e-6)

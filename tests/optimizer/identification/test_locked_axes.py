@@ -5,17 +5,30 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from bench_files import bench_text, write_table
+from scipy.integrate import solve_ivp
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.bench.bench_reader import read_bench
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.identification.identify import Identification, identify
-from dqforge.optimizer.identification.locked_axes import LockedAxes, analyse_locked, locked_fault
+from dqforge.optimizer.identification.locked_axes import (
+    _NOISES,
+    LockedAxes,
+    _Filter,
+    _Fit,
+    _simulation,
+    _terms,
+    _white,
+    _whitened,
+    analyse_locked,
+    locked_fault,
+)
 from dqforge.optimizer.identification.parameters import Analysis, Parameter
 from dqforge.reports.identification import design_of
 
@@ -167,6 +180,125 @@ def test_what_no_locked_rotor_shows() -> None:
             {"d": rows.voltages["d"][:9]},
         )
     )
+    assert "no axis has" in locked_fault(replace(rows, currents={}))
+    assert "do not rise" in locked_fault(replace(rows, time=rows.time[::-1].copy()))
+    assert "i_d stands still" in locked_fault(replace(rows, currents={"d": np.full(40, 2.0)}))
+    assert locked_fault(rows) == ""
+
+
+# Its parts against their definitions.
+
+
+def test_the_filter_is_that_of_its_differential_equation() -> None:
+    """T_f y' = x - y from 0, of values that are held, and of lines between them."""
+    step, slow, rng = 2e-4, 7e-4, np.random.default_rng(1)
+    x, f, own = rng.normal(1.0, 1.0, 12), _Filter(7e-4, 2e-4), np.linspace(0.0, 2e-4, 4001)
+    held, straight = [0.0], [0.0]
+    for before, now in pairwise(x):
+        weight = np.exp(-(step - own) / slow) / slow
+        line = before + (now - before) * own / step
+        kept = math.exp(-step / slow)
+        held.append(kept * held[-1] + before * float(np.trapezoid(weight, own)))
+        straight.append(kept * straight[-1] + float(np.trapezoid(weight * line, own)))
+    assert f.held(x) == pytest.approx(np.array(held), abs=1e-6)
+    assert f.straight(x) == pytest.approx(np.array(straight), abs=1e-6)
+    assert f.slope(x) == pytest.approx((x - np.array(straight)) / slow, rel=1e-5)
+
+
+def test_the_simulated_current_is_that_of_the_equation_and_its_slopes_are_differences() -> None:
+    rows, rng = locked(1, rows=20), np.random.default_rng(2)
+    rows = replace(rows, voltages={axis: rng.normal(0.0, 4.0, 20) for axis in "dq"})
+    terms = _terms(rows, reference=True)
+    value = {
+        "resistance": 0.5, "inductance_d": 2e-3, "inductance_q": 3e-3, "start_d": 0.4,
+        "start_q": -0.7, "inverter_voltage": 0.8, "turning": 0.3, "delay": 0.35,
+        "offset_d": 0.2, "offset_q": -0.1, "square_d": -4e-5, "square_q": 3e-5,
+        "cube_d": 6e-6, "cube_q": -5e-6,
+    }  # fmt: skip
+    at = np.array([value[term] for term in terms])
+    run = _simulation(rows, terms, 1)
+    found, turns = run(at)
+
+    def slope(_: float, i: FloatArray, u: FloatArray) -> list[float]:
+        size = math.sqrt(float(i @ i) + value["turning"] ** 2)
+        return [
+            (u[k] - value["resistance"] * x - value["inverter_voltage"] * x / size
+             - value[f"offset_{axis}"])
+            / (value[f"inductance_{axis}"] + 2.0 * value[f"square_{axis}"] * x
+               + 3.0 * value[f"cube_{axis}"] * x**2)
+            for k, (axis, x) in enumerate(zip("dq", i, strict=True))
+        ]  # fmt: skip
+
+    state, expected = np.array([0.4, -0.7]), []
+    for row in range(20):
+        expected.append(state)
+        # the voltage of the row before, and from the delay on that one
+        for earlier, share in ((2, value["delay"]), (1, 1.0 - value["delay"])):
+            fed = np.array([rows.voltages[axis][max(row - earlier, 0)] for axis in "dq"])
+            ends = solve_ivp(slope, (0.0, share * STEP), state, args=(fed,), rtol=1e-10, atol=1e-12)
+            state = ends.y[:, -1]
+    np.testing.assert_allclose(found.reshape(2, 20).T, expected, atol=1e-5)  # of Runge and Kutta
+    for place, x in enumerate(at):
+        ahead, back = at.copy(), at.copy()
+        ahead[place], back[place] = x + 1e-5 * abs(x), x - 1e-5 * abs(x)
+        differences = (run(ahead)[0] - run(back)[0]) / (2e-5 * abs(x))
+        assert turns[:, place] == pytest.approx(differences, rel=1e-4, abs=1e-6)
+    far = at.copy()
+    far[terms.index("resistance")] = -1e4
+    assert np.all(run(far)[0] == 1e3 * rows.size.max())
+
+
+@pytest.mark.parametrize(("kept", "noise"), [(0.9, 3.0), (0.6, 0.2), (0.95, 0.0)])
+def test_what_is_white_is_so_by_the_factor_of_the_whole_covariance(
+    kept: float, noise: float
+) -> None:
+    """What stays of a noise of the voltage, beside a white one of the current."""
+    count = 220
+    apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    slow = (1.0 - kept) ** 2 * noise / (1.0 - kept**2) * kept**apart
+    factor = np.linalg.cholesky(slow + np.eye(count))
+    values = np.random.default_rng(3).normal(0.0, 1.0, (count, 2))
+    white, spread = _white(values, kept, noise)
+    assert spread == pytest.approx(factor[-1, -1], rel=1e-6)
+    expected = np.linalg.solve(factor, values)
+    assert white[-40:] == pytest.approx(expected[-40:], abs=1e-5)
+
+
+def test_the_likeliest_noise_of_the_voltage_is_that_of_the_restricted_likelihood() -> None:
+    rng, count, rows = np.random.default_rng(5), 160, locked(1, "d", rows=160)
+    kept, truth = math.exp(-0.5 * STEP / 2e-3), 300.0
+    x = np.zeros(count)
+    for k in range(1, count):
+        x[k] = kept * x[k - 1] + (1.0 - kept) * math.sqrt(truth) * rng.normal()
+    columns = np.column_stack([np.ones(count), rows.voltages["d"], np.arange(count) / count])
+    aim = columns @ np.array([0.3, 0.2, -1.0]) + x + rng.normal(0.0, 1.0, count)
+    found = _Fit(
+        ["resistance", "inductance_d", "delay"], np.array([0.5, 2e-3, 0.5]), columns, aim,
+        np.zeros(count, dtype=np.intp), 0, STEP, reference=False,
+    )  # fmt: skip
+    white, noise = _whitened(np.column_stack([columns, aim]), found)
+    apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+
+    def unlikely(each: float) -> float:
+        slow = (1.0 - kept) ** 2 * each / (1.0 - kept**2) * kept**apart
+        own = np.linalg.inv(slow + np.eye(count))
+        inner = columns.T @ own @ columns
+        left = aim - columns @ np.linalg.solve(inner, columns.T @ own @ aim)
+        free = count - columns.shape[1]
+        dets = np.linalg.slogdet(inner)[1] - np.linalg.slogdet(own)[1]
+        return float(dets + free * math.log(left @ own @ left))
+
+    assert noise == min(_NOISES, key=unlikely)
+    assert white == pytest.approx(_white(np.column_stack([columns, aim]), kept, noise)[0])
+
+
+def test_voltages_that_are_measured_with_noise_are_no_reference() -> None:
+    analysis = analyse_locked(locked(9, "d", rows=600, measured=0.3), {}, reference=False)
+    for key in ("resistance", "inductance_d"):
+        one = of(analysis, key)
+        assert one.low <= TRUTH[key] <= one.high
+        assert one.value == pytest.approx(TRUTH[key], rel=0.03)
+    assert all(one.key != "inverter_voltage" for one in analysis.parameters)
 
 
 # From files: a locked rotor, a capture, an acceleration and coasting make a design.

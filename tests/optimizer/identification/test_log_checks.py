@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -11,10 +12,19 @@ import pytest
 from bench_files import bench_text, slow_noise, write_table
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.bench.bench_file import LoggedRun, LogPart
 from dqforge.machines.bench.bench_reader import read_bench
 from dqforge.machines.errors import DqforgeError
 from dqforge.optimizer.identification.identify import Identification, identify
-from dqforge.optimizer.identification.log_checks import step_of
+from dqforge.optimizer.identification.log_checks import (
+    Fitted,
+    _balance,
+    _Powers,
+    at_limit,
+    log_findings,
+    requested,
+    step_of,
+)
 from dqforge.optimizer.identification.voltage_terms import SteadyRows, analyse_rows
 
 Log = dict[str, FloatArray]
@@ -322,3 +332,106 @@ def test_means_are_no_nearer_than_a_step_larger_than_the_noise(tmp_path: Path) -
     # Rounding of 0.2/sqrt(12) V at each point, against 15 A r.m.s.
     assert sigmas[1] > 0.5 * 0.2 / 12.0**0.5 / 15.0 / 25.0**0.5
     assert sigmas[1] > 2.0 * sigmas[0]
+
+
+# Each limit from both sides, on rows that are made for it.
+
+
+def run_of(**columns: FloatArray) -> LoggedRun:
+    rows = next(iter(columns.values())).size
+    part = LogPart("ride.csv", "", columns, np.arange(2, 2 + rows), {})
+    return LoggedRun(0, "ride", "constant-speed", (part,), {}, "reference")
+
+
+def plateaued(top: int, below: int, moved: float = 1.0, rows: int = 400) -> LoggedRun:
+    """Rows of a voltage: so many of the largest one, so many just below it, and others."""
+    u_q = np.linspace(1.0, 9.0, rows)
+    u_q[:top], u_q[top : top + below] = np.linspace(9.9905, 10.0, top), 9.945
+    i_q = np.linspace(-8.0, 8.0, rows)
+    i_q[:top] = np.linspace(5.0, 5.0 + 8.0 * moved, top) if top else 0.0
+    return run_of(u_q=u_q, i_q=np.clip(i_q, -8.0, 8.0), speed=np.full(rows, 7.0))
+
+
+def test_rows_at_a_limit_are_those_from_its_share_on() -> None:
+    ones = np.ones(20)
+    for share, reached in ((0.996, 20), (0.994, 0)):
+        run = run_of(u_q=share * V_DC / 3.0**0.5 * ones, i_q=ones, speed=ones, i_d=ones)
+        assert at_limit(run, V_DC)[0].sum() == reached
+        assert at_limit(run, None)[0].sum() == 0
+    # both axes together; a logged link before that of the inverter
+    run = run_of(u_q=3.0 * ones, u_d=-4.0 * ones, i_q=ones, speed=ones, v_dc=8.72 * ones)
+    assert at_limit(run, 1.0)[1] == ""
+    assert at_limit(replace_column(run, "v_dc", 8.69 * ones), 99.0)[1].startswith("u_d and u_q")
+    for duty, full in ((0.951, True), (-0.951, True), (0.949, False), (1.001, False)):
+        run = run_of(u_q=ones, i_q=ones, i_d=ones, speed=ones, duty=duty * ones)
+        assert bool(at_limit(run, None)[1]) == full
+    for top, below, found in (
+        (13, 0, True), (12, 0, False), (20, 9, True), (20, 10, False), (21, 10, True),
+    ):  # fmt: skip
+        rows, said = at_limit(plateaued(top, below), None)
+        assert (rows.sum(), bool(said)) == ((top, True) if found else (0, False))
+    for moved, found in ((0.051, True), (0.049, False)):
+        assert bool(at_limit(plateaued(30, 0, moved), None)[1]) == found
+    assert at_limit(plateaued(9, 0, rows=100), None)[0].sum() == 9
+    assert at_limit(plateaued(8, 0, rows=100), None)[0].sum() == 0
+
+
+def replace_column(run: LoggedRun, name: str, values: FloatArray) -> LoggedRun:
+    return run_of(**(dict(run.parts[0].columns) | {name: values}))
+
+
+@pytest.mark.parametrize(
+    ("held", "still", "found"),
+    [(81, 19, True), (79, 19, False), (81, 21, False), (100, 0, False)],
+)
+def test_a_requested_current_holds_in_four_of_five_rows(held: int, still: int, found: bool) -> None:
+    def stepped(count: int) -> FloatArray:
+        """101 numbers of which so many are those of the row before."""
+        return np.cumsum(np.arange(101) > count).astype(np.float64)
+
+    told = list(requested(run_of(i_q=stepped(held), u_q=stepped(still), speed=np.ones(101))))
+    assert bool(told) == found
+    assert not found or f"in {held} of 101 rows of ride.csv (from row 3 to {held + 2})" in told[0]
+
+
+def findings(speed: FloatArray, resistance: float = 0.0, **columns: FloatArray) -> str:
+    """All that is said of rows, contradictions in capitals."""
+    run = run_of(speed=speed, **columns)
+    found = log_findings(run, POLE_PAIRS, Fitted(resistance, math.nan))
+    return "\n".join((*found.remarks, *(text.upper() for text in found.contradictions)))
+
+
+def test_speeds_and_pole_pairs_count_where_the_shaft_turns() -> None:
+    speed, ones = np.linspace(20.0, 100.0, 40), np.ones(40)
+    for back, told in ((-9.0, True), (-11.0, False)):
+        some = np.where(np.arange(40) == 3, back, speed)
+        assert ("one direction of rotation" in findings(some, i_q=ones, u_q=ones)) == told
+        assert ("one direction of rotation" in findings(-some, i_q=ones, u_q=ones)) == told
+    odd = np.where(np.arange(40) < 25, 0.01 * speed, speed)
+    for share, told in ((1.019, False), (1.021, True), (0.981, False), (0.979, True)):
+        electrical = np.where(odd > 2.0, share * POLE_PAIRS * odd, -7.0 * odd)
+        said = findings(odd, i_q=ones, u_q=ones, electrical_speed=electrical)
+        assert ("NOT 5 POLE PAIRS" in said) == told
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("drives", [1.0, -1.0])
+def test_a_balance_is_wrong_from_its_limits_on(way: float, drives: float) -> None:
+    """At 100 rad/s and 100 to 300 W, of which a part is lost; torques vary enough to be told."""
+    power = drives * np.linspace(100.0, 300.0, 60)
+    words = "MOTORING" if drives > 0.0 else "BRAKING"
+    speed, i_q = way * np.full(60, 100.0), np.full(60, 2.0)
+    for share, text in (
+        (-0.019, ""), (-0.022, "LESS THAN NOTHING"), (0.48, ""), (0.52, "OUTSIDE THE WINDING"),
+    ):  # fmt: skip
+        through = np.abs(power)
+        # of what passes, the larger of both sides
+        lost = share * through / (1.0 if share * drives > 0.0 else 1.0 + abs(share))
+        if drives < 0.0 and share > 0.0:
+            lost = share * through / (1.0 - share)
+        power_of = _Powers(
+            run_of(speed=speed, i_q=i_q, u_q=i_q), speed, (power - lost) / speed, power, 0.0 * power
+        )
+        found = "\n".join(_balance(power_of)).upper()
+        assert (text in found) if text else (found == ""), (share, found)
+        assert not text or f"{words} AT {'' if way > 0 else '-'}955 RPM" in found

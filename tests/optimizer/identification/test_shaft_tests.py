@@ -6,7 +6,10 @@ import json
 import math
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,6 +32,7 @@ from dqforge.optimizer.identification.shaft_tests import (
     analyse_spin_up,
     analyse_steps,
     bursts_fault,
+    captured,
     offset_fault,
     spin_fault,
     spin_up_fault,
@@ -260,6 +264,48 @@ def test_offset_turn_and_flux_of_simulated_sweeps_scatter_by_their_sigmas() -> N
     assert all("not 4" in text for text in told)
     assert offset_fault(pair[0]) == ""
     assert "circle needs" in offset_fault(offset_sweep(100.0, 1, rows=7))
+
+
+def test_what_no_offset_sweep_and_no_burst_shows() -> None:
+    sweep = offset_sweep(-140.0, 4)
+    assert "stands still" in offset_fault(replace(sweep, omega_m=0.0))
+    flat = replace(sweep.curves[2], values=np.full(90, 3.0))
+    assert "u_d is the same at all" in offset_fault(replace(sweep, curves=(sweep.curves[0], flat)))
+    for share, text in ((0.7, "over 252 deg"), (0.76, "")):
+        narrow = replace(sweep.curves[1], offset=share * sweep.curves[1].offset)
+        said = offset_fault(replace(sweep, curves=(narrow,)))
+        assert text in said
+        assert bool(text) == bool(said)
+    rows = np.zeros(50)
+    assert "no burst" in bursts_fault(Bursts("bursts", np.arange(50.0), rows, rows))
+    begun = Bursts("bursts", np.arange(50.0), np.where(rows == 0.0, 5.0, 0.0), rows)
+    assert "rows without current before" in bursts_fault(begun)
+    assert "do not rise" in spin_up_fault(
+        SpinUp("up", np.arange(9.0)[::-1], np.ones(9), 10.0 * np.arange(9.0))
+    )
+
+
+@pytest.mark.parametrize(
+    ("known", "against"), [(None, None), (0.0102, False), (0.0102 * math.sqrt(3.0), True)]
+)
+def test_a_capture_is_a_flux_linkage_with_its_own_interval(
+    known: float | None, against: bool | None
+) -> None:
+    uncertainty = np.array([[2e-5, 9e-3], [5e-5, 1e-3], [1e-5, 0.0]])
+    capture: Any = SimpleNamespace(
+        psi_pm=0.01, amplitude_uncertainty=uncertainty, findings=("a spike",), orders=np.arange(7)
+    )
+    found = captured("log", capture, None if known is None else (known, "the sheet"))
+    flux = found.of("magnet_flux")
+    assert flux is not None
+    assert (flux.low, flux.value, flux.high) == pytest.approx((0.00995, 0.01, 0.01005))
+    assert flux.sigma == pytest.approx(5e-5 / 1.959964, rel=1e-5)
+    assert found.covariance[0, 0] == pytest.approx(flux.sigma**2)
+    assert found.terms == ("7 harmonics",)
+    assert found.remarks[0] == "log: a spike"
+    assert len(found.remarks) == (2 if against is False else 1)
+    assert len(found.contradictions) == (1 if against else 0)
+    assert all("the sheet" in text for text in (*found.remarks[1:], *found.contradictions))
 
 
 @pytest.mark.parametrize("lag", [0.03, 0.1])

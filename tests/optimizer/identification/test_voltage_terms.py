@@ -9,7 +9,12 @@ import pytest
 from bench_files import slow_noise
 
 from dqforge.optimizer.identification.parameters import Analysis, Parameter
-from dqforge.optimizer.identification.voltage_terms import SteadyRows, analyse_rows, rows_fault
+from dqforge.optimizer.identification.voltage_terms import (
+    SteadyRows,
+    _at_least,
+    analyse_rows,
+    rows_fault,
+)
 
 TRUTH = {
     "resistance": 68.6e-3,
@@ -190,3 +195,16 @@ def test_an_axis_that_was_not_logged(axis: str) -> None:
     rows = replace(rows, i_d=None) if axis == "i_d" else rows
     key = "inductance_d" if axis == "i_d" else "inductance_q"
     assert "was logged" in found(analysed(rows), key).why
+
+
+def test_a_covariance_is_widened_to_a_floor_and_keeps_its_correlations() -> None:
+    sigma, correlation = np.array([0.1, 2.0, 30.0]), np.array([[1.0, 0.6], [0.6, 1.0]])
+    whole = np.eye(3)
+    whole[:2, :2] = correlation
+    covariance = whole * np.outer(sigma, sigma)
+    floor = np.diag([0.09, 1.0, 1600.0]) + 0.01
+    found = _at_least(covariance, floor)
+    wide = np.sqrt([0.1, 4.0, 1600.01])
+    np.testing.assert_allclose(found, whole * np.outer(wide, wide))
+    np.testing.assert_allclose(_at_least(covariance, np.zeros((3, 3))), covariance)
+    assert not _at_least(np.zeros((3, 3)), np.zeros((3, 3))).any()

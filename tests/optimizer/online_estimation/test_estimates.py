@@ -27,6 +27,8 @@ from dqforge.optimizer.online_estimation import (
     OnlineEstimation,
     OperatingSamples,
     Sought,
+    _acting,
+    _bounded,
     at_rest,
     estimability,
     gains_of,
@@ -151,6 +153,48 @@ def test_what_is_no_number_leaves_the_estimates() -> None:
     for bad in (AlphaBeta(nothing, nothing), AlphaBeta(one(np.inf), nothing)):
         step(BOTH, EXACT, gains, state, bad, i, theta, one(0.0))
     assert float(state.r_s) == pytest.approx(before, rel=1e-3)
+
+
+def test_a_dead_time_takes_a_trapezoid_of_each_phase() -> None:
+    """Of the mean of two samples, whole from the crossing on, to either side."""
+    design = asked(INVERSE_SALIENT, dead_time=1e-6)
+    gains, sought = gains_of(design), sought_of(design)
+    assert sought.dead_time
+    phase = np.linspace(-3.0, 3.0, 25)
+    size = np.resize([0.02, 0.4, 1.7, 60.0], 25) / gains.per_ampere
+    i = size * np.exp(1j * phase)
+    both, v = AlphaBeta(2.0 * i.real, 2.0 * i.imag), AlphaBeta(np.cos(phase), 3.0 + phase)
+    found = _acting(sought, EXACT, gains, v, both)
+    turn = np.exp(2j * np.pi / 3.0)
+    legs = [np.clip((i * turn**-k).real * gains.per_ampere, -1.0, 1.0) * turn**k for k in range(3)]
+    taken = gains.dead * 2.0 / 3.0 * np.sum(legs, axis=0)
+    np.testing.assert_allclose(found.alpha + 1j * found.beta, v.alpha + 1j * v.beta - taken)
+    # the fundamental of a square wave is 4/pi of its height
+    lost = 4.0 / np.pi * 1e4 * design.inverter.v_dc * 1e-6
+    assert 4.0 / np.pi * gains.dead == pytest.approx(lost)
+    plain = replace(sought, dead_time=False)
+    assert _acting(plain, EXACT, gains, v, both) is v
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_single_sample_moves_an_estimate_by_a_share_of_ten_times_its_largest(
+    sign: float,
+) -> None:
+    gains = gains_of(asked(INVERSE_SALIENT))
+    gap = np.array([0.3, 9.0, 11.0, 1e9, np.nan]) * 0.4
+    found = _bounded(EXACT, sign * gap, np.array(0.4))
+    assert found == pytest.approx(sign * np.array([0.12, 3.6, 4.0, 4.0, 0.0]))
+    state, before = at_rest(), gains.r_s
+    start(EXACT, gains, state)
+    current, v = AlphaBeta(one(0.0), one(20.0)), AlphaBeta(one(0.0), one(sign * 1e9))
+    for _ in range(2):
+        step(BOTH, EXACT, gains, state, v, current, one(0.0), one(0.0))
+    limit = gains.r_most if sign > 0.0 else gains.r_least
+    moved = before + sign * gains.share * 10.0 * gains.r_most
+    assert state.r_s == pytest.approx(np.clip(moved, gains.r_least, gains.r_most))
+    for _ in range(200):
+        step(BOTH, EXACT, gains, state, v, current, one(0.0), one(0.0))
+    assert state.r_s == pytest.approx(limit)
 
 
 def judged(machine: LinearMachine, design: Design, *points: tuple[float, ...]) -> Estimability:

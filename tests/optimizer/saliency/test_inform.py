@@ -183,3 +183,31 @@ def test_the_gains_are_those_of_the_saliency_along_the_load() -> None:
         limited = replace(gains, omega_max=most, period=period)
         expected = 0.0, min(turned, most, left / flux)
         assert TRACKERS["inform"].speeds(other, limited) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("method", ["inductance-mapping", "inform"])
+def test_pulses_are_judged_and_emitted_as_they_are_told(method: ObserverMethodName) -> None:
+    design = replace(drive(), machine=linearised(drive().machine))
+    gains, tracker, t_s = (
+        gains_of(design, method, pll_bandwidth=60.0), TRACKERS[method], design.control.t_s,
+    )  # fmt: skip
+    every, code = int(gains.period), method.replace("-", "_")
+    assert tracker.loop is not None
+    loop = tracker.loop(gains)
+    # of the sequences, the mean age: 3 samples from their middle on, and half of their distance
+    assert loop.seen == ((round(3.0 + 0.5 * (every - 1)), 1.0),)
+    assert loop.t_s == t_s
+    assert loop.k_i == pytest.approx(60.0**2 * t_s, rel=0.2)
+    assert loop.lag == pytest.approx(2.0 / 60.0, rel=0.2)
+    told = tracker.in_words(gains)
+    assert f"six pulses of {gains.voltage:.4g} V, each {1e6 * t_s:.4g} us" in told
+    assert f"every {1e3 * every * t_s:.4g} ms" in told
+    assert float(told.split("loop ")[1].split(" ")[0]) == pytest.approx(60.0, rel=0.1)
+    assert tracker.steps is not None
+    found = tracker.steps(gains)
+    assert {name: value for name, value, _ in found.counts} == {
+        f"{code.upper()}_POINTS": POINTS, f"{code.upper()}_PERIOD": every,
+    }  # fmt: skip
+    assert found.names == {"at_load": f"{code}_at", "error_at_load": f"{code}_error"}
+    assert (found.state.theta_e, found.state.n, found.state.started) == (0.0, 0, 0)
+    assert type(found.state).__name__ == ("Inform" if method == "inform" else "InductanceMapping")

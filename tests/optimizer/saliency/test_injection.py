@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +27,9 @@ from dqforge.optimizer.saliency.injection import (
     current_noise,
     largest_pole,
     notch,
+    pll_gains,
     require_saliency,
+    usual_loop,
     usual_voltage,
     wave_start,
     wave_step,
@@ -265,3 +268,34 @@ def test_injection_serves_up_to_ten_periods_per_turn_or_the_room_of_the_voltage(
     crowded = replace(design, inverter=replace(design.inverter, v_dc=0.6 * v_dc))
     left -= 0.4 * v_dc / np.sqrt(3.0)
     assert TRACKER.speeds(crowded, gains)[1] == pytest.approx(min(turn, left / flux), rel=1e-3)
+
+
+@pytest.mark.parametrize(("bandwidth", "damping"), [(200.0, 0.7), (251.0, 1.0), (90.0, 1.6)])
+def test_the_loop_has_the_poles_of_its_bandwidth(bandwidth: float, damping: float) -> None:
+    t_s = 125e-6
+    k_p, k_i = pll_gains(bandwidth, damping, t_s)
+    # the angle and the speed that are left after a correction by the predicted angle
+    left = np.linalg.eigvals([[1.0 - k_p, (1.0 - k_p) * t_s], [-k_i, 1.0 - k_i * t_s]])
+    root = bandwidth * np.emath.sqrt(damping**2 - 1.0)
+    wanted = np.exp((np.array([root, -root]) - damping * bandwidth) * t_s)
+    np.testing.assert_allclose(np.sort_complex(left), np.sort_complex(wanted), atol=1e-7)
+
+
+@pytest.mark.parametrize("wave", WAVES)
+def test_what_is_told_and_emitted_of_a_wave(wave: InjectionWave) -> None:
+    gains, t_s = gains_of(drive(ABB), wave), drive(ABB).control.t_s
+    samples = 2 if wave == "square" else 10
+    kind, voltage, hertz, loop = re.fullmatch(
+        r"(\w+) wave of (\S+) V at (\S+) Hz; loop (\S+) rad/s", TRACKER.in_words(gains)
+    ).groups()  # type: ignore[union-attr]
+    assert kind == wave
+    assert float(voltage) == pytest.approx(max(gains.carrier), rel=1e-3)
+    assert float(hertz) == pytest.approx(1.0 / (samples * t_s), rel=1e-3)
+    assert float(loop) == pytest.approx(usual_loop(t_s), rel=0.05)
+    assert TRACKER.steps is not None
+    found = TRACKER.steps(gains)
+    assert {name: value for name, value, _ in found.counts} == {
+        "INJECTION_SAMPLES": samples, "INJECTION_POINTS": POINTS,
+    }  # fmt: skip
+    assert (found.state.theta_e, found.state.n, found.state.started) == (0.0, 0, 0)
+    assert (found.state.products is None) == (wave == "square")

@@ -5,6 +5,7 @@ consistency on 20 seeds.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from scipy.stats import chi2
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.optimizer.observers.methods import ekf as module
 from dqforge.optimizer.observers.methods.ekf import (
     DriveNoise,
     Ekf,
@@ -27,6 +29,7 @@ from dqforge.optimizer.observers.methods.ekf import (
 )
 from dqforge.optimizer.observers.sampled_machine import (
     CurrentSensor,
+    SampledMachine,
     simulate,
     usual_sensor,
     wandering_speed,
@@ -113,6 +116,52 @@ def test_without_noise_the_right_state_stays(bench001: LinearMachine) -> None:
     result = run(filter_, trial)
     assert np.max(np.abs(result.innovation)) < 3e-6  # of the Runge-Kutta steps
     assert np.max(np.abs(angle_error(result.theta, trial))) < 1e-6
+
+
+@pytest.mark.parametrize("factors", [(3.0, 0.2, 2.0), (0.4, 5.0, 0.1), (1e9, 1e-9, 7.0)])
+def test_the_likeliest_covariances_are_found_within_their_bounds(
+    bench001: LinearMachine, factors: tuple[float, float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a likelihood that falls with the square of the distance from a place: a thousandfold to
+    either side of the first guess, and no less than the sensor's own variance.
+    """
+    first = first_guess(bench001, T_S, NOISE, 1500.0)
+    start = np.array([first.q_i, first.q_a, first.r])
+    asked: list[tuple[object, ...]] = []
+
+    def trial(*given: object) -> str:
+        asked.append(given)
+        return "trial"
+
+    def stand_in(model: object, drawn: object) -> object:
+        assert isinstance(model, SampledMachine)
+        assert (model.omega_max, drawn) == (1500.0, "trial")
+
+        def of(filter_: Ekf) -> SimpleNamespace:
+            away = np.log(np.array([filter_.q_i, filter_.q_a, filter_.r]) / start / factors)
+            return SimpleNamespace(log_likelihood=-np.array([0.5, 1.5]) * float(away @ away))
+
+        return of
+
+    monkeypatch.setattr(module, "noisy_trial", trial)
+    monkeypatch.setattr(module, "innovations", stand_in)
+    found = tuned_ekf(bench001, T_S, NOISE, SPEED, I_REF, omega_max=1500.0, seed=4)
+    reach = 10.0 ** (0.5 * module._DECADES)
+    low, high = np.array([1.0 / reach, 1.0 / reach, 1.0]), np.full(3, reach)
+    wanted = start * np.clip(factors, low, high)
+    np.testing.assert_allclose([found.q_i, found.q_a, found.r], wanted, rtol=0.03)
+    periods, drives = module._TRAINING
+    ((machine, t_s, noise, speed, i_ref, *rest),) = asked
+    assert (machine, t_s, noise, speed) == (bench001, T_S, NOISE, SPEED)
+    assert rest == [periods, drives, 4]
+    assert i_ref is I_REF
+
+    def lost(_: object, __: object) -> object:
+        return lambda _: SimpleNamespace(log_likelihood=np.array([np.nan]))
+
+    monkeypatch.setattr(module, "innovations", lost)
+    with pytest.raises(NoSolutionError, match="no noise covariances"):
+        tuned_ekf(bench001, T_S, NOISE, SPEED, I_REF)
 
 
 @pytest.mark.slow

@@ -113,7 +113,7 @@ def test_boxes_contain_the_curve(gains: FluxGains) -> None:
         assert np.all(points <= corners[k].max(axis=0))
 
 
-def test_exact_check_refuses_what_does_not_hold(certificate: LyapunovCertificate) -> None:
+def test_exact_check_refuses_what_does_not_hold() -> None:
     from flint import fmpq
 
     half = [[fmpq(1, 2), fmpq(0)], [fmpq(0), fmpq(1, 2)]]
@@ -121,6 +121,15 @@ def test_exact_check_refuses_what_does_not_hold(certificate: LyapunovCertificate
     assert not holds_exactly(np.eye(2), 0.5, [half])  # on the border: not positive definite
     assert not holds_exactly(-np.eye(2), 0.6, [half])
     assert not holds_exactly(np.array([[1.0, 2.0], [2.0, 1.0]]), 0.9, [half])
+    assert not holds_exactly(np.eye(2), 0.6, [half, [[fmpq(0), fmpq(2, 3)], [fmpq(0), fmpq(0)]]])
+    # in another norm, whose factor is that of numpy
+    a = np.array([[0.5, 0.25, 0.0], [-0.125, 0.75, 0.5], [0.0, 0.25, -0.375]])
+    p = np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.25], [0.0, 0.25, 1.5]])
+    root = np.linalg.cholesky(p).T
+    factor = float(np.linalg.norm(root @ a @ np.linalg.inv(root), 2))
+    exact = [[fmpq(*value.as_integer_ratio()) for value in row] for row in a.tolist()]
+    assert holds_exactly(p, 1.000001 * factor, [exact])
+    assert not holds_exactly(p, 0.999999 * factor, [exact])
 
 
 def test_gains_that_violate_it_have_no_certificate(gains: FluxGains) -> None:

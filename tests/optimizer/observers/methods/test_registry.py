@@ -407,6 +407,24 @@ def test_refusals_say_what_to_write() -> None:
     assert isinstance(_gains(METHODS["flux"]), FluxGains)
 
 
+@pytest.mark.parametrize(
+    ("name", "held", "refused"),
+    [
+        ("extended-emf", {"bandwidth": 19_990.0}, {"bandwidth": 20_010.0}),
+        ("open-loop-flux", {"bandwidth": 1199.0}, {"bandwidth": 1201.0}),
+        ("open-loop-flux", {"speed_gain": 19.9}, {"speed_gain": 20.1}),
+        # the share of the model: 1 - exp(-800 rad/s 0.1 ms), and the gain times the turn per sample
+        ("flux", {"speed_gain": 3.07}, {"speed_gain": 3.08}),
+    ],
+)
+def test_what_is_too_fast_is_refused_from_its_limit_on(
+    name: ObserverMethodName, held: dict[str, float], refused: dict[str, float]
+) -> None:
+    METHODS[name].design(IPM, replace(TUNING, **held), T_S, OMEGA_MAX)
+    with pytest.raises(NoSolutionError):
+        METHODS[name].design(IPM, replace(TUNING, **refused), T_S, OMEGA_MAX)
+
+
 def test_every_word_has_its_file_and_its_keys() -> None:
     words = get_args(ObserverMethodName)
     others = (SPEED_OBSERVER, *TRACKER_NAMES, *SIX_STEP_METHODS)
