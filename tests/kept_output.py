@@ -206,6 +206,8 @@ def making(path: str, line: int = 0) -> list[str]:
     letters = {in_short(name) for name in names}
 
     def makes(case: str) -> bool:
+        if not (KEPT / f"{case}.json").is_file():
+            return False  # new, not yet kept
         kept = kept_of(case)
         return path in kept["made by"] or not letters.isdisjoint(
             kept["values"].get(path, "").split()[::2]

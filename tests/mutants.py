@@ -75,7 +75,7 @@ EQUIVALENT = Path(__file__).with_name("equivalent_changes.toml")
 Span = Callable[["ast.expr | ast.stmt"], tuple[int, int]]
 # In place of a case, where the tests can no longer be loaded.
 LOADING = "loading"
-WAIT_S = 300.0
+WAIT_S = 1200.0
 # So many files of tests are asked anew of what runs while modules load.
 AT_LOAD = 12
 # So many kept cases before all else.

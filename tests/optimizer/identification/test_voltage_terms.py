@@ -12,8 +12,11 @@ from dqforge.optimizer.identification.parameters import Analysis, Parameter
 from dqforge.optimizer.identification.voltage_terms import (
     SteadyRows,
     _at_least,
+    _Model,
+    _rounding,
     analyse_rows,
     rows_fault,
+    voltage_columns,
 )
 
 TRUTH = {
@@ -208,3 +211,25 @@ def test_a_covariance_is_widened_to_a_floor_and_keeps_its_correlations() -> None
     np.testing.assert_allclose(found, whole * np.outer(wide, wide))
     np.testing.assert_allclose(_at_least(covariance, np.zeros((3, 3))), covariance)
     assert not _at_least(np.zeros((3, 3)), np.zeros((3, 3))).any()
+
+
+@pytest.mark.parametrize(("name", "term"), [("i_q", "resistance"), ("omega_e", "magnet_flux")])
+def test_a_rounded_current_or_speed_is_a_voltage_that_is_off_by_its_coefficient(
+    name: str, term: str
+) -> None:
+    rows = replace(ride(8), i_d=None, u_d=None, temperature=None)
+    terms = ["resistance", "magnet_flux"]
+    columns = {key: voltage_columns(rows)[key] / 0.3 for key in terms}
+    none = np.zeros(rows.u_q.size, dtype=np.intp)
+    model = _Model(
+        columns, rows.u_q / 0.3, none, none, None, np.full(rows.u_q.size, 0.3)
+    )  # one axis in units of 0.3 V
+    coefficients = np.array([TRUTH[key] for key in terms])
+    quiet = np.full(rows.u_q.size, 1e-3)
+    of_column, told = _rounding(replace(rows, steps={name: 0.4}), model, terms, coefficients, quiet)
+    of_voltage, _ = _rounding(
+        replace(rows, steps={"u_q": 0.4 * TRUTH[term]}), model, terms, coefficients, quiet
+    )
+    np.testing.assert_allclose(of_column, of_voltage, rtol=1e-9)
+    assert np.all(np.diag(of_column) > 0.0)
+    assert "more than its noise" in told[0]
