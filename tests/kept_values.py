@@ -3,11 +3,11 @@ number for each, in short.
 
 A function is followed through its first calls. Every number in what it returns counts with a weight
 of its own place and by its logarithm, so that a share of a small number is seen beside a large one;
-arrays count by their largest entry and two weighted sums, balls by their radius too. So do numbers
-and arrays among arguments, variables and, as an object is made, its attributes: a start or a step
-that a search, a limit or a sum over both signs hides from those who call is seen within. What
-differs between two sets of kernels of the linear algebra, as what is left of a residual, is not
-kept.
+arrays count by their largest entry and two weighted sums, over entries evenly drawn where they are
+large, balls by their radius too. So do numbers and arrays among arguments, variables and, as an
+object is made, its attributes: a start or a step that a search, a limit or a sum over both signs
+hides from those who call is seen within. What differs between two sets of kernels of the linear
+algebra, as what is left of a residual, is not kept.
 """
 
 from __future__ import annotations
@@ -58,15 +58,20 @@ def _by_logarithm(number: Any) -> float:
 
 
 def _of_array(array: np.ndarray[Any, Any]) -> tuple[float, ...]:
-    both = np.stack([array.real, array.imag]) if array.dtype.kind == "c" else array
-    numbers = both.astype(float).ravel()
-    weights = np.resize(WEIGHTS, numbers.size)
-    strange = np.where(np.isnan(numbers), NAN, np.sign(numbers) * INFINITE)
+    parts = 2 if array.dtype.kind == "c" else 1
+    numbers = array.ravel()[:: 1 + parts * array.size // WEIGHTS.size]
+    if parts > 1:
+        numbers = np.concatenate([numbers.real, numbers.imag])
+    numbers, weights, strange = numbers.astype(float), WEIGHTS[: numbers.size], 0.0
     finite = np.isfinite(numbers)
-    numbers, strange = np.where(finite, numbers, 0.0), np.where(finite, 0.0, strange)
+    if not finite.all():
+        ends = np.where(np.isnan(numbers), NAN, np.sign(numbers) * INFINITE)
+        strange = float(weights @ np.where(finite, 0.0, ends))
+        numbers = np.where(finite, numbers, 0.0)
     most = np.abs(numbers).max(initial=NOTHING)
-    sums = strange, numbers / most, np.arcsinh(numbers / (SMALL * most))
-    return numbers.size, _by_logarithm(float(most)), *(float(weights @ each) for each in sums)
+    shares = numbers / most
+    sums = (float(weights @ each) for each in (shares, np.arcsinh(shares / SMALL)))
+    return array.size, _by_logarithm(float(most)), strange, *sums
 
 
 def _of_one(thing: object) -> tuple[float, ...]:
@@ -143,23 +148,30 @@ class Record:
         self._calls: dict[CodeType, int] = {}
         self._physics = re.compile(PHYSICS)
 
-    def _left(self, code: CodeType) -> int:
-        """Calls of a function that still count."""
-        if code in self._calls:
-            return self._calls[code]
+    def _first(self, code: CodeType) -> int:
+        """Calls of a function that count, as it is first called."""
         # Bodies of classes run where modules load, comprehensions within what is followed.
         own = code.co_flags & 1 and not code.co_name.startswith("<")
         path = code.co_filename
         physics = path.startswith(ROOT) and self._physics.match(path.removeprefix(ROOT))
-        return self._calls.setdefault(code, CALLS if own and physics else 0)
+        return CALLS if own and physics else 0
 
-    def _called(self, frame: FrameType, _event: str, _value: object) -> Any:
-        left = self._left(frame.f_code)
-        if not left:
-            return None
-        self._calls[frame.f_code] = left - 1
-        frame.f_trace_lines = False
-        return self._returned
+    def _follower(self) -> Callable[[FrameType, str, object], Any]:
+        """What is asked at every call, of anything."""
+        calls, first, returned = self._calls, self._first, self._returned
+
+        def called(frame: FrameType, _event: str, _value: object) -> Any:
+            code = frame.f_code
+            left = calls.get(code)
+            if left is None:
+                left = calls[code] = first(code)
+            if not left:
+                return None
+            calls[code] = left - 1
+            frame.f_trace_lines = False
+            return returned
+
+        return called
 
     def _returned(self, frame: FrameType, event: str, value: object) -> Any:
         if event == "return":
@@ -177,7 +189,7 @@ class Record:
     def of(self, case: Callable[[], object]) -> Any:
         """Run a case, with nothing at hand that earlier ones have solved; give what it gives."""
         forget()
-        with _followed_by(self._called):
+        with _followed_by(self._follower()):
             return case()
 
 
