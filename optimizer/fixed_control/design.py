@@ -324,7 +324,6 @@ def _automatic(
     kp, ki_ts, tracking = values
     error = 2**width - 1
     proportional = precise_gain(f"kp of {name}", kp, width, error)
-    found = None
     for fraction in range(width - 2, -1, -1):
         scale = 2.0**fraction
         try:
@@ -335,13 +334,10 @@ def _automatic(
         found = FixedPi(proportional, ki, back, fraction)
         if pi_ranges(width, name, found, form, further).overflowing() is None:
             return found
-    if found is None:
-        raise NoSolutionError(
-            f"fixed point: ki t_s of {name}, {ki_ts:.4g} per unit, has no format of {width} bits; "
-            "use other bases"
-        )
-    require(pi_ranges(width, name, found, form, further))
-    raise AssertionError  # the ranges of the last trial overflow
+    raise NoSolutionError(
+        f"fixed point: kp, ki t_s and the back-calculation of {name}, {kp:.4g}, {ki_ts:.4g} and "
+        f"{tracking:.4g} per unit, have no format of {width} bits together; use other bases"
+    )
 
 
 def _in_formats(

@@ -21,6 +21,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.fixed_control.design import (
     FixedControlFit,
+    _automatic,
     _require_bases,
     fit_control,
     quantised_loop,
@@ -191,3 +192,12 @@ def test_full_scale_of_the_speed_holds_field_weakening_too() -> None:
     require_scales(replace(design, weakening=WeakeningSettings(omega_m=500.0)))
     with pytest.raises(InputError, match=r"the largest speed is 5729.6 rpm; write speed: 7162 rpm"):
         require_scales(replace(design, weakening=WeakeningSettings(omega_m=600.0)))
+
+
+@pytest.mark.parametrize(
+    "gains", [(363.0, 1.22e-5, 255.7), (0.38, 903.4, 347.1), (48.4, 3.0e-3, 663.2)]
+)
+def test_gains_that_no_format_holds_are_named_together(gains: tuple[float, float, float]) -> None:
+    with pytest.raises(NoSolutionError, match="no format of 16 bits together") as told:
+        _automatic("i_d", gains, 16, "parallel", 0)
+    assert all(f"{gain:.4g}" in str(told.value) for gain in gains)
