@@ -4,6 +4,7 @@ seams are smooth.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from dqforge.machines.dq_machines.flux_map import (
     inductances,
     swing,
 )
-from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.dq_machines.synchronous import LinearMachine, largest_torque_within
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points.points import optimal_points
@@ -329,3 +330,19 @@ def test_a_ripple_is_the_swing_of_its_orders_together() -> None:
     share = ripple.over(np.array([-4.0, 0.0]))
     assert share[0] == pytest.approx(found[0] / 4.0)
     assert np.isnan(share[1])
+
+
+@pytest.mark.parametrize("extrapolate", [True, False])
+@pytest.mark.parametrize("i_max", [40.0, 120.0])
+def test_the_largest_torque_of_a_map_is_that_of_a_walk_along_the_limit(
+    extrapolate: bool, i_max: float
+) -> None:
+    """The data end at 60 A of positive i_d, where that limit is not the circle any more."""
+    flux_map = replace(arctan_map(), extrapolate=extrapolate)
+    machine = SaturatedMachine(3, 0.05, flux_map, 120.0)
+    share, angle = np.meshgrid(np.linspace(0.0, 1.0, 201), np.linspace(0.0, np.pi, 2001))
+    i_d, i_q = i_max * share * np.cos(angle), i_max * share * np.sin(angle)
+    torque = machine.torque(i_d, i_q)[flux_map.extrapolate | (i_d <= 60.0)]
+    assert largest_torque_within(machine, i_max) == pytest.approx(torque.max(), rel=1e-5)
+    along_q = machine.torque(np.zeros(1), np.array([i_max]))[0]
+    assert largest_torque_within(machine, i_max, "id0") == pytest.approx(along_q, rel=1e-9)

@@ -208,3 +208,8 @@ def test_a_climb_to_zero_ends_by_its_weight() -> None:
     found = climb(blocks, np.array([-1.0]), lambda _: False)
     assert found is not None
     assert 1e-12 < -found[-1] < 2e-11
+
+
+def test_a_direction_that_changes_nothing_is_followed_as_far_as_its_gain_says() -> None:
+    assert _best_length(np.zeros(3), 1.0) == pytest.approx(0.95e12)
+    assert 0.0 < _best_length(np.zeros(3), -1.0) < 1e-5

@@ -18,7 +18,7 @@ from dqforge.machines.names import CurrentFrame, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.topologies import TOPOLOGIES, leg_signs
 from dqforge.machines.transforms import clarke_matrix
-from dqforge.optimizer.fixed_phase_control.design import fit_phase_control
+from dqforge.optimizer.fixed_phase_control.design import _least_square, fit_phase_control
 from dqforge.optimizer.fixed_phase_control.integers import (
     Control,
     FixedPhaseControl,
@@ -280,3 +280,16 @@ def test_errors_on_the_axes_of_a_frame_make_the_voltage_again(frame: CurrentFram
     if frame == "dqx":
         wanted[2] = 0
     assert np.max(np.abs(made - wanted)) < 8.0
+
+
+@pytest.mark.parametrize("frame", get_args(CurrentFrame))
+def test_the_least_squared_flux_is_that_of_the_three_phases(frame: CurrentFrame) -> None:
+    """Amplitude-invariant axes keep two thirds of the squares, a third of the sum counted apart."""
+    control = plain_control(Z, "four-leg", frame=frame)
+    (one,) = control.shape.flux
+    places = np.arange(one.size)
+    flux = np.stack([one[(places - k * one.size // 3) % one.size] for k in range(3)])
+    mean = flux.mean(axis=0)
+    square = 2.0 / 3.0 * np.sum((flux - mean) ** 2, axis=0)
+    whole = square + 2.0 * mean**2 if frame == "dqy" else square
+    assert _least_square(control, 0.4) == pytest.approx(np.min(whole) / 0.16, rel=1e-9)

@@ -559,3 +559,10 @@ def test_the_angle_of_a_vector_is_its_arc_tangent() -> None:
     steps = StartupSteps(_Told())
     found = [steps.angle(EXACT, AlphaBeta(np.cos(one), np.sin(one))) for one in angles]
     assert np.max(np.abs(np.array(found) - angles)) < 1.1e-5
+
+
+def test_a_control_by_torque_takes_its_current_across_alone() -> None:
+    """T = 3/2 p psi_pm i_q, without a current along the magnets."""
+    usual = StartupSteps(_Told(), by_torque=True)._usual(EXACT, gains(), number(0.6))
+    across = 0.6 / (1.5 * POLE_PAIRS * float(gains().psi_pm))
+    assert usual == pytest.approx((0.0, across))

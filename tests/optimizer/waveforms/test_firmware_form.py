@@ -128,3 +128,13 @@ def test_unequal_phases_have_a_row_each_and_an_open_one_stays_still() -> None:
 def test_what_no_form_keeps_is_refused() -> None:
     with pytest.raises(NoSolutionError, match="no harmonics keeps 1e-06 % of the peak"):
         fit_phases(UNEQUAL, FOUR, WaveformSettings(form="harmonics", error=1e-8))
+
+
+def test_angles_that_are_tried_hold_both_zeros_both_signs_and_no_number() -> None:
+    form = fit_phases(MACHINE, FOUR, WaveformSettings(form="table")).reference.form
+    (turn,) = sample_angles(form, 100, 3)
+    assert {bool(sign) for sign in np.signbit(turn[turn == 0.0])} == {True, False}
+    assert np.isnan(turn).any()
+    assert np.any(turn < 0.0)
+    assert np.any((turn > 0.0) & (turn < 1e-38))
+    assert np.nextafter(np.float32(1.0), np.float32(0.0)) in turn

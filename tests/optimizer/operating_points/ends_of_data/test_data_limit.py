@@ -4,6 +4,8 @@ force over what is measured.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from one_sided import INDUCTANCES, KINDS, measured_currents, one_sided
@@ -24,6 +26,7 @@ from dqforge.optimizer.operating_points.mtpa_locus import (
     LossCoefficients,
     Problem,
     State,
+    _split_where_torque_turns,
     mtpa_locus,
 )
 from dqforge.optimizer.operating_points.points import optimal_points
@@ -280,3 +283,25 @@ def test_the_largest_speed_is_that_of_the_best_measured_current(kind: str) -> No
     assert "speed_max" not in free.held
     strong = one_sided("everywhere", 1.6e-3, 0.8e-3, 0.0)
     assert characteristics(strong, _V_MAX).characteristic_current == pytest.approx(0.05 / 1.6e-3)
+
+
+def test_intervals_are_split_where_the_torque_turns_and_keep_their_ends() -> None:
+    """On a straight interval of a linear machine the torque is a parabola of the share."""
+    machine = LinearMachine(3, 0.4, 0.5e-3, 1.1e-3, 0.05, 50.0)
+    generator = np.random.default_rng(13)
+    d, q, step_d, step_q = generator.uniform(-60.0, 60.0, (4, 40))
+    whole = Intervals(machine, d, q, step_d, step_q)
+    found = _split_where_torque_turns(whole)
+    expected = []
+    for row in zip(d, q, step_d, step_q, strict=True):
+        torque = [machine.torque(row[0] + x * row[2], row[1] + x * row[3]) for x in (0.0, 0.5, 1.0)]
+        bent, slope, _ = np.polyfit([0.0, 0.5, 1.0], np.ravel(torque), 2)
+        top = -slope / (2.0 * bent)
+        shares = [0.0, top, 1.0] if 0.0 < top < 1.0 else [0.0, 1.0]
+        expected += [
+            (row[0] + a * row[2], row[1] + a * row[3], (b - a) * row[2], (b - a) * row[3])
+            for a, b in itertools.pairwise(shares)
+        ]
+    assert 45 < len(expected) < 75
+    rows = sorted(zip(found.d, found.q, found.step_d, found.step_q, strict=True))
+    np.testing.assert_allclose(rows, sorted(expected), atol=1e-6)
